@@ -1,0 +1,66 @@
+# Everything a developer does, each in one word: "make" lists them.
+#
+# The environment is made by tools/setup_environment.py; docs/adr/0001-ros-from-pypi.md says why and how.
+
+PYTHON ?= python3
+ifdef ROS_DISTRO
+DISTRO ?= $(ROS_DISTRO)
+VENV := .venv
+else
+DISTRO ?= jazzy
+VENV := .venv$(if $(filter-out jazzy,$(DISTRO)),-$(DISTRO))
+endif
+BIN := $(CURDIR)/$(VENV)/bin
+
+# Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
+# run (hence a domain of its own) and not to a robot in the same network.
+RUN := env PATH="$(BIN):$$PATH" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(shell echo $$(($$$$ % 101 + 1)))
+# The ROS 2 wheels hold Fast DDS only, whatever another ROS 2 was told to use.
+RUN += $(if $(ROS_DISTRO),,RMW_IMPLEMENTATION=rmw_fastrtps_cpp)
+ifdef ROS_DISTRO
+# The messages built in the environment come before those of a workspace that happens to be sourced as well.
+RUN += LD_LIBRARY_PATH="$(CURDIR)/$(VENV)/lib:$$LD_LIBRARY_PATH" \
+       PYTHONPATH="$$(echo "$(CURDIR)/$(VENV)"/lib/python3*/site-packages):$$PYTHONPATH"
+COLCON := $(RUN)
+else
+# ROS 2 from the Python package index needs nothing sourced to run, but this to be built against.
+COLCON := $(RUN) AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"
+endif
+# colcon as a program of this environment's Python, which has the dependencies, wherever colcon itself is installed.
+COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
+BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
+
+.PHONY: help setup demo test bench lint colcon clean
+
+help: ## list these targets
+	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
+	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' Makefile | expand -t 12
+
+setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, dependencies, messages, drive_id
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { echo "drive_id: $(PYTHON) is not a \
+	Python 3.10 or newer: install one, or name it (make PYTHON=/path/to/python3 ...)." >&2; exit 1; }
+	@$(PYTHON) tools/setup_environment.py --venv $(VENV) --distro $(DISTRO)
+
+demo: setup ## simulate a drive, identify it, and leave the results in out/demo
+	@$(RUN) bash examples/demo.sh out/demo
+
+test: setup ## run the tests; more options for pytest: make test ARGS="-k bag"
+	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 python -m pytest $(ARGS)
+
+bench: setup ## run the benchmarks
+	@$(RUN) python benchmarks/run.py $(ARGS)
+
+lint: setup ## check style, types and the direction of imports
+	@$(RUN) ruff check
+	@$(RUN) ruff format --check
+	@$(RUN) mypy
+	@$(RUN) python -m pytest -q test/test_imports.py
+
+colcon: setup ## build, install and test both packages the way a ROS 2 workspace does
+	@$(COLCON) build $(BASES)
+	@DRIVE_ID_REQUIRE_ROS=1 $(COLCON) test $(BASES) --return-code-on-test-failure --event-handlers console_cohesion+
+	@$(COLCON) test-result --test-result-base build/$(DISTRO)
+
+clean: ## remove everything that was made, environments included
+	rm -rf .venv .venv-* build install log out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find drive_id test tools benchmarks examples -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

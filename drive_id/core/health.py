@@ -1,0 +1,37 @@
+"""How a node is, in words for people and values for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+
+class Level(IntEnum):
+    """As in ``diagnostic_msgs/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+Finding = tuple[Level, str]
+"""What was noticed, and a sentence about it."""
+
+
+@dataclass(frozen=True)
+class Health:
+    """One diagnostic status.
+
+    Parameters
+    ----------
+    level : Level
+    message : str
+        A sentence.
+    values : mapping of str to str
+        Details for programs.
+    """
+
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,124 @@
+"""The results of a fit: maps, resistance, inverter and what is to be said about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.flux_models import FluxModel
+from drive_id.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class FluxMap:
+    """Flux linkages on a grid.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        Axes, A.
+    psi_d, psi_q : (D, Q) float
+        Wb.
+    sigma_d, sigma_q : (D, Q) float
+        Standard deviations of psi_d and psi_q, Wb, NaN where not inside: scatter of the data, not the error of a
+        model that is too simple.
+    inside : (D, Q) bool
+        Data support the map there; elsewhere it is a continuation of typical slope.
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    sigma_d: FloatArray
+    sigma_q: FloatArray
+    inside: BoolArray
+
+    def grid(self) -> FloatArray:
+        """Return the currents of all points, (D, Q, 2), A."""
+        return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """How well the data determined the model.
+
+    Parameters
+    ----------
+    samples_read, samples_used : int
+        Given, and integrated over (a sample before a gap, beyond the map's range or at rest is not).
+    gaps : int
+        Breaks within recordings, across which nothing was integrated.
+    rows : int
+        Of the regression, two per pair of samples.
+    parameters, rank : int
+        Unknowns, and how many of them the data determine.
+    unseen : int
+        Flux parameters without any data (corner functions outside of the disc).
+    condition : float
+        Of the column-scaled regression within its rank.
+    residual_rms : float
+        Of the mean voltage over a sample, V.
+    mad_d, mad_q : float
+        Mean absolute deviation of the open-loop simulated from the measured currents, A; NaN when it diverged.
+    coverage : float
+        Share of the disc of radius ``i_max`` with data, 0 to 1.
+    warnings : tuple of str
+        Whole sentences.
+    """
+
+    samples_read: int
+    samples_used: int
+    gaps: int
+    rows: int
+    parameters: int
+    rank: int
+    unseen: int
+    condition: float
+    residual_rms: float
+    mad_d: float
+    mad_q: float
+    coverage: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """An identified drive.
+
+    Parameters
+    ----------
+    method : str
+        ``psm`` or ``joint``.
+    i_max : float
+        Radius of the current disc of the experiment, A.
+    resistance, sigma_resistance : float
+        The paper's R with the inverter's linear part in it, and its standard deviation, ohm.
+    voltage_error, sigma_voltage_error : float
+        u_e in the drop convention (positive for a physical inverter) and its standard deviation, V; 0 for ``psm``.
+    inverter_current, inverter_voltage : (C,) float
+        The identified drop of one phase, V, over its current, A.
+    model : FluxModel
+        With ``gamma`` (P,), Wb, the flux map as a function.
+    gamma : (P,) float
+    flux_map : FluxMap
+    report : FitReport
+    """
+
+    method: str
+    i_max: float
+    resistance: float
+    sigma_resistance: float
+    voltage_error: float
+    sigma_voltage_error: float
+    inverter_current: FloatArray
+    inverter_voltage: FloatArray
+    model: FluxModel
+    gamma: FloatArray
+    flux_map: FluxMap
+    report: FitReport
+
+    def flux(self, i_dq: FloatArray) -> FloatArray:
+        """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A."""
+        return self.model.rows(i_dq).dot(self.gamma)

@@ -1,0 +1,69 @@
+"""Several recordings of one drive as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drive_id.core.join_report import period_text
+from drive_id.core.sample_period import PERIOD_TOLERANCE
+from drive_id.errors import SamplePeriodError
+from drive_id.types import Samples
+
+_DISTANCE = 1_000_000_000
+"""Put between recordings that overlap, ns."""
+
+
+def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
+    """Put recordings one behind the other; each begins a new run, so nothing reaches from one into the next.
+
+    Parameters
+    ----------
+    parts : sequence of Samples
+        At least one, of equal sample period.
+
+    Returns
+    -------
+    samples : Samples
+    moved : tuple of int
+        Which parts lay in time before the end of an earlier one, as simulations do, and were moved behind it.
+
+    Raises
+    ------
+    SamplePeriodError
+        When the periods differ by more than 1 %.
+    """
+    period = parts[0].sample_period
+    for number, part in enumerate(parts):
+        if abs(part.sample_period / period - 1.0) > PERIOD_TOLERANCE:
+            raise SamplePeriodError(
+                f"The sample periods of the recordings disagree, {period_text(period)} in the first and "
+                f"{period_text(part.sample_period)} in number {number + 1}: fit them separately."
+            )
+    stamps, starts, moved = [], [], []
+    end, count = None, 0
+    for number, part in enumerate(parts):
+        shift = 0
+        if end is not None and int(part.stamp[0]) <= end + 2e9 * period:
+            shift = end + _DISTANCE - int(part.stamp[0])
+            moved.append(number)
+        stamps.append(part.stamp + shift)
+        starts.append(part.run_starts + count)
+        end, count = int(part.stamp[-1]) + shift, count + len(part)
+    references = None
+    if any(part.i_dq_reference is not None for part in parts):
+        unknown = [np.full((len(part), 2), np.nan) for part in parts]
+        known = [part.i_dq_reference for part in parts]
+        references = np.concatenate([u if k is None else k for u, k in zip(unknown, known, strict=True)])
+    samples = Samples(
+        stamp=np.concatenate(stamps),
+        i_abc=np.concatenate([part.i_abc for part in parts]),
+        u_abc=np.concatenate([part.u_abc for part in parts]),
+        angle=np.concatenate([part.angle for part in parts]),
+        speed=np.concatenate([part.speed for part in parts]),
+        sample_period=period,
+        run_starts=np.concatenate(starts),
+        i_dq_reference=references,
+    )
+    return samples, tuple(moved)

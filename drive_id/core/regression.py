@@ -1,0 +1,295 @@
+"""The paper's regression ``eq:ls_regression``: its rows, and their information accumulated without stacking them.
+
+For each pair of neighbouring samples ``eq:single_row`` gives two rows, ``v = R q_1 + (Q_2 + Q_3) gamma + u_e q_4``.
+Only their cross products are kept, Z'Z with Z = [q_1, q_4, v, Q_2 + Q_3], per block of time: sums of blocks merge by
+addition, and leaving one block out at a time gives the uncertainty.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.compiled import compiled
+from drive_id.core.flux_models import BasisRows, ColumnArray, FluxModel
+from drive_id.core.inverter import TanhShape
+from drive_id.types import BoolArray, FloatArray, Samples
+
+CHUNK = 8192
+"""Samples worked on at a time: bounds the memory whatever the length of the recording."""
+
+_BLOCK_MEMORY = 2e8
+
+RESISTANCE, VOLTAGE_ERROR, VOLTAGE, FLUX = 0, 1, 2, 3
+"""Columns of Z; the flux parameters stand from FLUX on."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleIntegrals:
+    """The terms of ``eq:single_row`` for M pairs of neighbouring samples.
+
+    Parameters
+    ----------
+    v : (M, 2) float
+        Integral of the commanded voltage, Vs.
+    q1 : (M, 2) float
+        Integral of the current, As.
+    q4 : (M, 2) float
+        Integral of the inverter's shape, in the drop convention (the paper's with the opposite sign), s.
+    half_turn : (M,) float
+        omega T / 2, rad.
+    rows : BasisRows
+        B at the M + 1 samples: Q_2 is ``half_turn J (B^{k+1} + B^k)``, Q_3 is ``B^{k+1} - B^k``.
+    inside : (M,) bool
+        Both samples lie where the flux model is defined.
+    valid : (M,) bool
+        They do, and are not to be left out.
+    """
+
+    v: FloatArray
+    q1: FloatArray
+    q4: FloatArray
+    half_turn: FloatArray
+    rows: BasisRows
+    inside: BoolArray
+    valid: BoolArray
+
+    def dense(self, parameters: int) -> FloatArray:
+        """Return Z as (M, 2, 3 + parameters): for inspection and tests, not for long recordings."""
+        basis = self.rows.dense(parameters)
+        total = self.half_turn[:, None, None] * (basis[1:] + basis[:-1])
+        flux = basis[1:] - basis[:-1] + np.stack([-total[:, 1], total[:, 0]], axis=1)
+        return np.concatenate([np.stack([self.q1, self.q4, self.v], axis=-1), flux], axis=-1)
+
+
+def sample_integrals(
+    samples: Samples, part: slice, model: FluxModel, shape: TanhShape, left_out: BoolArray | None = None
+) -> SampleIntegrals:
+    """Integrate all terms over each sample of a gap-free part of a recording.
+
+    Parameters
+    ----------
+    samples : Samples
+    part : slice
+        M + 1 samples within one run.
+    model : FluxModel
+    shape : TanhShape
+    left_out : (N,) bool, optional
+        Samples of which nothing is to be used.
+
+    Returns
+    -------
+    SampleIntegrals
+        ``eq:udq_quadrature``, ``eq:idq_quadrature``, ``eq:B_quadrature`` and ``eq:disturbance_quadrature``.
+    """
+    period = samples.sample_period
+    i_abc, angle = samples.i_abc[part], samples.angle[part]
+    start_angle, speed = angle[:-1], samples.speed[part][:-1]
+    drop_dq = frames.to_dq(shape(i_abc), angle)
+    i_dq = frames.to_dq(i_abc, angle)
+    contained = model.contains(i_dq)
+    inside = contained[1:] & contained[:-1]
+    used = np.ones(len(i_dq), np.bool_) if left_out is None else ~left_out[part]
+    return SampleIntegrals(
+        v=frames.integrate_held(samples.u_abc[part][:-1], start_angle, speed, period),
+        q1=frames.integrate_linear(i_abc, start_angle, speed, period),
+        q4=period / 2 * (drop_dq[1:] + drop_dq[:-1]),
+        half_turn=speed * (period / 2),
+        rows=model.rows(i_dq),
+        inside=inside,
+        valid=inside & used[1:] & used[:-1],
+    )
+
+
+class Information:
+    """What a recording says about the parameters: Z'Z per block of time, independent of the recording's length.
+
+    Parameters
+    ----------
+    model : FluxModel
+    shape : TanhShape
+    block_duration : float
+        Initial length of a block, s; doubled by merging neighbours whenever there are more than ``max_blocks``.
+    max_blocks : int, optional
+        Even, at least 4. Default: 128, or fewer where the model is large.
+
+    Notes
+    -----
+    Samples may arrive in pieces of any size. A row needs two neighbours: a piece that continues another one begins
+    with the last sample of that one.
+    """
+
+    def __init__(
+        self, model: FluxModel, shape: TanhShape, block_duration: float = 0.1, max_blocks: int | None = None
+    ) -> None:
+        self.model = model
+        self.shape = shape
+        self.block_duration = block_duration
+        self.rows = 0
+        self.outside = 0
+        self._size = FLUX + model.parameters
+        affordable = int(_BLOCK_MEMORY / (8 * self._size**2)) // 2 * 2
+        self.max_blocks = max_blocks or min(max(affordable, 8), 128)
+        self._blocks: list[FloatArray] = []
+        self._filled = np.inf  # time in the last block, s
+
+    @property
+    def blocks(self) -> FloatArray:
+        """Z'Z of each block, (blocks, 3 + P, 3 + P), symmetric."""
+        return np.array(self._blocks).reshape(-1, self._size, self._size)
+
+    @property
+    def total(self) -> FloatArray:
+        """Z'Z of all rows, (3 + P, 3 + P), symmetric."""
+        total = np.zeros((self._size, self._size))
+        for block in self._blocks:
+            total += block
+        return total
+
+    def copy(self) -> Information:
+        """Return information that goes its own way from here; only the last block of time is still growing."""
+        other = copy.copy(self)
+        growing = [block.copy() for block in self._blocks[-1:]]
+        other._blocks = [*self._blocks[:-1], *growing]  # noqa: SLF001  # of its own class
+        return other
+
+    def add(
+        self, samples: Samples, done: Callable[[int], None] | None = None, left_out: BoolArray | None = None
+    ) -> None:
+        """Accumulate the rows of further samples.
+
+        Parameters
+        ----------
+        samples : Samples
+        done : callable, optional
+            Told after each part how many of them are done.
+        left_out : (N,) bool, optional
+            Samples of which nothing is to be used.
+        """
+        for run in samples.runs():
+            for part in _parts(run):
+                integrals = sample_integrals(samples, part, self.model, self.shape, left_out)
+                self._accumulate(integrals, samples.sample_period)
+                if done:
+                    done(part.stop)
+
+    def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
+        self.rows += 2 * int(integrals.valid.sum())
+        self.outside += int((~integrals.inside).sum())
+        known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
+        start, count = 0, len(integrals.v)
+        while start < count:
+            if self._filled >= self.block_duration - period / 2:
+                self._open_block()
+            room = max(1, round((self.block_duration - self._filled) / period))
+            stop = min(count, start + room)
+            _add_rows(
+                known[start:stop],
+                integrals.half_turn[start:stop],
+                integrals.valid[start:stop],
+                integrals.rows.column[start : stop + 1],
+                integrals.rows.value[start : stop + 1],
+                self._blocks[-1],
+            )
+            self._filled += (stop - start) * period
+            start = stop
+
+    def _open_block(self) -> None:
+        if len(self._blocks) == self.max_blocks:
+            self._blocks = [a + b for a, b in zip(self._blocks[::2], self._blocks[1::2], strict=True)]
+            self.block_duration *= 2
+        self._blocks.append(np.zeros((self._size, self._size)))
+        self._filled = 0.0
+
+
+def _parts(run: slice) -> Iterator[slice]:
+    for start in range(run.start, run.stop - 1, CHUNK):
+        yield slice(start, min(start + CHUNK + 1, run.stop))
+
+
+@compiled
+def _add_rows(
+    known: FloatArray,
+    half_turn: FloatArray,
+    valid: BoolArray,
+    column: ColumnArray,
+    value: FloatArray,
+    gram: FloatArray,
+) -> None:
+    """Add the cross products of the rows of M pairs of samples to ``gram``.
+
+    While the trajectory stays in one cell of the basis, neighbours share their columns: the products are summed in a
+    small dense matrix and scattered only when the cell changes. ``known`` is (M, 2, 3): q_1, q_4, v.
+    """
+    width = column.shape[2]
+    narrow, wide = 3 + 2 * width, 3 + 4 * width
+    row_d, row_q = np.zeros(wide), np.zeros(wide)
+    local = np.zeros((narrow, narrow))
+    where = np.zeros(wide, np.int32)
+    where[:3] = np.arange(3)
+    pending = -1  # sample whose columns the local matrix is of
+    for k in range(len(known)):
+        if not valid[k]:
+            continue
+        row_d[:3], row_q[:3] = known[k, 0], known[k, 1]
+        if pending >= 0 and not _same_columns(column[pending], column[k]):
+            _scatter(local, column[pending], where, gram)
+            pending = -1
+        if _same_columns(column[k], column[k + 1]):
+            for j in range(width):
+                row_d[3 + j] = value[k + 1, 0, j] - value[k, 0, j]
+                row_q[3 + j] = half_turn[k] * (value[k + 1, 0, j] + value[k, 0, j])
+                row_d[3 + width + j] = -half_turn[k] * (value[k + 1, 1, j] + value[k, 1, j])
+                row_q[3 + width + j] = value[k + 1, 1, j] - value[k, 1, j]
+            _add_outer(row_d, row_q, local)
+            pending = k
+        else:
+            for e in range(2):
+                sign = 2.0 * e - 1.0
+                at = 3 + 2 * width * e
+                for j in range(width):
+                    where[at + j], where[at + width + j] = 3 + column[k + e, 0, j], 3 + column[k + e, 1, j]
+                    row_d[at + j], row_q[at + j] = sign * value[k + e, 0, j], half_turn[k] * value[k + e, 0, j]
+                    row_d[at + width + j] = -half_turn[k] * value[k + e, 1, j]
+                    row_q[at + width + j] = sign * value[k + e, 1, j]
+            for a in range(wide):
+                for b in range(wide):
+                    gram[where[a], where[b]] += row_d[a] * row_d[b] + row_q[a] * row_q[b]
+    if pending >= 0:
+        _scatter(local, column[pending], where, gram)
+
+
+@compiled
+def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
+    for j in range(first.shape[1]):  # noqa: SIM110  # numba compiles loops, not generators
+        if first[0, j] != second[0, j] or first[1, j] != second[1, j]:
+            return False
+    return True
+
+
+@compiled
+def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
+    """Add the outer products of both rows to the lower triangle of ``local``."""
+    for a in range(len(local)):
+        x, y = row_d[a], row_q[a]
+        line = local[a]
+        for b in range(a + 1):
+            line[b] += x * row_d[b] + y * row_q[b]
+
+
+@compiled
+def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: FloatArray) -> None:
+    """Add the symmetric matrix, given by its lower triangle, to ``gram`` and clear it."""
+    width = column.shape[1]
+    for j in range(width):
+        where[3 + j], where[3 + width + j] = 3 + column[0, j], 3 + column[1, j]
+    for a in range(len(local)):
+        for b in range(a):
+            gram[where[a], where[b]] += local[a, b]
+            gram[where[b], where[a]] += local[a, b]
+        gram[where[a], where[a]] += local[a, a]
+        local[a] = 0.0

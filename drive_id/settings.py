@@ -1,0 +1,144 @@
+"""Settings with one source: a frozen dataclass whose fields carry description, unit and bounds.
+
+The same fields feed the YAML files, the command line and the ROS parameters, so that a default, a bound or a
+description is written once. Fields are bool, int, float or str, or ``None`` beside one of them, or tuples of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from drive_id.errors import ConfigurationError
+
+Settings = TypeVar("Settings")
+
+_WORDS = {
+    bool: ("true or false", "true or false"),
+    int: ("a whole number", "whole numbers"),
+    float: ("a number", "numbers"),
+    str: ("a text", "texts"),
+    types.NoneType: ("null", "null"),
+}
+_LONGEST_SHOWN = 60
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare one field of a settings dataclass; bounds are inclusive and hold for each entry of a tuple."""
+    metadata = {"description": description, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def check(settings: object) -> None:
+    """Check finiteness, bounds and choices of all fields; call it from ``__post_init__``.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the field, its value and what it may be.
+    """
+    for field in dataclasses.fields(settings):  # type: ignore[arg-type]  # any dataclass instance
+        value = getattr(settings, field.name)
+        for entry in value if isinstance(value, tuple) else (value,):
+            _check_entry(field, entry)
+
+
+def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:
+    if value is None:
+        return
+    unit = f" {field.metadata['unit']}" if field.metadata.get("unit") else ""
+    low, high, choices = (field.metadata.get(key) for key in ("minimum", "maximum", "choices"))
+    if choices and value not in choices:
+        raise ConfigurationError(f"{field.name} is '{value}': it must be one of {', '.join(choices)}.")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigurationError(f"{field.name} is {value}: it must be a finite number.")
+    if (low is not None and value < low) or (high is not None and value > high):
+        limits = (("at least", low), ("at most", high))
+        bounds = " and ".join(f"{words} {limit}{unit}" for words, limit in limits if limit is not None)
+        raise ConfigurationError(f"{field.name} is {_shown(value)}{unit}: it must be {bounds}.")
+
+
+def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) -> Settings:
+    """Build settings from parsed YAML, strictly.
+
+    Parameters
+    ----------
+    cls : type
+        A settings dataclass.
+    mapping : mapping
+        Names to plain values; whole numbers are accepted for floats, lists for tuples.
+    where : str
+        File or option that the mapping came from, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown name, a value of the wrong type, or one out of bounds.
+    """
+    hints = typing.get_type_hints(cls)
+    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # any dataclass type
+    unknown = [str(name) for name in mapping if name not in names]
+    if unknown:
+        raise ConfigurationError(
+            f"{where} sets '{unknown[0]}', which does not exist: the settings are {', '.join(names)}."
+        )
+    values = {name: _convert(value, hints[name], f"'{name}' in {where}") for name, value in mapping.items()}
+    try:
+        return cls(**values)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"In {where}: {error}") from error
+
+
+def _convert(value: Any, hint: Any, where: str) -> Any:
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    for option in options:
+        if option is type(None) and value is None:
+            return None
+        if typing.get_origin(option) is tuple and isinstance(value, (list, tuple)):
+            entry_hints = typing.get_args(option)
+            variadic = len(entry_hints) == 2 and entry_hints[1] is Ellipsis
+            if variadic:
+                entry_hints = (entry_hints[0],) * len(value)
+            if len(entry_hints) == len(value):
+                return tuple(_convert(v, h, where) for v, h in zip(value, entry_hints, strict=True))
+        if option is float and isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            try:
+                return float(value)  # also of a string: YAML 1.1 takes 1e-3 for one
+            except (ValueError, OverflowError):
+                continue
+        if option in (bool, int, str) and type(value) is option:
+            return value
+    wanted = " or ".join(_wanted(option) for option in options)
+    raise ConfigurationError(f"{where} is {_shown(value)}: it must be {wanted}.")
+
+
+def _wanted(option: Any) -> str:
+    """Describe a type in the words of whoever writes a YAML file."""
+    if typing.get_origin(option) is not tuple:
+        return _WORDS[option][0]
+    entries = typing.get_args(option)
+    count = "" if entries[-1] is Ellipsis else f"{len(entries)} "
+    return f"a list of {count}{_WORDS[entries[0]][1]}"
+
+
+def _shown(value: Any) -> str:
+    """Write a value that may be of any length."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write out whole numbers of thousands of digits
+        text = "an enormous number"
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."

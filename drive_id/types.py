@@ -1,0 +1,225 @@
+"""The nouns of the project: frozen dataclasses, validated once at construction.
+
+SI units; amplitude-invariant (peak) currents, voltages and flux linkages; electrical radians and rad/s; phase order
+a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.errors import ConfigurationError, DataError, NonFiniteError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Equally sampled signals of one drive, the paper's ``eq:experiment``, without the gaps.
+
+    Every source (live topics, our bags, bags of strangers) ends in this type, and everything after it is one path.
+
+    Parameters
+    ----------
+    stamp : (N,) int64
+        Time of each sample in ns since an arbitrary epoch, strictly increasing.
+    i_abc : (N, 3) float
+        Measured phase currents at ``stamp``, A.
+    u_abc : (N, 3) float
+        Commanded phase voltages, held in the stator frame from ``stamp`` to ``stamp + sample_period``, V.
+    angle : (N,) float
+        Electrical angle at ``stamp``, rad, wrapped or not.
+    speed : (N,) float
+        Electrical speed at ``stamp``, rad/s.
+    sample_period : float
+        s.
+    run_starts : (S,) int64, optional
+        Index of the first sample of each gap-free run; the first is 0. Nothing may be differenced or integrated
+        across the start of a run. Default: one run.
+    i_dq_reference : (N, 2) float, optional
+        Current references valid at ``stamp``, A, NaN where none is known.
+
+    Raises
+    ------
+    DataError
+        When shapes disagree, the period is not positive, stamps do not increase or runs are not in order.
+    NonFiniteError
+        When a sample is NaN or infinite.
+    """
+
+    stamp: IntArray
+    i_abc: FloatArray
+    u_abc: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    sample_period: float
+    run_starts: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
+    i_dq_reference: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.stamp)
+        shapes = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
+        if self.i_dq_reference is not None:
+            shapes["i_dq_reference"] = (n, 2)
+        for name, shape in shapes.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise DataError(f"{name} has shape {found} where {n} stamps need {shape}: pass arrays of equal length.")
+        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
+            raise DataError(f"The sample period is {self.sample_period} s: it must be a positive number of seconds.")
+        if n == 0:
+            raise DataError("There are no samples: check that the three signals overlap in time.")
+        if np.any(np.diff(self.stamp) <= 0):
+            raise DataError("The stamps do not increase strictly: cut repeated and backward stamps first.")
+        starts = self.run_starts
+        if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= n:
+            raise DataError("run_starts must begin with 0 and increase strictly within the samples.")
+        for name in ("i_abc", "u_abc", "angle", "speed"):
+            finite = np.isfinite(getattr(self, name)).reshape(n, -1).all(axis=1)
+            if not finite.all():
+                k = int(np.argmin(finite))
+                raise NonFiniteError(
+                    f"{name} holds {n - int(finite.sum())} samples that are NaN or infinite, the first at "
+                    f"{(self.stamp[k] - self.stamp[0]) * 1e-9:.6f} s: repair or cut the recording there."
+                )
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @property
+    def duration(self) -> float:
+        """Time covered by data, gaps excluded, s."""
+        return len(self) * self.sample_period
+
+    def runs(self) -> Iterator[slice]:
+        """Yield the gap-free runs as slices, in order of time."""
+        ends = np.append(self.run_starts[1:], len(self))
+        for start, end in zip(self.run_starts, ends, strict=True):
+            yield slice(int(start), int(end))
+
+
+@dataclass(frozen=True, eq=False)
+class MachineMap:
+    """Flux linkages of a machine on a grid, possibly over the rotor position: a machine file in memory.
+
+    Parameters
+    ----------
+    name : str
+        For tables and titles.
+    i_d, i_q : (D,), (Q,) float
+        Axes, A, strictly increasing.
+    psi_d, psi_q : (D, Q) float
+        Flux linkages averaged over the rotor position, Wb.
+    resistance : float
+        Of the stator winding, ohm.
+    pole_pairs : int
+    i_max : float
+        Largest current amplitude to be commanded, A.
+    u_dc : float
+        DC-link voltage, V.
+    theta : (H,) float, optional
+        Electrical angles, rad, equally spaced over one period of the harmonics without its end point.
+    psi_d_theta, psi_q_theta : (D, Q, H) float, optional
+        Flux linkages over the rotor position, Wb.
+
+    Raises
+    ------
+    ConfigurationError
+        When shapes disagree, axes do not increase, or a value is not finite or not positive where it must be.
+    """
+
+    name: str
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    resistance: float
+    pole_pairs: int
+    i_max: float
+    u_dc: float
+    theta: FloatArray | None = None
+    psi_d_theta: FloatArray | None = None
+    psi_q_theta: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        shape = (len(self.i_d), len(self.i_q))
+        if min(shape) < 4:
+            raise ConfigurationError(f"Machine '{self.name}' has a {shape} grid: at least 4 x 4 points are needed.")
+        for axis in ("i_d", "i_q"):
+            if np.any(np.diff(getattr(self, axis)) <= 0):
+                raise ConfigurationError(f"Axis {axis} of machine '{self.name}' does not increase strictly: sort it.")
+        maps: dict[str, tuple[int, ...]] = {"psi_d": shape, "psi_q": shape}
+        if self.theta is not None:
+            maps |= {"psi_d_theta": (*shape, len(self.theta)), "psi_q_theta": (*shape, len(self.theta))}
+        for name, expected in maps.items():
+            values = getattr(self, name)
+            if values is None or values.shape != expected:
+                found = None if values is None else values.shape
+                raise ConfigurationError(f"{name} of machine '{self.name}' is {found} where its axes need {expected}.")
+            if not np.isfinite(values).all():
+                raise ConfigurationError(f"{name} of machine '{self.name}' holds NaN or infinite values: fill the map.")
+        if not (np.isfinite(self.resistance) and self.resistance >= 0):
+            raise ConfigurationError(f"The resistance of machine '{self.name}' is {self.resistance}: give ohms >= 0.")
+        for name in ("pole_pairs", "i_max", "u_dc"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigurationError(f"{name} of machine '{self.name}' is {value}: it must be positive.")
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """What a simulation knows and an experiment does not; travels beside the bag, never in its topics.
+
+    Parameters
+    ----------
+    machine : str
+    i_d, i_q : (D,), (Q,) float
+        Axes, A.
+    psi_d, psi_q : (D, Q) float
+        True flux linkages, averaged over the rotor position, Wb.
+    resistance : float
+        Of the stator, without the linear part of the inverter's drop, ohm.
+    inverter_current, inverter_voltage : (C,) float
+        True voltage drop of one phase (positive for positive current, V) over the phase current (A).
+    i_max : float
+        Radius of the current disc of the experiment, A.
+    pole_pairs : int
+    details : dict of str to str, float or int
+        Settings of the simulation, for the record.
+
+    Raises
+    ------
+    ConfigurationError
+        When shapes disagree, axes do not increase, or a value is not finite.
+    """
+
+    machine: str
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    resistance: float
+    inverter_current: FloatArray
+    inverter_voltage: FloatArray
+    i_max: float
+    pole_pairs: int
+    details: dict[str, str | float | int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shape = (len(self.i_d), len(self.i_q))
+        curve = len(self.inverter_current)
+        if min(shape) < 4 or self.psi_d.shape != shape or self.psi_q.shape != shape:
+            raise ConfigurationError(f"The true map of '{self.machine}' does not fit its axes of {shape} points.")
+        if curve < 2 or len(self.inverter_voltage) != curve:
+            raise ConfigurationError(f"The true inverter curve of '{self.machine}' does not fit its {curve} currents.")
+        if any(np.any(np.diff(axis) <= 0) for axis in (self.i_d, self.i_q, self.inverter_current)):
+            raise ConfigurationError(f"The axes of the truth of '{self.machine}' do not increase strictly: sort them.")
+        arrays = (self.psi_d, self.psi_q, self.inverter_voltage)
+        if not all(np.isfinite(values).all() for values in arrays) or not self.i_max > 0:
+            raise ConfigurationError(f"The truth of '{self.machine}' is not finite or its disc empty: simulate again.")

@@ -1,0 +1,1 @@
+"""The simulated drive: machine, inverter, sensors and current controller, with known truth."""

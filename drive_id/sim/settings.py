@@ -1,0 +1,76 @@
+"""Everything that can be chosen about a simulated experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drive_id.errors import ConfigurationError
+from drive_id.settings import check, setting
+
+INVERTERS = ("none", "tanh", "dead_time", "two_stage")
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Settings of the simulated drive; every fault acts inside the loop, and zero switches it off."""
+
+    i_max: float | None = setting(
+        None, "Largest current amplitude; default: the machine's, as far as its map reaches", unit="A", minimum=0.0
+    )
+    sample_period: float = setting(1e-4, "Period of sampling and control", unit="s", minimum=1e-6, maximum=1e-2)
+    seed: int = setting(0, "Seed of all noise", minimum=0)
+    substeps: int = setting(2, "Integration steps of the machine per sample", minimum=1, maximum=1000)
+    harmonics: float = setting(1.0, "Factor on the machine's rotor-position harmonics", minimum=0.0, maximum=1.0)
+    sixth_harmonic: float = setting(
+        0.0, "Sixth harmonic to add to the flux, as a fraction of it", minimum=0.0, maximum=0.2
+    )
+    speeds: tuple[float, ...] = setting(
+        (500.0,), "Mechanical speeds, one after the other; negative: backwards", unit="rpm"
+    )
+    segment_durations: tuple[float, ...] = setting(
+        (), "Duration at each speed; default: equal shares", unit="s", minimum=0.0
+    )
+    ramp_time: float = setting(0.1, "Duration of the ramp that begins each further speed", unit="s", minimum=0.0)
+    speed_ripple: float = setting(0.0, "Amplitude of the speed ripple as a fraction of speed", minimum=0.0, maximum=0.5)
+    ripple_order: int = setting(1, "Periods of the speed ripple per mechanical revolution", minimum=1)
+    inverter: str = setting("dead_time", "Law of the inverter's voltage error", choices=INVERTERS)
+    inverter_voltage: float | None = setting(
+        None, "Voltage error at large current; default: 1 % of the DC link", unit="V", minimum=0.0
+    )
+    inverter_current: float | None = setting(
+        None, "Current scale of the voltage error; default: 1 % of i_max", unit="A", minimum=1e-9
+    )
+    device_voltage: float | None = setting(
+        None, "Threshold of the devices in two_stage; default: 0.25 % of the DC link", unit="V", minimum=0.0
+    )
+    device_resistance: float | None = setting(
+        None, "Slope of the devices in two_stage; default: 0.2 % of the DC link at i_max", unit="ohm", minimum=0.0
+    )
+    inverter_compensation: bool = setting(False, "Whether the drive adds the known voltage error to its commands")
+    current_noise: float = setting(
+        0.0, "Deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
+    )
+    current_gain: tuple[float, float, float] = setting((1.0, 1.0, 1.0), "Gain of each current sensor")
+    current_offset: tuple[float, float, float] = setting((0.0, 0.0, 0.0), "Offset of each current sensor", unit="A")
+    current_quantization: float = setting(0.0, "Step of the current converter", unit="A", minimum=0.0)
+    resolver_offset: float = setting(0.0, "Measured minus true electrical angle", unit="rad")
+    resolver_noise: float = setting(0.0, "Deviation of the electrical angle's noise", unit="rad", minimum=0.0)
+    speed_noise: float = setting(0.0, "Deviation of the electrical speed's noise", unit="rad/s", minimum=0.0)
+    voltage_delay: float = setting(
+        0.0, "Time by which voltages act later than the log says", unit="samples", minimum=-4.0, maximum=1.99
+    )
+    current_bandwidth: float = setting(
+        200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency", unit="Hz", minimum=1.0
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.speeds:
+            raise ConfigurationError("speeds is empty: give at least one speed in rpm.")
+        if self.segment_durations and len(self.segment_durations) != len(self.speeds):
+            raise ConfigurationError(
+                f"segment_durations has {len(self.segment_durations)} entries for {len(self.speeds)} speeds: give one "
+                "for each, or none for equal shares."
+            )
+        if self.i_max == 0.0:
+            raise ConfigurationError("i_max is 0 A: it must be positive.")

@@ -1,0 +1,273 @@
+"""Recordings to samples: the one entry for our bags and for anyone's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from drive_id.core.join import join
+from drive_id.core.join_report import JoinReport
+from drive_id.core.merge import merge
+from drive_id.errors import BagError, ConfigurationError, DataError, DriveIdError, MissingTopicError
+from drive_id.files.bag import Bag, file_digest, open_bag
+from drive_id.files.bag_storage import TopicInfo, file_size
+from drive_id.files.ground_truth import ATTACHMENT, decode_truth
+from drive_id.files.signal_extraction import extract_signals
+from drive_id.files.signals import SignalMap
+from drive_id.types import GroundTruth, Samples
+
+REQUIRED = ("currents", "voltages", "resolver")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What was read of one bag or of several.
+
+    Parameters
+    ----------
+    samples : Samples
+        Joined; each bag begins a new run.
+    reports : tuple of JoinReport
+        One per bag.
+    truth : GroundTruth or None
+        Of the simulation, when all bags carry one of the same machine.
+    digests : dict of str to str
+        Storage file to its sha256.
+    topics : dict of str to str
+        Section of the signal map (``currents``, ...) to topic, of the first bag.
+    warnings : tuple of str
+        Sentences, those of the reports included.
+    """
+
+    samples: Samples
+    reports: tuple[JoinReport, ...]
+    truth: GroundTruth | None
+    digests: dict[str, str]
+    topics: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What a recording holds, as far as it can be told without reading its messages.
+
+    Parameters
+    ----------
+    path : str
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    compression : str
+        Empty for none; ``(file)`` marks that of whole files.
+    files : tuple of str
+    size : int
+        Of all files, bytes.
+    topics : tuple of TopicInfo
+    messages : int
+    start : int
+        Log time of the first message, ns.
+    duration : float
+        Between first and last message, s.
+    complete : bool
+    problem : str
+        What is wrong with an incomplete one.
+    ground_truth : bool
+        Whether it carries the truth of a simulation.
+    """
+
+    path: str
+    storage: str
+    compression: str
+    files: tuple[str, ...]
+    size: int
+    topics: tuple[TopicInfo, ...]
+    messages: int
+    start: int
+    duration: float
+    complete: bool
+    problem: str
+    ground_truth: bool
+
+
+def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
+    """Read one bag.
+
+    Parameters
+    ----------
+    path : Path
+        Storage file or folder.
+    signals : SignalMap, optional
+        Default: our own messages.
+    namespace : str
+        Of the drive, when a bag holds several.
+
+    Raises
+    ------
+    BagError
+        When the bag, a topic or a message cannot be read.
+    DataError
+        When its samples cannot be joined.
+    ConfigurationError
+        When it holds several drives and none was chosen.
+    """
+    signals = signals or SignalMap()
+    with _printable_errors(), open_bag(path) as bag:
+        topics = find_topics(bag, signals, namespace)
+        found = extract_signals(bag, signals, topics)
+        data = bag.attachment(ATTACHMENT)
+        truth = None if data is None else decode_truth(data, str(path))
+        files, cut_off = bag.files, bag.warnings
+    try:
+        result = join(found["currents"], found["voltages"], found["resolver"], found.get("reference"))
+    except DataError as error:
+        raise type(error)(f"In {path}: {error}") from error
+    digests = {str(file): file_digest(file) for file in files}
+    names = {section: topic.name for section, topic in topics.items()}
+    return Recording(result.samples, (result.report,), truth, digests, names, (*cut_off, *result.report.warnings))
+
+
+def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
+    """Read several bags of one drive as one recording, each joined on its own; see :func:`read_recording`.
+
+    Raises
+    ------
+    ConfigurationError
+        When no bag is given, or the same one twice.
+    """
+    if not paths:
+        raise ConfigurationError("No bag is given: name at least one.")
+    recordings = [read_recording(path, signals, namespace=namespace) for path in paths]
+    if len(recordings) == 1:
+        return recordings[0]
+    seen: dict[str, str] = {}
+    for recording in recordings:
+        for file, digest in recording.digests.items():
+            if digest in seen:
+                raise ConfigurationError(f"{file} and {seen[digest]} are the same recording: give each bag once.")
+            seen[digest] = file
+    samples, moved = merge([recording.samples for recording in recordings])
+    warnings = [f"{path}: {text}" for path, rec in zip(paths, recordings, strict=True) for text in rec.warnings]
+    warnings += [f"{paths[k]} overlaps in time with the bags before it and was put behind them." for k in moved]
+    truths = [recording.truth for recording in recordings]
+    same = all(truth is not None and truths[0] is not None and truth.machine == truths[0].machine for truth in truths)
+    return Recording(
+        samples,
+        tuple(report for recording in recordings for report in recording.reports),
+        truths[0] if same else None,
+        {file: digest for digest, file in seen.items()},
+        recordings[0].topics,
+        tuple(warnings),
+    )
+
+
+def bag_info(path: Path) -> BagInfo:
+    """Describe a recording, also one that breaks off.
+
+    Raises
+    ------
+    BagError
+        When nothing of it can be read.
+    """
+    with _printable_errors(), open_bag(path, salvage=True) as bag:
+        problems = [text for storage in bag.storages if (text := getattr(storage, "damage", ""))]
+        declared = bag.metadata.counts if bag.metadata else {}
+        for name, topic in bag.topics.items():
+            if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:
+                problems.append(f"metadata.yaml declares {declared[name]} messages on {name}, the files {topic.count}")
+        counts = [topic.count or 0 for topic in bag.topics.values()]
+        times = [(storage.start, storage.end) for storage in bag.storages if storage.end]
+        start = min((first for first, _ in times), default=0)
+        end = max((last for _, last in times), default=0)
+        return BagInfo(
+            path=str(path),
+            storage="+".join(sorted({storage.kind for storage in bag.storages})),
+            compression=bag.compression,
+            files=tuple(str(file) for file in bag.files),
+            size=sum(file_size(file) for file in bag.files),
+            topics=tuple(sorted(bag.topics.values(), key=lambda topic: topic.name)),
+            messages=sum(counts),
+            start=start,
+            duration=(end - start) * 1e-9,
+            complete=not problems,
+            problem="; ".join(problems),
+            ground_truth=_has_truth(bag),
+        )
+
+
+@contextmanager
+def _printable_errors() -> Iterator[None]:
+    """Keep errors in one line, whatever a damaged bag has for names."""
+    try:
+        yield
+    except DriveIdError as error:
+        text = "".join(character if character.isprintable() else " " for character in str(error))
+        if text == str(error):
+            raise
+        raise type(error)(text) from error
+
+
+def _has_truth(bag: Bag) -> bool:
+    try:
+        return bag.attachment(ATTACHMENT) is not None
+    except BagError:
+        return False
+
+
+def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:
+    """Find the topic of each section of a signal map.
+
+    Absolute names are taken as they are; relative ones are searched for below one common namespace.
+
+    Raises
+    ------
+    MissingTopicError
+        Naming the topics that the bag does have.
+    ConfigurationError
+        When several namespaces hold all topics and none was chosen.
+    """
+    sources = signals.sources()
+    relative = {section: source.topic for section, source in sources.items() if not source.topic.startswith("/")}
+    chosen = "/" + namespace.strip("/") if namespace.strip("/") else None
+    prefix = _namespace(bag, {k: v for k, v in relative.items() if k in REQUIRED}, chosen)
+    found = {}
+    for section, source in sources.items():
+        name = f"{prefix}/{source.topic}" if section in relative else source.topic
+        if name in bag.topics and (section in REQUIRED or bag.topics[name].count != 0):
+            found[section] = bag.topics[name]
+        elif section in REQUIRED:
+            raise _missing(bag, name, section)
+    return found
+
+
+def _namespace(bag: Bag, relative: dict[str, str], chosen: str | None) -> str:
+    """Return the namespace, without a trailing slash, that holds all the relative topics."""
+    if chosen is not None or not relative:
+        return chosen or ""
+    holding = {
+        section: {name[: -len(topic) - 1] for name in bag.topics if name.endswith(f"/{topic}")}
+        for section, topic in relative.items()
+    }
+    complete = set.intersection(*holding.values())
+    if len(complete) > 1:
+        names = ", ".join(sorted(prefix or "/" for prefix in complete))
+        raise ConfigurationError(f"{bag.path} holds several drives ({names}): choose one with the option namespace.")
+    if complete:
+        return complete.pop()
+    for section, prefixes in holding.items():
+        if not prefixes:
+            raise _missing(bag, relative[section], section)
+    best = max(
+        sorted(set.union(*holding.values())), key=lambda prefix: sum(prefix in held for held in holding.values())
+    )
+    section = next(section for section, prefixes in holding.items() if best not in prefixes)
+    raise _missing(bag, f"{best}/{relative[section]}", section)
+
+
+def _missing(bag: Bag, name: str, section: str) -> MissingTopicError:
+    topics = sorted(bag.topics)
+    shown = ", ".join(topics[:12]) + (", ..." if len(topics) > 12 else "")
+    return MissingTopicError(
+        f"{bag.path} has no topic {name} for the {section} (it has {shown or 'none at all'}): record it, or name "
+        "another one in a signals file."
+    )

@@ -1,0 +1,180 @@
+"""What every storage back-end of a recording offers, and what they share: magic numbers and decompression."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, Protocol
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
+from drive_id.errors import BagError, NotABagError, TruncatedBagError
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+LZ4_MAGIC = b"\x04\x22\x4d\x18"
+ROSBAG1_MAGIC = b"#ROSBAG"
+_PIECE = 1 << 20
+_DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError)
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """One topic of a storage file.
+
+    Parameters
+    ----------
+    name, type_name : str
+        The type in the form ``package/msg/Name``.
+    count : int or None
+        Messages that the file itself declares; ``None`` when it does not say.
+    encoding : str
+        Of the messages; only ``cdr`` can be read.
+    definition_format : str
+        ``ros2msg``, ``ros2idl`` or empty.
+    definition : str
+        Complete message definition, or empty.
+    """
+
+    name: str
+    type_name: str
+    count: int | None
+    encoding: str
+    definition_format: str = ""
+    definition: str = ""
+
+
+class RawMessage(NamedTuple):
+    """One message as stored: its topic, when it was logged (ns), and its serialized data."""
+
+    topic: str
+    log_time: int
+    data: bytes | memoryview
+
+
+class Storage(Protocol):
+    """One storage file, open for reading. All errors are :class:`~drive_id.errors.BagError`."""
+
+    kind: str
+    compression: str
+    topics: tuple[TopicInfo, ...]
+    start: int
+    """Earliest log time, ns; with ``end`` = 0 when there is no message."""
+    end: int
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Yield the messages of ``topics`` in order of arrival; checks the declared counts at the end."""
+        ...
+
+    def attachment(self, name: str) -> bytes | None:
+        """Return the attachment of that name, if there is one."""
+        ...
+
+    def close(self) -> None:
+        """Release the file."""
+        ...
+
+
+def read_magic(path: Path, shown: Path) -> bytes:
+    """Return the first bytes of a file; NotABagError when it cannot be read."""
+    try:
+        if not path.is_file():
+            raise NotABagError(f"{shown} is not a file: give a rosbag2 file or folder.")
+        with path.open("rb") as stream:
+            return stream.read(16)
+    except OSError as error:
+        raise NotABagError(f"{shown} cannot be read ({reason(error)}): check the path and its permissions.") from error
+
+
+def reason(error: OSError) -> str:
+    """Say in words why the system refused, without its number and path."""
+    return error.strerror or type(error).__name__
+
+
+def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
+    """Decompress a file that is compressed as a whole into ``folder``.
+
+    Returns
+    -------
+    path : Path
+        Of the plain file; the given one when it was plain already.
+    compression : str
+        ``zstd``, ``lz4`` or empty.
+    """
+    magic = read_magic(path, path)
+    if not magic.startswith((ZSTD_MAGIC, LZ4_MAGIC)):
+        return path, ""
+    kind = "zstd" if magic.startswith(ZSTD_MAGIC) else "lz4"
+    target = folder / path.stem
+    with path.open("rb") as stream, target.open("wb") as out:
+        try:
+            source: BinaryIO
+            if kind == "zstd":
+                source = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+            else:
+                source = lz4.frame.LZ4FrameFile(stream)
+            while piece := source.read(_PIECE):
+                out.write(piece)
+        except _DECOMPRESSION_ERRORS as error:
+            raise TruncatedBagError(
+                f"The {kind} compression of {path} is damaged: copy the file again from its origin."
+            ) from error
+        except OSError as error:
+            raise BagError(
+                f"{path} cannot be decompressed into {folder} ({reason(error)}): make room there, or set TMPDIR."
+            ) from error
+    return target, kind
+
+
+def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
+    """Decompress a chunk (of ``size`` bytes) or a message, in pieces, so that a false size allocates nothing.
+
+    Raises
+    ------
+    ValueError
+        When the data are damaged, of an unknown kind, or not of the size that was declared.
+    """
+    if kind == "":
+        plain = data
+    elif kind in ("zstd", "lz4"):
+        pieces, total = [], 0
+        try:
+            for piece in _pieces(data, kind):
+                total += len(piece)
+                if total > (1 << 30 if size is None else size):
+                    raise ValueError("its compressed data are larger than declared")
+                pieces.append(piece)
+        except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+            raise ValueError(f"its {kind} compression is damaged") from error
+        plain = b"".join(pieces)
+    else:
+        raise ValueError(f"its compression '{kind[:20]}' is unknown")
+    if size is not None and len(plain) != size:
+        raise ValueError("its size differs from the declared one")
+    return plain
+
+
+def _pieces(data: bytes, kind: str) -> Iterator[bytes]:
+    if kind == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+            while piece := reader.read(_PIECE):
+                yield piece
+        return
+    engine = lz4.frame.LZ4FrameDecompressor()
+    while not engine.eof:
+        piece = engine.decompress(data, max_length=_PIECE)
+        data = b""
+        if not piece and engine.needs_input:
+            raise EOFError
+        yield piece
+
+
+def file_size(path: Path) -> int:
+    """Return the size of a file in bytes, 0 when it cannot be told."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0

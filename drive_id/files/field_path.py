@@ -1,0 +1,109 @@
+"""Paths into messages, as a signals file writes them: ``state.current[0]``, ``samples[:].a``, ``data[0::3]``."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drive_id.errors import ConfigurationError
+from drive_id.types import FloatArray
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_INDEX = re.compile(r"\[(-?\d+)\]")
+_SLICE = re.compile(r"\[(-?\d*):(-?\d*)(?::(\d+))?\]")
+
+
+class FieldPathError(ValueError):
+    """A message does not have what a path asks for; the text says what it has."""
+
+
+@dataclass(frozen=True)
+class FieldPath:
+    """A parsed path: names of fields, indices and slices, applied from left to right.
+
+    After a slice, what follows applies to each of its elements.
+    """
+
+    text: str
+    steps: tuple[str | int | slice, ...]
+
+    def values(self, message: object) -> FloatArray:
+        """Return the numbers at the path as (n,) float.
+
+        Raises
+        ------
+        FieldPathError
+            When the message has no such field, or no numbers there.
+        """
+        found = self.find(message)
+        if isinstance(found, (str, bytes)) or dataclasses.is_dataclass(found):
+            raise FieldPathError(f"'{self.text}' is not a number")
+        try:
+            array = np.atleast_1d(np.asarray(found, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise FieldPathError(f"'{self.text}' is not a number or an array of numbers") from None
+        if array.ndim != 1:
+            raise FieldPathError(f"'{self.text}' has more than one dimension")
+        return array
+
+    def find(self, message: object) -> Any:
+        """Return what the path points to, whatever it is; FieldPathError when there is nothing."""
+        return _follow(message, self.steps, self.text)
+
+
+def parse_field_path(text: str, where: str) -> FieldPath:
+    """Parse a path.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming ``where`` the text was found.
+    """
+    steps: list[str | int | slice] = []
+    position, name_may_follow = 0, True
+    while position < len(text):
+        rest = text[position:]
+        if name_may_follow and (match := _NAME.match(rest)):
+            steps.append(match.group())
+        elif steps and (match := _INDEX.match(rest)):
+            steps.append(int(match.group(1)))
+        elif steps and (match := _SLICE.match(rest)):
+            low, high, step = (int(part) if part else None for part in match.groups())
+            if step == 0:
+                break
+            steps.append(slice(low, high, step))
+        else:
+            break
+        position += match.end()
+        name_may_follow = text[position : position + 1] == "."
+        position += name_may_follow
+    if not steps or position < len(text) or name_may_follow:
+        raise ConfigurationError(f"{where} is '{text}': write a field path like state.current[0] or data[0::3].")
+    return FieldPath(text, tuple(steps))
+
+
+def _follow(value: Any, steps: Sequence[str | int | slice], text: str) -> Any:
+    for number, step in enumerate(steps):
+        if isinstance(step, str):
+            names = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+            if step not in names and f"{step}_" not in names:  # rosbags renames Python's keywords
+                has = f"it has {', '.join(names)}" if names else "there are no fields there"
+                raise FieldPathError(f"'{text}' asks for the field '{step}', but {has}")
+            value = getattr(value, step if step in names else f"{step}_")
+            continue
+        if not isinstance(value, (np.ndarray, list, tuple)):
+            raise FieldPathError(f"'{text}' takes an element of something that is no array")
+        if isinstance(step, int):
+            if not -len(value) <= step < len(value):
+                raise FieldPathError(f"'{text}' asks for element {step} of an array of {len(value)}")
+            value = value[step]
+            continue
+        value = value[step]
+        rest = steps[number + 1 :]
+        return [_follow(entry, rest, text) for entry in value] if rest else value
+    return value

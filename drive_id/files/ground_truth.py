@@ -1,0 +1,86 @@
+"""The truth of a simulation beside its recording: an ``.npz`` in an attachment, never in a topic."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from drive_id.errors import BagError, ConfigurationError, OutputError
+from drive_id.types import GroundTruth
+
+ATTACHMENT = "ground_truth.npz"
+_ARRAYS = ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage")
+_NUMBERS = ("resistance", "i_max", "pole_pairs")
+_ERRORS = (
+    ConfigurationError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    OSError,
+    MemoryError,
+    NotImplementedError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def encode_truth(truth: GroundTruth) -> bytes:
+    """Write the ground truth as the content of an ``.npz`` file."""
+    stream = io.BytesIO()
+    arrays = {name: np.asarray(getattr(truth, name), float) for name in _ARRAYS}
+    numbers = {name: np.asarray(getattr(truth, name)) for name in _NUMBERS}
+    details = np.asarray(json.dumps(truth.details, sort_keys=True))
+    texts = {"machine": np.asarray(truth.machine), "details": details}
+    np.savez_compressed(stream, **{**arrays, **numbers, **texts})  # type: ignore[arg-type]  # numpy types them as bool
+    return stream.getvalue()
+
+
+def decode_truth(data: bytes, where: str) -> GroundTruth:
+    """Read the ground truth back.
+
+    Raises
+    ------
+    BagError
+        When ``data``, found in ``where``, are not what :func:`encode_truth` writes.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name], float) for name in _ARRAYS}
+            details = json.loads(str(file["details"]))
+            if not isinstance(details, dict):
+                raise TypeError
+            return GroundTruth(
+                machine=str(file["machine"]),
+                resistance=float(file["resistance"]),
+                i_max=float(file["i_max"]),
+                pole_pairs=int(file["pole_pairs"]),
+                details=details,
+                **arrays,
+            )
+    except _ERRORS as error:
+        raise BagError(
+            f"The ground truth attached to {where} cannot be read: simulate again, or remove the attachment."
+        ) from error
+
+
+def write_truth(path: Path, truth: GroundTruth) -> None:
+    """Write the ground truth as a file of its own, all of it or nothing; an existing file is replaced.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_bytes(encode_truth(truth))
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OutputError(f"The truth cannot be written to {path}: {error.strerror or error}.") from error

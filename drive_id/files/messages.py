@@ -1,0 +1,74 @@
+"""The sample messages of ``drive_id_msgs``, known without ROS: definitions, type hashes and a typestore.
+
+The texts follow ``msg_defs/msg/*.msg`` token by token (a test compares them), so that ``pip install`` alone can read
+and write bags; the hashes are those that ROS 2 computes from the same definitions.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+PHASE_CURRENTS = "drive_id_msgs/msg/PhaseCurrents"
+PHASE_VOLTAGES = "drive_id_msgs/msg/PhaseVoltages"
+RESOLVER = "drive_id_msgs/msg/Resolver"
+CURRENT_REFERENCE = "drive_id_msgs/msg/CurrentReference"
+
+_HEAD = """\
+# A block of equally spaced samples: sample k belongs to header.stamp + k * sample_period.
+std_msgs/Header header
+uint64 first_sample     # running count of the first sample, so that a loss shows
+float64 sample_period   # s
+"""
+
+_BODIES = {
+    PHASE_CURRENTS: "# Measured phase currents, A.\nfloat32[] a\nfloat32[] b\nfloat32[] c\n",
+    PHASE_VOLTAGES: "# Commanded phase voltages, held for one period, V.\nfloat32[] a\nfloat32[] b\nfloat32[] c\n",
+    RESOLVER: "# Electrical angle, rad, in [-pi, pi), and speed, rad/s.\nfloat32[] angle\nfloat32[] speed\n",
+    CURRENT_REFERENCE: "# Current set-points, A, the first due at the stamp.\nfloat32[] d\nfloat32[] q\n",
+}
+
+BLOCK_FIELDS: dict[str, tuple[str, ...]] = {
+    PHASE_CURRENTS: ("a", "b", "c"),
+    PHASE_VOLTAGES: ("a", "b", "c"),
+    RESOLVER: ("angle", "speed"),
+    CURRENT_REFERENCE: ("d", "q"),
+}
+"""The ``float32[]`` fields of each message, in order of definition."""
+
+DEFINITIONS: dict[str, str] = {name: _HEAD + body for name, body in _BODIES.items()}
+"""The text of each message's own ``.msg`` file."""
+
+_SEPARATOR = "=" * 80
+_DEPENDENCIES = f"""\
+{_SEPARATOR}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_SEPARATOR}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def schema_text(type_name: str) -> str:
+    """Return the complete ``ros2msg`` schema of one of our messages, its dependencies included."""
+    return DEFINITIONS[type_name] + _DEPENDENCIES
+
+
+@cache
+def message_typestore() -> Typestore:
+    """Return a typestore that knows our messages and what they are made of, and nothing else."""
+    store = get_typestore(Stores.EMPTY)
+    for name in DEFINITIONS:
+        store.register(get_types_from_msg(schema_text(name), name))
+    return store
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """Return the RIHS01 hash of one of our messages."""
+    return message_typestore().hash_rihs01(type_name)

@@ -1,0 +1,131 @@
+"""The node ``bench_simulator``: a simulated drive in place of the hardware."""
+
+from __future__ import annotations
+
+import array
+import time
+from pathlib import Path
+
+import numpy as np
+from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from drive_id.errors import ConfigurationError
+from drive_id.files.ground_truth import write_truth
+from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.parameters import declare_settings, on_change
+from drive_id.nodes.qos import STREAM
+from drive_id.nodes.runtime import run
+from drive_id.sim.bench import Bench, Block, Pace
+from drive_id.sim.bench_settings import BenchSettings
+from drive_id.sim.settings import SimulationSettings
+from drive_id.workflows import load_machine
+
+_SHORTEST_TICK = 2e-3  # s
+_LONGEST_TICK = 2e-2
+
+
+class BenchSimulator(Node):
+    """Follows current references and publishes what a real bench would measure, and nothing else."""
+
+    def __init__(self) -> None:
+        # The log holds the truth, so it must not become a topic.
+        super().__init__("bench_simulator", enable_rosout=False)
+        names = SimulationSettings.__dataclass_fields__
+        self._drive = declare_settings(self, SimulationSettings, read_only=set(names) - {"speeds", "ramp_time"})
+        self._settings = declare_settings(self, BenchSettings, read_only=BenchSettings.__dataclass_fields__)
+        self._follows_clock = bool(self.get_parameter("use_sim_time").value)
+        if self._follows_clock and self._settings.time_scale != 1.0:
+            raise ConfigurationError("time_scale makes this node the clock: do not set use_sim_time for it, too.")
+        self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings)
+        self._pace: Pace | None = None
+        self._tell_truth()
+        self._publishers_kept = {
+            kind: self.create_publisher(kind, topic, STREAM)
+            for kind, topic in (
+                (PhaseCurrents, "phase_currents"),
+                (PhaseVoltages, "phase_voltages"),
+                (Resolver, "resolver"),
+            )
+        }
+        self._clock_publisher = (
+            self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=1))
+            if self._settings.time_scale != 1.0
+            else None
+        )
+        self._subscription = self.create_subscription(CurrentReference, "current_reference", self._on_reference, STREAM)
+        on_change(self, SimulationSettings, self._check, self._on_settings)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
+        self._timer = self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=steady)
+        self._diagnostics = Diagnostics(self, self._bench.health)
+        self.get_logger().info("Ready.")
+
+    def _tell_truth(self) -> None:
+        truth, where = self._bench.truth(), "is not kept"
+        if self._settings.truth_file:
+            path = Path(self._settings.truth_file).expanduser()
+            write_truth(path, truth)
+            where = f"is in {path}"
+        self.get_logger().info(
+            f"Simulating {truth.machine}: R {truth.resistance:.4g} ohm, i_max {truth.i_max:g} A, inverter "
+            f"{self._drive.inverter}, {', '.join(f'{speed:g}' for speed in self._drive.speeds)} rpm; the truth {where}."
+        )
+
+    def _now(self) -> int:
+        if self._follows_clock:
+            return int(self.get_clock().now().nanoseconds)
+        if self._pace is None:
+            start = int(self.get_clock().now().nanoseconds)
+            self._pace = Pace(start, time.monotonic_ns(), self._settings.time_scale)
+            return start
+        return self._pace.now(time.monotonic_ns(), self._bench.latest)
+
+    def _on_timer(self) -> None:
+        now = self._now()
+        if now <= 0:
+            return  # nobody has published /clock yet
+        for block in self._bench.advance(now):
+            self._publish(block)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
+
+    def _publish(self, block: Block) -> None:
+        for kind, names, columns in (
+            (PhaseCurrents, "abc", block.currents),
+            (PhaseVoltages, "abc", block.voltages),
+            (Resolver, ("angle", "speed"), block.resolver),
+        ):
+            message = kind(first_sample=block.first_sample, sample_period=block.sample_period)
+            message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
+            message.header.frame_id = self._settings.frame_id
+            for name, column in zip(names, columns, strict=True):
+                setattr(message, name, array.array("f", column.tobytes()))
+            self._publishers_kept[kind].publish(message)
+
+    def _on_reference(self, message: CurrentReference) -> None:
+        stamp = Time.from_msg(message.header.stamp).nanoseconds
+        d, q = (np.frombuffer(field, np.float32) for field in (message.d, message.q))
+        self._bench.references.add(stamp, message.sample_period, d, q)
+
+    def _check(self, settings: SimulationSettings) -> None:
+        if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:
+            raise ConfigurationError(f"speeds has {len(settings.speeds)} entries: a running drive takes one new speed.")
+
+    def _on_settings(self, settings: SimulationSettings) -> None:
+        if settings.speeds != self._drive.speeds:
+            self._bench.set_speeds(settings.speeds, settings.ramp_time)
+        self._drive = settings
+
+
+def main() -> None:
+    """Run the node ``bench_simulator``."""
+    run(BenchSimulator)
+
+
+if __name__ == "__main__":
+    main()

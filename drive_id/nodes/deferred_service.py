@@ -1,0 +1,82 @@
+"""Services that reply later, while the node goes on."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+
+
+class Reply:
+    """The way back to the client of one request."""
+
+    def __init__(self, node: Node, empty: Callable[[], Any], send: Callable[[Any, Any], None]) -> None:
+        self._node = node
+        self._empty = empty
+        self._send = send
+        self._header: Any = None
+        self._response: Any = None
+
+    def __call__(self, response: Any) -> None:
+        """Reply; in the thread of the executor, once."""
+        if self._header is None:  # the callback has not returned yet
+            self._response = response
+        else:
+            self._send(response, self._header)
+
+    def from_thread(self, make: Callable[[], Any]) -> None:
+        """Have the executor make the response and reply; from any thread."""
+
+        def reply() -> None:
+            try:
+                response = make()
+            except Exception:  # noqa: BLE001  # the events executor of rclpy up to 9.1 does not survive it
+                self._node.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
+                response = self._empty()
+            self(response)
+
+        executor = self._node.executor
+        if executor is not None:
+            executor.create_task(reply)
+
+    def attach(self, header: Any) -> None:
+        """Take the client's address once the callback has returned."""
+        self._header = header
+        if self._response is not None:
+            self._send(self._response, header)
+
+
+class DeferredService:
+    """A service whose callback gets a :class:`Reply` to call then or later.
+
+    Not an ``async`` callback: the events executor of rclpy 7.1 does not know these, and others keep a core busy while
+    one awaits. Instead, what the callback returns meets an envelope in the place where the executor sends responses.
+
+    Parameters
+    ----------
+    node : Node
+    kind : type
+        Of the service.
+    name : str
+    callback : callable
+        Called with request and reply.
+    """
+
+    def __init__(self, node: Node, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
+        self._node = node
+        self._kind = kind
+        self._callback = callback
+        self.service = node.create_service(kind, name, self._on_request)
+        self._send_now = self.service.send_response
+        self.service.send_response = self._send
+
+    def _on_request(self, request: Any, _: Any) -> Reply:
+        reply = Reply(self._node, self._kind.Response, self._send_now)
+        self._callback(request, reply)
+        return reply
+
+    @staticmethod
+    def _send(reply: Reply, header: Any) -> None:
+        reply.attach(header)

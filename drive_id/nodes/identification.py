@@ -1,0 +1,119 @@
+"""The node ``identification``: fits recordings, or the live samples so far, when asked."""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import partial
+from typing import Any
+
+import rclpy
+from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver
+from drive_id_msgs.srv import Identify
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.health import Health
+from drive_id.core.identification_settings import IdentificationSettings
+from drive_id.core.warm_up import warm_up
+from drive_id.core.worker import Worker
+from drive_id.errors import DriveIdError
+from drive_id.identifier import BUSY, Identifier, Reply, failed
+from drive_id.nodes.deferred_service import DeferredService
+from drive_id.nodes.deferred_service import Reply as Answer
+from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.matched_subscription import MatchedSubscription
+from drive_id.nodes.parameters import declare_settings, on_change
+from drive_id.nodes.qos import LATCHED
+from drive_id.nodes.replies import fill
+from drive_id.nodes.runtime import run
+
+TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
+_LOOK_ROUND = 0.25  # s between looks at who publishes
+_PATIENCE = 2.0  # s that a fit under way may take to give up at the end of the process
+_SWITCH_INTERVAL = 5e-4  # s after which a fit lets the executor have the interpreter
+
+
+class Identification(Node):
+    """Accumulates live samples from its beginning; a worker does the fits."""
+
+    def __init__(self) -> None:
+        super().__init__("identification")
+        settings = declare_settings(self, IdentificationSettings, read_only=IdentificationSettings.__dataclass_fields__)
+        fit = declare_settings(self, FitSettings)
+        warm_up(fit)
+        topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
+        self._identifier = Identifier(settings, fit, topics)
+        self._frame_id = settings.frame_id
+        self._worker: Worker[Reply] = Worker()
+        self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
+        on_change(self, FitSettings, lambda _: None, self._on_settings)
+        self._topics = [
+            MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
+            for section, (name, kind) in enumerate(TOPICS.items())
+        ]
+        self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._services_kept = [
+            DeferredService(self, Identify, "~/identify", self._on_identify),
+            self.create_service(Trigger, "~/reset", self._on_reset),
+        ]
+        self._diagnostics = Diagnostics(self, self._health)
+        self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
+
+    def close(self) -> None:
+        """Give up the fit that is under way."""
+        if not self._worker.stop(_PATIENCE):  # compiled code cannot be stopped, and must not hold up the end
+            self.destroy_node()
+            rclpy.try_shutdown()
+            sys.stdout.flush()
+            os._exit(0)
+
+    def _look_round(self) -> None:
+        for topic in self._topics:
+            topic.match()
+
+    def _on_settings(self, settings: FitSettings) -> None:
+        if self._identifier.configure(settings):
+            self.get_logger().info("The live samples were forgotten, because the settings of the fit have changed.")
+
+    def _on_identify(self, request: Identify.Request, answer: Answer) -> None:
+        if self._worker.busy:
+            answer(self._response(BUSY))
+            return
+        try:
+            job = self._identifier.job(request.bags, request.method)
+        except DriveIdError as error:
+            answer(self._response(failed(error)))
+            return
+        self._worker.start(job, lambda reply: answer.from_thread(lambda: self._response(reply)))
+
+    def _response(self, reply: Reply) -> Identify.Response:
+        response = fill(Identify.Response(), reply, self._frame_id)
+        if reply.success:
+            self._flux_map.publish(response.flux_map)
+            self.get_logger().info(f"{reply.message} The results are in {reply.output}.")
+        else:
+            self.get_logger().warning(f"identify: {reply.message}")
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._identifier.reset()
+        response.success, response.message = True, "The live samples are forgotten."
+        return response
+
+    def _health(self) -> Health:
+        what, share = self._worker.progress
+        doing = f"{what}, {100 * share:.0f} %." if self._worker.busy else "Waiting for requests."
+        return self._identifier.health(doing, [topic.publishers for topic in self._topics])
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    run(Identification)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Settings dataclasses as ROS parameters: one source for name, type, default, description and bounds."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import typing
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from drive_id.errors import ConfigurationError
+from drive_id.settings import from_mapping
+
+Settings = TypeVar("Settings")
+
+_TYPES = {
+    bool: Parameter.Type.BOOL,
+    int: Parameter.Type.INTEGER,
+    float: Parameter.Type.DOUBLE,
+    str: Parameter.Type.STRING,
+}
+_ARRAYS = {
+    bool: Parameter.Type.BOOL_ARRAY,
+    int: Parameter.Type.INTEGER_ARRAY,
+    float: Parameter.Type.DOUBLE_ARRAY,
+    str: Parameter.Type.STRING_ARRAY,
+}
+_LARGEST = 1.7e308
+
+
+def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str] = ()) -> Settings:
+    """Declare a ROS parameter for each field of a settings dataclass and return the settings of this start.
+
+    A number that may be None is NaN as a parameter, because ROS deletes parameters that are set to nothing. Parameters
+    set later are checked together, as the dataclass checks its fields, see :func:`on_change`.
+
+    Parameters
+    ----------
+    node : Node
+    cls : type
+        Settings dataclass; its fields carry description, unit and bounds.
+    read_only : iterable of str
+        Fields that cannot change while the node runs.
+
+    Raises
+    ------
+    ConfigurationError
+        When the values given at start do not make sense together.
+    """
+    hints = typing.get_type_hints(cls)
+    fixed = set(read_only)
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # a settings dataclass
+        kind, optional = _parameter_type(hints[field.name])
+        descriptor = _descriptor(field, kind, optional=optional, read_only=field.name in fixed)
+        default = list(field.default) if isinstance(field.default, tuple) else field.default
+        if default == []:
+            _declare_empty(node, field.name, kind, descriptor)
+        else:
+            node.declare_parameter(field.name, math.nan if default is None else default, descriptor)
+    return read_settings(node, cls)
+
+
+def _declare_empty(node: Node, name: str, kind: Parameter.Type, descriptor: ParameterDescriptor) -> None:
+    """Declare an array that is empty by default: rclpy takes the value ``[]`` for bytes, and in a file for nothing."""
+    changeable = copy.copy(descriptor)
+    changeable.read_only = False
+    if node.declare_parameter(name, kind, changeable).type_ is Parameter.Type.NOT_SET:
+        node.set_parameters([Parameter(name, kind, [])])
+    node.set_descriptor(name, descriptor)
+
+
+def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] = ()) -> Settings:
+    """Return the settings that the node's parameters make, with changes that are about to be set.
+
+    Raises
+    ------
+    ConfigurationError
+        When they do not make sense together.
+    """
+    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # a settings dataclass
+    values = {name: node.get_parameter(name).value for name in names}
+    values |= {parameter.name: parameter.value for parameter in changes if parameter.name in values}
+    hints = typing.get_type_hints(cls)
+    plain = {name: _plain(value, hints[name]) for name, value in values.items()}
+    return from_mapping(cls, plain, f"the parameters of {node.get_name()}")
+
+
+def on_change(
+    node: Node, cls: type[Settings], check: Callable[[Settings], None], apply: Callable[[Settings], None]
+) -> None:
+    """Refuse parameters that do not make sense together, and tell of those that were set.
+
+    Parameters
+    ----------
+    node : Node
+    cls : type
+        Settings dataclass.
+    check : callable
+        Further check of the new settings; raises ConfigurationError to refuse them.
+    apply : callable
+        Called with the new settings after they were set.
+    """
+
+    def refuse(changes: list[Parameter]) -> SetParametersResult:
+        try:
+            check(read_settings(node, cls, changes))
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def tell(changes: list[Parameter]) -> None:
+        if any(parameter.name in cls.__dataclass_fields__ for parameter in changes):  # type: ignore[attr-defined]
+            apply(read_settings(node, cls))
+
+    node.add_on_set_parameters_callback(refuse)
+    node.add_post_set_parameters_callback(tell)
+
+
+def _parameter_type(hint: Any) -> tuple[Parameter.Type, bool]:
+    """Return the type of a parameter, and whether the field may be None, too."""
+    options = [option for option in typing.get_args(hint) if option is not type(None)]
+    if options and typing.get_origin(hint) is not tuple:
+        return _parameter_type(options[0])[0], True
+    if typing.get_origin(hint) is tuple:
+        return _ARRAYS[typing.get_args(hint)[0]], False
+    return _TYPES[hint], False
+
+
+def _descriptor(
+    field: dataclasses.Field[Any], kind: Parameter.Type, *, optional: bool, read_only: bool
+) -> ParameterDescriptor:
+    unit = f" [{field.metadata['unit']}]" if field.metadata.get("unit") else ""
+    descriptor = ParameterDescriptor(
+        type=kind.value, description=field.metadata.get("description", "") + unit, read_only=read_only
+    )
+    low, high = field.metadata.get("minimum"), field.metadata.get("maximum")
+    if optional:
+        limits = [f"at {words} {limit:g}" for words, limit in (("least", low), ("most", high)) if limit is not None]
+        descriptor.additional_constraints = ", ".join([*limits, "nan: the default"])
+    elif kind is Parameter.Type.DOUBLE:
+        bounds = FloatingPointRange(from_value=-_LARGEST, to_value=_LARGEST)
+        if low is not None:
+            bounds.from_value = float(low)
+        if high is not None:
+            bounds.to_value = float(high)
+        descriptor.floating_point_range = [bounds]  # also refuses NaN
+    elif kind is Parameter.Type.INTEGER and (low is not None or high is not None):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=int(low if low is not None else -(2**63)),
+                to_value=int(high if high is not None else 2**63 - 1),
+            )
+        ]
+    if field.metadata.get("choices"):
+        descriptor.additional_constraints = "one of " + ", ".join(field.metadata["choices"])
+    return descriptor
+
+
+def _plain(value: Any, hint: Any) -> Any:
+    """Return a parameter's value as YAML would give it for a field of this type."""
+    if typing.get_origin(hint) is tuple:
+        return list(value)
+    optional = type(None) in typing.get_args(hint)
+    return None if optional and isinstance(value, float) and math.isnan(value) else value

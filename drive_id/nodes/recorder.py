@@ -1,0 +1,147 @@
+"""The node ``recorder``: writes the topics of a drive, untouched, into a bag."""
+
+from __future__ import annotations
+
+import os
+import time
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+from drive_id_msgs.srv import StartRecording, StopRecording
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from drive_id.core.health import Health
+from drive_id.errors import DriveIdError
+from drive_id.files.recorder_health import TopicState, recorder_health
+from drive_id.files.recording_names import recording_path
+from drive_id.files.recording_session import RecordedTopic, RecordingSession
+from drive_id.files.recording_settings import RecordingSettings
+from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.matched_subscription import MatchedSubscription
+from drive_id.nodes.parameters import declare_settings, on_change
+from drive_id.nodes.runtime import run
+
+TOPICS = {
+    "phase_currents": PhaseCurrents,
+    "phase_voltages": PhaseVoltages,
+    "resolver": Resolver,
+    "current_reference": CurrentReference,
+}
+_LOOK_ROUND = 0.25  # s between looks at who publishes
+_PATIENCE = 3.0  # s that the node stands still for a slow disk
+_LAST_PATIENCE = 30.0  # s, when the node ends
+
+
+class Recorder(Node):
+    """Is subscribed from its beginning, so that a recording begins with the next message."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        self._settings = declare_settings(self, RecordingSettings, read_only=("queue_depth",))
+        on_change(self, RecordingSettings, lambda _: None, self._on_settings)
+        self._session: RecordingSession | None = None
+        self._stopping = False
+        self._told_error = False
+        self._last: dict[str, float] = {}
+        self._topics = [
+            MatchedSubscription(
+                self, kind, name, partial(self._on_message, self.resolve_topic_name(name)),
+                depth=self._settings.queue_depth, raw=True,
+            )
+            for name, kind in TOPICS.items()
+        ]  # fmt: skip
+        self._services_kept = [
+            self.create_service(StartRecording, "~/start", self._on_start),
+            self.create_service(StopRecording, "~/stop", self._on_stop),
+        ]
+        self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = Diagnostics(self, self._health)
+
+    def close(self) -> None:
+        """Complete the bag when the node ends during a recording."""
+        if self._session is not None:
+            ended = self._session.stop(_LAST_PATIENCE)
+            outcome = self._session.report().outcome()
+            self.get_logger().info(outcome if ended else f"{outcome} The disk does not answer: the bag breaks off.")
+
+    def _on_settings(self, settings: RecordingSettings) -> None:
+        self._settings = settings  # for the next recording
+
+    def _on_message(self, topic: str, data: bytes) -> None:
+        self._last[topic] = time.monotonic()
+        if self._session is not None:
+            self._session.receive(topic, data, self._now())
+
+    def _now(self) -> int:
+        clock = self.get_clock()
+        return int(clock.now().nanoseconds) if clock.ros_time_is_active else time.time_ns()
+
+    def _look_round(self) -> None:
+        for topic in self._topics:
+            topic.match()
+        if self._session is not None and self._session.error and not self._told_error:
+            self._told_error = True
+            self.get_logger().error(self._session.error)
+
+    def _health(self) -> Health:
+        now = time.monotonic()
+        states = []
+        for topic in self._topics:
+            last = self._last.get(topic.topic)
+            silent_for = None if last is None else now - last
+            states.append(TopicState(topic.topic, topic.type_name, topic.publishers, silent_for))
+        report = None if self._session is None else self._session.report()
+        return recorder_health(report, states, self._settings.silence, self._settings.queue_size)
+
+    def _on_start(self, request: Any, response: Any) -> Any:
+        before = ""
+        if self._session is not None and self._session.error:
+            before = f" The recording before it was cut short: {self._session.error}"
+        elif self._session is not None:
+            verb = "is being completed" if self._stopping else "is being recorded"
+            response.message = f"{self._session.path} {verb}: stop it first."
+            return response
+        try:
+            path = recording_path(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
+            for topic in self._topics:
+                topic.match()
+            recorded = [RecordedTopic(topic.topic, topic.type_name, topic.offered()) for topic in self._topics]
+            distro = os.environ.get("ROS_DISTRO", "jazzy")
+            self._session = RecordingSession(path, recorded, self._settings, ros_distro=distro)
+        except DriveIdError as error:
+            response.message = str(error)
+            return response
+        self._told_error = self._stopping = False
+        self._last.clear()
+        response.success, response.uri, response.message = True, str(path), f"Recording {path}.{before}"
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_stop(self, _request: Any, response: Any) -> Any:
+        if self._session is None:
+            response.message = "Nothing is being recorded: start a recording first."
+            return response
+        self._stopping = True
+        if not self._session.stop(_PATIENCE):
+            response.uri = str(self._session.path)
+            response.message = f"The disk is slow, {response.uri} is still being completed: call stop again."
+            return response
+        report = self._session.report()
+        self._session, self._stopping = None, False
+        response.success, response.message, response.uri = not report.error, report.outcome(), str(report.path)
+        response.samples, response.dropped, response.duration = report.samples, report.dropped, report.duration
+        self.get_logger().info(response.message)
+        return response
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    run(Recorder)
+
+
+if __name__ == "__main__":
+    main()

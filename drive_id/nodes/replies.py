@@ -1,0 +1,65 @@
+"""Results as messages."""
+
+from __future__ import annotations
+
+import array
+from typing import Any
+
+import numpy as np
+from drive_id_msgs.msg import FitReport, FluxMap
+from numpy.typing import ArrayLike
+from rclpy.time import Time
+
+from drive_id.identifier import Reply
+
+
+def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
+    """Return the message of an identified map; an empty one of a request that failed."""
+    message = FluxMap()
+    identification = reply.identification
+    if identification is None:
+        return message
+    message.header.stamp = Time(nanoseconds=reply.stamp).to_msg()
+    message.header.frame_id = frame_id
+    message.method = identification.method
+    message.machine = reply.machine
+    flux_map = identification.flux_map
+    for name in ("i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q"):
+        setattr(message, name, _doubles(getattr(flux_map, name)))
+    message.inside = flux_map.inside.ravel().tolist()
+    for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error"):
+        setattr(message, name, getattr(identification, name))
+    if identification.method != "psm":
+        message.inverter_current = _doubles(identification.inverter_current)
+        message.inverter_voltage = _doubles(identification.inverter_voltage)
+    return message
+
+
+def fit_report_message(reply: Reply) -> FitReport:
+    """Return how the fit went, as far as it came."""
+    message = FitReport(warnings=list(reply.warnings))
+    if reply.identification is not None:
+        report = reply.identification.report
+        for name in message.get_fields_and_field_types():
+            if name != "warnings":
+                setattr(message, name, getattr(report, name))
+    elif reply.samples is not None:
+        message.samples_read = reply.samples.samples
+        message.gaps = reply.samples.gaps
+        message.warnings = list(reply.samples.warnings)
+    return message
+
+
+def fill(response: Any, reply: Reply, frame_id: str) -> Any:
+    """Fill the response of the service with a reply."""
+    response.success = reply.success
+    response.code = reply.code
+    response.message = reply.message
+    response.flux_map = flux_map_message(reply, frame_id)
+    response.report = fit_report_message(reply)
+    response.output = reply.output
+    return response
+
+
+def _doubles(values: ArrayLike) -> array.array[float]:
+    return array.array("d", np.asarray(values, np.float64).tobytes())

@@ -1,0 +1,163 @@
+"""A trajectory publisher and a simulated bench as processes, and what they say to each other."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from drive_id.core import frames
+
+PUBLISHER = "drive_id.nodes.trajectory_publisher"
+BENCH = "drive_id.nodes.bench_simulator"
+SETTINGS = {
+    "i_max": 100.0, "frequency_d": 7.3, "frequency_q": 2.3, "duration": 1.0, "slew_rate": 2e4, "lead_time": 0.5,
+    "watch_timeout": 3.0,
+}  # fmt: skip
+"""A short experiment, patient enough for a busy machine."""
+
+
+class LiveDrive:
+    """Both processes in one namespace, everything that they publish, and their services."""
+
+    def __init__(self, ros, namespace="", publisher=None, bench=None, **remaps):
+        from diagnostic_msgs.msg import DiagnosticArray
+        from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+
+        self.ros = ros
+        self.namespace = namespace
+        arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
+        self.bench = ros.start(BENCH, parameters=bench, arguments=arguments, namespace=namespace)
+        self.publisher = ros.start(
+            PUBLISHER, parameters=SETTINGS | (publisher or {}), arguments=arguments, namespace=namespace
+        )
+        self.messages = {}
+        for kind, name in (
+            (PhaseCurrents, "phase_currents"), (PhaseVoltages, "phase_voltages"), (Resolver, "resolver"),
+            (CurrentReference, "current_reference"),
+        ):  # fmt: skip
+            self.messages[name] = []
+            topic = f"{namespace}/{remaps.get(name, name)}"
+            ros.node.create_subscription(kind, topic, self.messages[name].append, 1000)
+        self.statuses = {}
+        ros.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def _on_diagnostics(self, message):
+        self.statuses |= {status.name: status for status in message.status}
+
+    def status(self, node="trajectory_publisher"):
+        return self.statuses.get(f"{self.namespace}/{node}")
+
+    def state(self):
+        status = self.status()
+        return {value.key: value.value for value in status.values}["state"] if status else None
+
+    def wait_for_state(self, state):
+        self.ros.wait(lambda: self.state() == state, f"{self.namespace} becomes {state}")
+
+    def trigger(self, what):
+        from std_srvs.srv import Trigger
+
+        return self.ros.call(Trigger, f"{self.namespace}/trajectory_publisher/{what}")
+
+    def ask(self, what, answered, description):
+        """Call a service again and again until the answer is the wanted one; return it."""
+        asked = [-1.0]
+
+        def attempt():
+            if time.monotonic() - asked[0] < 0.1:
+                return None
+            asked[0] = time.monotonic()
+            reply = self.trigger(what)
+            return reply if answered(reply) else None
+
+        return self.ros.wait(attempt, description)
+
+    def start(self):
+        """Start as soon as the publisher has heard from the drive."""
+        return self.ask("start", lambda reply: reply.success, "a start")
+
+    def refuses(self, reason):
+        """Wait until a start is refused for this reason."""
+        self.ask("start", lambda reply: not reply.success and reason in reply.message, f"a refusal: {reason}")
+
+    def run_without_end(self, amplitude=20.0):
+        """Start without an end, and wait until there is current."""
+        assert self.set_parameters(repeat=0).successful
+        self.start()
+        self.ros.wait(lambda: self.is_driven(amplitude), "current")
+
+    def rest(self):
+        """Stop, and wait until nothing is running any more."""
+        self.ask("stop", lambda reply: reply.message == "Nothing is running.", "rest")
+        self.ros.wait(self.is_at_zero, "zero current")
+
+    def ended_at_zero(self, alive=True):
+        """Wait until the last references are zero, and return all as they hold: stamps (N,), ns, and (N, 2), A."""
+        last = self.messages["current_reference"]
+        self.ros.wait(lambda: np.all(np.concatenate([last[-1].d, last[-1].q]) == 0.0), "references of zero")
+        if alive:
+            self.ros.wait(self.is_at_zero, "zero current")
+        return self.references()
+
+    def wait_for_message(self, text):
+        """Wait until the publisher's diagnostics say so."""
+        self.ros.wait(lambda: (status := self.status()) and text in status.message, f"diagnostics: {text}")
+
+    def forget(self):
+        for messages in self.messages.values():
+            messages.clear()
+
+    def set_parameters(self, node="trajectory_publisher", **values):
+        """Set parameters together and return what the node says to it."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        name = f"{self.namespace}/{node}/set_parameters_atomically"
+        return self.ros.call(SetParametersAtomically, name, parameters=parameters).result
+
+    def references(self):
+        """Return stamps (N,), ns, and references (N, 2), A, as they hold: later blocks take back what follows them."""
+        due = {}
+        for message in self.messages["current_reference"]:
+            stamps, values = samples(message, "d", "q")
+            due = {stamp: value for stamp, value in due.items() if stamp < stamps[0]}
+            due |= dict(zip(stamps.tolist(), values, strict=True))
+        return np.array(sorted(due)), np.array([due[stamp] for stamp in sorted(due)])
+
+    def current(self):
+        """Return stamps (N,), ns, and measured currents i_dq (N, 2), A."""
+        currents = [samples(message, "a", "b", "c") for message in self.messages["phase_currents"]]
+        resolver = [samples(message, "angle", "speed") for message in self.messages["resolver"]]
+        stamp, i_abc = (np.concatenate(part) for part in zip(*currents, strict=True))
+        stamp_angle, position = (np.concatenate(part) for part in zip(*resolver, strict=True))
+        both, first, second = np.intersect1d(stamp, stamp_angle, return_indices=True)
+        return both, frames.to_dq(i_abc[first], position[second, 0])
+
+    def is_driven(self, amplitude=20.0):
+        """Whether references have come, and the last block of currents is far from zero."""
+        found = self.messages["phase_currents"]
+        there = bool(self.messages["current_reference"] and found)
+        return there and np.abs([found[-1].a, found[-1].b, found[-1].c]).max() > amplitude
+
+    def is_at_zero(self):
+        """Whether the last block of currents is zero but for the ripple of the inverter."""
+        found = self.messages["phase_currents"]
+        return bool(found) and np.abs([found[-1].a, found[-1].b, found[-1].c]).max() < 3.0
+
+
+def samples(message, *fields):
+    """Return stamps (N,), ns, and values (N, K) of a block."""
+    first = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    values = np.stack([np.frombuffer(getattr(message, name), np.float32) for name in fields], axis=-1).astype(float)
+    return first + np.round(np.arange(len(values)) * message.sample_period * 1e9).astype(np.int64), values
+
+
+def assert_contiguous(messages, field):
+    """Check that counts and stamps of blocks follow each other without a gap."""
+    counts = np.array([message.first_sample for message in messages])
+    lengths = np.array([len(getattr(message, field)) for message in messages])
+    np.testing.assert_array_equal(np.diff(counts), lengths[:-1])
+    stamps = np.array([message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages])
+    np.testing.assert_allclose(np.diff(stamps), lengths[:-1] * messages[0].sample_period * 1e9, atol=1.0)

@@ -1,0 +1,404 @@
+"""The node ``identification`` as a process: live samples, recordings, bad requests, and a fit that is in the way."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from ros_bench import require_ros, ros_bench
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.files.bag import open_bag
+from drive_id.files.bag_writer import write_recording
+from drive_id.workflows import fit_bags
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+MODULE = "drive_id.nodes.identification"
+TOPICS = ("/phase_currents", "/phase_voltages", "/resolver")
+I_MAX = 300.0
+
+
+@pytest.fixture(scope="module")
+def ros():
+    """A bench with an identification node that has the recordings ``bag`` and its picture drawing, to be reset."""
+    with ros_bench() as bench:
+        yield bench
+
+
+@pytest.fixture(scope="module")
+def node(ros, bag):
+    data = ros.folder / "data"
+    data.mkdir()
+    shutil.copytree(bag, data / "bag")
+    parameters = {
+        "data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": I_MAX, "picture": True,
+    }  # fmt: skip
+    return ros.start(MODULE, parameters=parameters)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _ros_or_skip():
+    require_ros()
+
+
+def messages_of(path):
+    """The serialized messages of a recording, by topic, in order."""
+    with open_bag(path) as bag:
+        return [(message.topic, bytes(message.data)) for message in bag.messages(frozenset(TOPICS))]
+
+
+class Player:
+    """Publishes serialized messages as a drive would."""
+
+    def __init__(self, ros, *, reliable=True, namespace=""):
+        from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver
+
+        from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+
+        self.ros = ros
+        qos = STREAM if reliable else STREAM_BEST_EFFORT
+        kinds = (PhaseCurrents, PhaseVoltages, Resolver)
+        self.publishers = {
+            topic: ros.node.create_publisher(kind, namespace + topic, qos)
+            for topic, kind in zip(TOPICS, kinds, strict=True)
+        }
+
+    def wait_for_listeners(self):
+        self.ros.wait(lambda: all(p.get_subscription_count() for p in self.publishers.values()), "subscriptions")
+
+    def play(self, messages):
+        for topic, data in messages:
+            self.publishers[topic].publish(data)
+
+    def close(self):
+        for publisher in self.publishers.values():
+            self.ros.node.destroy_publisher(publisher)
+
+
+@pytest.fixture
+def player(ros, node):
+    assert node.popen.poll() is None, node.output
+    from std_srvs.srv import Trigger
+
+    assert ros.call(Trigger, "/identification/reset").success
+    player = Player(ros)
+    player.wait_for_listeners()
+    yield player
+    player.close()
+
+
+def identify(ros, *bags, method="", name="/identification/identify"):
+    from drive_id_msgs.srv import Identify
+
+    return ros.call(Identify, name, bags=list(bags), method=method)
+
+
+def identify_all(ros, samples, name="/identification/identify"):
+    """Ask for live samples until so many have arrived."""
+    found = []
+
+    def all_there():
+        found.append(identify(ros, name=name))
+        return found[-1].report.samples_read >= samples
+
+    ros.wait(all_there, f"{samples} live samples")
+    return found[-1]
+
+
+def assert_close(reply, identification, tolerance=1e-9):
+    flux_map = identification.flux_map
+    scale = np.abs(flux_map.psi_d).max()
+    for component in ("d", "q"):
+        psi = np.array(getattr(reply.flux_map, f"psi_{component}")).reshape(flux_map.inside.shape)
+        np.testing.assert_allclose(psi, getattr(flux_map, f"psi_{component}"), rtol=0, atol=tolerance * scale)
+    assert reply.flux_map.resistance == pytest.approx(identification.resistance, rel=tolerance)
+    assert reply.flux_map.voltage_error == pytest.approx(identification.voltage_error, rel=tolerance)
+    assert reply.flux_map.sigma_resistance == pytest.approx(identification.sigma_resistance, rel=1e-6)
+    np.testing.assert_array_equal(reply.flux_map.inside, flux_map.inside.ravel())
+    report = identification.report
+    assert (reply.report.samples_read, reply.report.samples_used, reply.report.rows, reply.report.gaps) == (
+        report.samples_read, report.samples_used, report.rows, report.gaps
+    )  # fmt: skip
+    assert reply.report.coverage == pytest.approx(report.coverage)
+
+
+def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag):
+    player.play(messages_of(bag))
+    live = identify_all(ros, 20_000)
+    assert (live.success, live.code) == (True, "ok"), live.message
+    offline = fit_bags([bag], None, FitSettings(i_max=I_MAX))
+    assert_close(live, offline.identification)
+    recorded = identify(ros, "bag")
+    assert (recorded.success, recorded.code) == (True, "ok"), recorded.message
+    assert_close(recorded, offline.identification)
+    assert recorded.report.mad_d == pytest.approx(offline.identification.report.mad_d, rel=1e-9)
+    assert recorded.flux_map.machine == "ipm"
+    for reply in (live, recorded):
+        assert reply.flux_map.header.frame_id == "drive"
+        assert {path.name for path in Path(reply.output).iterdir()} == {
+            "identification.json", "flux_map.npz", "flux_map.png"
+        }  # fmt: skip
+        assert len(reply.flux_map.inverter_current) == len(reply.flux_map.inverter_voltage) > 0
+    last = int(offline.recording.samples.stamp[-1])
+    stamp = live.flux_map.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == last
+    assert live.output != recorded.output
+    assert Path(live.output).parent == ros.folder / "results"
+
+
+def test_the_method_of_a_request(ros, player, bag):
+    player.play(messages_of(bag))
+    identify_all(ros, 20_000)
+    live, recorded = identify(ros, method="psm"), identify(ros, "bag", method="psm")
+    assert live.flux_map.method == recorded.flux_map.method == "psm"
+    assert live.flux_map.resistance == pytest.approx(recorded.flux_map.resistance, rel=1e-9)
+    assert live.flux_map.voltage_error == 0
+    assert len(live.flux_map.inverter_current) == 0
+
+
+@pytest.mark.usefixtures("player")
+def test_bad_requests_are_answered_and_the_node_goes_on(ros, node):
+    outside = ros.folder / "outside"
+    outside.mkdir()
+    (ros.folder / "data" / "link").symlink_to(outside)
+    (ros.folder / "data" / "empty").mkdir()
+    (ros.folder / "data" / "text.mcap").write_text("nothing of the kind")
+    cases = [
+        (["missing"], "", "not_a_bag"),
+        (["../outside"], "", "configuration"),
+        ([str(outside)], "", "configuration"),
+        (["/etc/passwd"], "", "configuration"),
+        (["link"], "", "configuration"),
+        ([""], "", "configuration"),
+        (["a\nb" * 300], "", "not_a_bag"),
+        (["empty"], "", "not_a_bag"),
+        (["text.mcap"], "", "not_a_bag"),
+        (["bag", "bag"], "", "configuration"),
+        (["bag"], "best", "configuration"),
+        ([], "best", "configuration"),
+        ([], "", "empty_topic"),
+    ]
+    for bags, method, code in cases:
+        reply = identify(ros, *bags, method=method)
+        assert (reply.success, reply.code) == (False, code), (bags, method, reply.message)
+        assert reply.message.endswith((".", "?"))
+        assert "\n" not in reply.message
+        assert len(reply.flux_map.psi_d) == 0
+        assert reply.output == ""
+    assert node.popen.poll() is None
+    assert identify(ros, "bag").success
+
+
+def test_live_samples_that_make_no_map_get_the_errors_of_a_bag(ros, player, simulation, tmp_path):
+    from std_srvs.srv import Trigger
+
+    held = simulation.samples
+    still = replace(held, angle=np.zeros(len(held)), speed=np.zeros(len(held)))
+    wrong = replace(held, speed=held.speed / 4)
+    few = replace(held, i_abc=np.random.default_rng(0).normal(size=held.i_abc.shape))
+    for samples, code in ((still, "standstill"), (wrong, "data"), (few, "coverage")):
+        assert ros.call(Trigger, "/identification/reset").success
+        path = tmp_path / code
+        write_recording(path, samples)
+        player.play(messages_of(path))
+        reply = identify_all(ros, 20_000)
+        assert (reply.success, reply.code) == (False, code), reply.message
+        shutil.copytree(path, ros.folder / "data" / code)
+        recorded = identify(ros, code)
+        assert recorded.code == code
+        assert reply.message.split(":")[0][:30] == recorded.message.split(":")[0][:30]
+
+
+def wait_for_health(ros, condition, what):
+    """Wait for diagnostics of the node, level, message and values, that meet a condition."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    seen = []
+    subscription = ros.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: seen.extend(array.status), 10
+    )
+
+    def met():
+        mine = [status for status in seen if status.name == "/identification"]
+        return mine and condition(mine[-1], {value.key: value.value for value in mine[-1].values})
+
+    ros.wait(met, what)
+    ros.node.destroy_subscription(subscription)
+
+
+def test_only_currents_so_far(ros, player, bag):
+    player.play([message for message in messages_of(bag) if message[0] == TOPICS[0]])
+    wait_for_health(ros, lambda _, values: values["/phase_currents: samples"] == "20000", "all currents")
+    reply = identify(ros)
+    assert reply.code == "empty_topic"
+    assert "/phase_voltages" in reply.message
+
+
+def test_garbage_and_foreign_types_do_no_harm(ros, player, bag):
+    player.play([(topic, b"\x00\x01\x00\x00" + bytes(range(40))) for topic in TOPICS])
+    player.play(messages_of(bag))
+    reply = identify_all(ros, 20_000)
+    assert reply.success
+    assert reply.report.gaps == 0
+
+
+@pytest.mark.usefixtures("node")
+def test_a_late_joiner_gets_the_map(ros):
+    from drive_id_msgs.msg import FluxMap
+
+    from drive_id.nodes.qos import LATCHED
+
+    reply = identify(ros, "bag")
+    got = []
+    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
+    ros.wait(lambda: got, "the map")
+    ros.node.destroy_subscription(subscription)
+    assert got[-1].psi_q == reply.flux_map.psi_q
+    assert got[-1].header == reply.flux_map.header
+
+
+def test_a_second_request_is_told_that_the_node_is_busy_and_no_sample_is_lost_meanwhile(ros, player, simulation):
+    """Blocks of 10 at full rate, 3000 messages a second, while bags are fitted and pictures drawn."""
+    from drive_id_msgs.srv import Identify
+
+    samples = replace(simulation.samples, stamp=simulation.samples.stamp + 10**18)
+    path = ros.folder / "blocks_of_ten"
+    write_recording(path, samples, block_size=10)
+    messages = messages_of(path)
+    busy, replies, pending = 0, [], None
+    start = time.monotonic()
+    for k, (topic, data) in enumerate(messages):
+        player.publishers[topic].publish(data)
+        if k % 30 == 29:
+            while time.monotonic() < start + (k + 1) / 3000:  # as a drive does
+                ros.executor.spin_once(timeout_sec=0.001)
+        if pending is None and k < 5000:
+            pending = ros.call_async(Identify, "/identification/identify", bags=["bag"])
+            second = ros.call_async(Identify, "/identification/identify")
+        elif pending is not None and pending.done() and second.done():
+            replies.append(pending.result())
+            busy += second.result().code == "busy"
+            pending = None
+    if pending is not None:
+        ros.wait(lambda: pending.done() and second.done(), "the last fit")
+        replies.append(pending.result())
+        busy += second.result().code == "busy"
+    assert all(reply.success for reply in replies)
+    assert len(replies) == busy > 0
+    reply = identify_all(ros, len(samples))
+    assert reply.success
+    assert (reply.report.samples_read, reply.report.gaps) == (len(samples), 0)
+    assert not any("missing" in warning for warning in reply.report.warnings)
+
+
+def test_diagnostics_tell_of_losses(ros, player, bag):
+    messages = messages_of(bag)
+    del messages[150:153]
+    player.play(messages)
+    identify_all(ros, 19_000)
+
+    def told(status, values):
+        lost = [values[f"{topic}: samples lost"] for topic in TOPICS]
+        return lost == ["100"] * 3 and "are missing in 1 places" in status.message and status.level == b"\x01"
+
+    wait_for_health(ros, told, "a warning of the loss")
+
+
+def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag):
+    from rcl_interfaces.srv import GetParameters, SetParameters
+    from rclpy.parameter import Parameter
+
+    def set_parameter(name, value):
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        return ros.call(SetParameters, "/identification/set_parameters", parameters=[parameter]).results[0]
+
+    player.play(messages_of(bag))
+    identify_all(ros, 20_000)
+    assert set_parameter("method", "psm").successful
+    reply = identify(ros)
+    assert (reply.success, reply.flux_map.method, reply.report.samples_read) == (True, "psm", 20_000)
+    assert set_parameter("method", "joint").successful
+    for name, value in (("method", "best"), ("i_max", -1.0), ("splines_d", 2), ("data_directory", "/")):
+        assert not set_parameter(name, value).successful, name
+    assert set_parameter("splines_d", 9).successful
+    assert identify(ros).code == "empty_topic"  # the samples are forgotten
+    assert set_parameter("splines_d", 8).successful
+    value = ros.call(GetParameters, "/identification/get_parameters", names=["i_max"]).values[0]
+    assert value.double_value == I_MAX
+
+
+@pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")  # rclpy of Kilted in itself
+@pytest.mark.usefixtures("node")
+def test_best_effort_publishers_are_heard(ros, bag):
+    from std_srvs.srv import Trigger
+
+    ros.call(Trigger, "/identification/reset")
+    player = Player(ros, reliable=False)
+    try:
+        player.wait_for_listeners()
+        messages = messages_of(bag)
+
+        def arrived():
+            ros.call(Trigger, "/identification/reset")
+            for at in range(0, len(messages), 15):
+                player.play(messages[at : at + 15])
+                ros.executor.spin_once(timeout_sec=0.002)
+            return identify(ros).report.samples_read > 1000
+
+        ros.wait(arrived, "samples by best effort")
+    finally:
+        player.close()
+
+
+def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag):
+    """Splines of 32 x 32 keep the solver at work for a long time."""
+    from drive_id_msgs.srv import Identify
+
+    tree = yaml.safe_load((CONFIG / "identification.yaml").read_text())["/**"]["ros__parameters"]
+    names = set(FitSettings.__dataclass_fields__)
+    assert names <= set(tree)
+    defaults = {name: value for name, value in asdict(FitSettings()).items() if value is not None}
+    assert {name: tree[name] for name in defaults} == defaults
+    parameters = {"data_directory": str(bag.parent), "splines_d": 32, "splines_q": 32, "i_max": I_MAX}
+    files = (CONFIG / "identification.yaml",)
+    process = ros.start(MODULE, parameters=parameters, files=files, namespace="/other")
+    future = ros.call_async(Identify, "/other/identification/identify", bags=[bag.name])
+    end = time.monotonic() + 3.0
+    while time.monotonic() < end and not future.done():
+        ros.executor.spin_once(timeout_sec=0.05)
+    assert not future.done()
+    assert identify(ros, name="/other/identification/identify").code == "busy"
+    code, took = process.interrupt()
+    assert code == 0, process.output
+    assert took < 10
+    assert "Traceback" not in process.output
+
+
+def test_without_i_max_live_samples_are_refused_with_a_remedy(ros, bag):
+    process = ros.start(MODULE, parameters={"data_directory": str(bag.parent)}, namespace="/third")
+    reply = identify(ros, name="/third/identification/identify")
+    assert reply.code == "configuration"
+    assert "i_max" in reply.message
+    assert process.interrupt()[0] == 0
+    assert "Traceback" not in process.output
+
+
+def test_nonsense_at_start_is_one_sentence(ros):
+    process = ros.start(MODULE, parameters={"validation_seconds": -1.0}, namespace="/fourth")
+    process.expected_to_fail = True
+    process.popen.wait(60)
+    assert process.popen.returncode == 1
+    assert "validation_seconds" in process.output
+    assert "Traceback" not in process.output
+
+
+def test_the_node_ends_cleanly(node):
+    code, took = node.interrupt()
+    assert code == 0, node.output
+    assert took < 10
+    assert "Traceback" not in node.output

@@ -1,0 +1,56 @@
+"""The shipped parameter files of trajectory publisher and bench hold the defaults, say what each means, and load."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from live_drive import BENCH, PUBLISHER
+from ros_bench import ros_bench
+
+from drive_id.core.experiment_settings import ExperimentSettings
+from drive_id.sim.bench_settings import BenchSettings
+from drive_id.sim.settings import SimulationSettings
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+FILES = {
+    "trajectory_publisher": (PUBLISHER, (ExperimentSettings,)),
+    "bench_simulator": (BENCH, (BenchSettings, SimulationSettings)),
+}
+
+
+def plain(default):
+    if default is None:
+        return math.nan
+    return list(default) if isinstance(default, tuple) else default
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_they_hold_the_defaults(name):
+    held = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
+    fields = [field for settings in FILES[name][1] for field in dataclasses.fields(settings)]
+    assert {field.name for field in fields} == set(held)
+    for field in fields:
+        assert held[field.name] == pytest.approx(plain(field.default), nan_ok=True), field.name
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_parameter_has_a_comment_above_it_or_above_its_neighbours(name):
+    above = ""
+    for line in (CONFIG / f"{name}.yaml").read_text().splitlines():
+        assert len(line) <= 120
+        if line.startswith("    ") and ":" in line and not line.strip().startswith("#"):
+            assert above.strip(), f"{line} has nothing above it"
+        above = line
+
+
+def test_real_nodes_load_them():
+    with ros_bench() as ros:
+        for name, (module, _) in FILES.items():
+            ros.start(module, arguments=["--params-file", str(CONFIG / f"{name}.yaml")])
+        ros.wait(lambda: all("Ready" in process.output for process in ros.processes), "both to be ready")
+        assert [process.interrupt()[0] for process in ros.processes] == [0, 0]
+        assert "Traceback" not in ros.outputs()

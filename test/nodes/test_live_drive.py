@@ -1,0 +1,239 @@
+"""Trajectory publisher and simulated bench over DDS: the current follows, and whatever stops it brings it to zero."""
+
+from __future__ import annotations
+
+import signal
+
+import numpy as np
+import pytest
+from live_drive import BENCH, PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
+from ros_bench import ros_bench
+
+from drive_id.files.ground_truth import decode_truth
+from drive_id.sim.machines import machine_map
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """One pair of processes for all tests that leave them alive, in a namespace."""
+    with ros_bench() as ros:
+        truth = tmp_path_factory.mktemp("truth") / "truth.npz"
+        drive = LiveDrive(ros, "/cell", bench={"truth_file": str(truth), "block_size": 200, "current_noise": 1e-3})
+        drive.truth = truth
+        yield drive
+
+
+@pytest.fixture
+def drive(shared):
+    """The pair, at rest and with the parameters of the beginning."""
+    shared.ros.wait(lambda: shared.messages["resolver"], "the bench")
+    assert shared.set_parameters("bench_simulator", speeds=[500.0]).successful
+    shared.rest()
+    nothing = float("nan")
+    given = {"speed_min": nothing, "speed_max": nothing, "current_limit": nothing, "repeat": 1} | SETTINGS
+    assert shared.set_parameters(**given, trajectory="lissajous").successful
+    shared.ros.wait(lambda: shared.state() in {"idle", "tripped"}, "rest")
+    shared.forget()
+    return shared
+
+
+def assert_smooth(wanted):
+    steps = np.hypot(*np.diff(wanted, axis=0).T)
+    assert steps.max() <= SETTINGS["slew_rate"] * 1e-4 + 4e-5
+    assert np.hypot(*wanted.T).max() <= SETTINGS["i_max"]
+
+
+def test_the_current_follows_the_references(drive):
+    assert drive.start().message == "Started: lissajous within 100 A for 1 s."
+    drive.wait_for_state("running")
+    drive.wait_for_state("idle")
+    stamps, wanted = drive.ended_at_zero()
+    assert np.hypot(*wanted.T).max() > 99.9
+    assert_smooth(wanted)
+    times, i_dq = drive.current()
+    inside = (times >= stamps[0]) & (times <= stamps[-1])
+    held = wanted[np.searchsorted(stamps, times[inside], side="right") - 1]
+    assert inside.sum() > 9000
+    assert np.sqrt(np.mean((i_dq[inside] - held) ** 2)) < 6.0
+    for name, field in (("phase_currents", "a"), ("phase_voltages", "a"), ("resolver", "angle")):
+        assert_contiguous(drive.messages[name], field)
+        assert {len(getattr(message, field)) for message in drive.messages[name]} == {200}
+        assert {message.header.frame_id for message in drive.messages[name]} == {"drive"}
+    assert_contiguous(drive.messages["current_reference"], "d")
+
+
+@pytest.mark.parametrize("trajectory", ["stair", "spiral"])
+def test_other_trajectories(drive, trajectory):
+    slow = {"duration": 2.0, "spiral_turns": 5.0, "dwell_time": 0.05, "stair_points": 5}
+    assert drive.set_parameters(trajectory=trajectory, **slow).successful
+    drive.run_without_end()
+    assert drive.trigger("stop").success
+    _, wanted = drive.ended_at_zero()
+    assert_smooth(wanted)
+
+
+def test_stop(drive):
+    drive.run_without_end()
+    assert "under way" in drive.trigger("start").message
+    assert drive.trigger("stop").success
+    _, wanted = drive.ended_at_zero()
+    assert_smooth(wanted)
+    drive.rest()
+    drive.wait_for_message("Stopped on request.")
+
+
+def test_a_change_of_parameters_stops(drive):
+    drive.run_without_end()
+    assert drive.set_parameters(i_max=50.0).successful
+    _, wanted = drive.ended_at_zero()
+    assert_smooth(wanted)
+    drive.wait_for_message("Stopped, because parameters were changed.")
+    drive.forget()
+    drive.start()
+    drive.ros.wait(drive.is_driven, "current")
+    assert np.hypot(*drive.references()[1].T).max() <= 50.0
+
+
+def test_the_speed_leaves_its_band(drive):
+    assert drive.set_parameters(speed_min=150.0, speed_max=250.0).successful  # 500 rpm are 209 rad/s
+    drive.run_without_end()
+    assert drive.set_parameters("bench_simulator", speeds=[1000.0]).successful
+    drive.wait_for_message("above speed_max, 250 rad/s")
+    assert drive.state() == "tripped"
+    assert drive.status().level == b"\x02"
+    _, wanted = drive.ended_at_zero()
+    assert_smooth(wanted)
+    drive.refuses("Not started: The speed is 418.9 rad/s")
+    assert drive.set_parameters("bench_simulator", speeds=[500.0]).successful
+    drive.start()
+
+
+def test_the_current_exceeds_its_limit(drive):
+    """A drive overshoots; a limit at the rim of the disc is too tight."""
+    assert drive.set_parameters(current_limit=100.0, repeat=0).successful
+    drive.start()
+    drive.wait_for_message(", above 100 A.")
+    assert drive.state() == "tripped"
+    _, wanted = drive.ended_at_zero()
+    assert np.hypot(*np.diff(wanted, axis=0).T).max() > 50.0  # at once, not by a ramp
+    drive.start()
+
+
+def test_parameters_are_refused_with_the_reason(drive):
+    drive.run_without_end()
+    for values, reason in (
+        ({"i_max": -1.0}, "range"),
+        ({"i_max": float("nan")}, "range"),
+        ({"duration": "long"}, "Wrong parameter type"),
+        ({"trajectory": "circle"}, "one of lissajous, stair, spiral"),
+        ({"lead_time": 0.03}, "at least two intervals"),
+        ({"slew_rate": 1000.0}, "needs up to 4809 A/s where slew_rate allows 1000 A/s"),
+        ({"speed_min": 5.0, "speed_max": 4.0}, "the band must not be empty"),
+        ({"current_limit": float("inf")}, "finite"),
+        ({"speed_min": None}, "cannot be undeclared"),
+        ({"publish_rate": 20.0}, "read-only"),
+        ({"frequency": 20.0}, "declared"),
+    ):
+        result = drive.set_parameters(**values)
+        assert not result.successful, values
+        assert reason in result.reason
+    assert "under way (running)" in drive.trigger("start").message
+    assert "read-only" in drive.set_parameters("bench_simulator", machine="spm").reason
+    assert "one new speed" in drive.set_parameters("bench_simulator", speeds=[1.0, 2.0]).reason
+
+
+def test_the_truth_is_in_its_file_and_in_no_topic(drive):
+    truth = decode_truth(drive.truth.read_bytes(), "the file")
+    assert (truth.machine, truth.resistance) == ("ipm", machine_map("ipm").resistance)
+    assert "R 0.01 ohm" in drive.bench.output
+    topics = {name for name, _ in drive.ros.node.get_topic_names_and_types() if name.startswith("/cell")}
+    own = ("current_reference", "phase_currents", "phase_voltages", "resolver")
+    assert topics == {f"/cell/{name}" for name in own}
+    publishers = drive.ros.node.get_publishers_info_by_topic("/rosout")
+    assert "bench_simulator" not in {publisher.node_name for publisher in publishers}
+    status = drive.ros.wait(lambda: drive.status("bench_simulator"), "diagnostics")
+    assert "ipm" not in status.message + "".join(value.value for value in status.values)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_publisher_with_zero_current(number):
+    with ros_bench() as ros:
+        drive = LiveDrive(ros)
+        drive.run_without_end()
+        assert drive.publisher.interrupt(number=number)[0] == 0
+        _, wanted = drive.ended_at_zero()
+        assert_smooth(wanted)  # ramped down, not cut off
+        assert drive.bench.interrupt(number=number)[0] == 0
+        assert "Traceback" not in ros.outputs()
+
+
+def test_a_killed_publisher_leaves_no_current_behind():
+    """References run out; the drive ramps down by itself."""
+    with ros_bench() as ros:
+        drive = LiveDrive(ros)
+        drive.run_without_end()
+        drive.publisher.popen.kill()
+        ros.wait(lambda: (bench := drive.status("bench_simulator")) and "no references" in bench.message, "the bench")
+        ros.wait(drive.is_at_zero, "zero current")
+
+
+def test_a_killed_bench_trips_the_watchdog():
+    with ros_bench() as ros:
+        drive = LiveDrive(ros, publisher={"watch_timeout": 1.0})
+        drive.run_without_end()
+        drive.bench.popen.kill()
+        drive.wait_for_message("Nothing has arrived on")
+        drive.wait_for_state("tripped")
+        drive.refuses("Not started: Nothing has arrived on")
+        _, wanted = drive.ended_at_zero(alive=False)
+        assert_smooth(wanted)
+        drive.bench = ros.start(BENCH)
+        drive.start()
+
+
+def test_two_drives_on_one_graph_one_of_them_with_other_names():
+    with ros_bench() as ros:
+        left = LiveDrive(ros, "/left", bench={"machine": "spm"}, publisher={"i_max": 10.0})
+        right = LiveDrive(ros, "/right", current_reference="wanted", phase_currents="sensors/currents")
+        left.run_without_end(5.0)
+        right.run_without_end()
+        assert np.hypot(*left.references()[1].T).max() <= 10.0
+        left.rest()
+        assert "under way (running)" in right.trigger("start").message
+        rival = ros.start(PUBLISHER, parameters=SETTINGS, namespace="/left")
+        left.refuses("other nodes publish current_reference")
+        assert rival.interrupt()[0] == 0
+
+
+def test_simulated_time_passes_at_its_own_speed():
+    with ros_bench() as ros:
+        drive = LiveDrive(ros, bench={"time_scale": 0.5}, publisher={"use_sim_time": True})
+        drive.run_without_end()
+        drive.forget()
+        ros.wait(lambda: len(drive.messages["resolver"]) > 120, "more than a second of samples")
+        stamps, wanted = drive.references()
+        times, i_dq = drive.current()
+        inside = (times >= stamps[0]) & (times <= stamps[-1])
+        held = wanted[np.searchsorted(stamps, times[inside], side="right") - 1]
+        assert inside.sum() > 3000
+        assert np.sqrt(np.mean((i_dq[inside] - held) ** 2)) < 6.0
+
+
+def test_a_wrong_start_is_one_sentence():
+    wrong = [
+        ("bench_simulator", {"machine": "dc"}, "There is no machine 'dc'"),
+        ("bench_simulator", {"block_size": 0}, "block_size"),
+        ("bench_simulator", {"time_scale": 2.0, "use_sim_time": True}, "do not set use_sim_time"),
+        ("bench_simulator", {"truth_file": "/nowhere/truth.npz"}, "The truth cannot be written to /nowhere/truth.npz"),
+        ("trajectory_publisher", {"i_max": 0.0}, "i_max"),
+        ("trajectory_publisher", {"i_max": 100}, "i_max"),
+        ("trajectory_publisher", {"slew_rate": 1000.0}, "slew_rate"),
+    ]
+    with ros_bench() as ros:
+        for module, parameters, _ in wrong:
+            ros.start(f"drive_id.nodes.{module}", parameters=parameters).expected_to_fail = True
+        ros.wait(lambda: all(process.popen.poll() is not None for process in ros.processes), "their ends")
+        for process, (_, _, reason) in zip(ros.processes, wrong, strict=True):
+            assert process.popen.returncode == 1
+            assert reason in process.output
+            assert len(process.output.strip().splitlines()) == 1, process.output

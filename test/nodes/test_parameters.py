@@ -1,0 +1,122 @@
+"""Settings dataclasses as ROS parameters: types, bounds, nothing as NaN, empty lists, and refusals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pytest
+from ros_bench import require_ros
+
+from drive_id.errors import ConfigurationError
+from drive_id.settings import check, setting
+
+
+@dataclass(frozen=True)
+class Some:
+    count: int = setting(3, "How many", minimum=1, maximum=5)
+    size: float = setting(1.0, "How large", unit="m", minimum=0.0)
+    name: str = setting("a", "Which", choices=("a", "b"))
+    limit: float | None = setting(None, "Up to where", minimum=0.0)
+    times: tuple[float, ...] = setting((), "When", unit="s", minimum=0.0)
+    gains: tuple[float, float] = setting((1.0, 2.0), "By what")
+    fixed: bool = setting(True, "For good")
+
+    def __post_init__(self):
+        check(self)
+        if self.limit is not None and self.size > self.limit:
+            raise ConfigurationError("size is beyond limit: make it smaller.")
+
+
+@pytest.fixture
+def make(tmp_path, monkeypatch):
+    """Return a function that declares the settings on a node of a context with these arguments."""
+    require_ros()
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from drive_id.nodes.parameters import declare_settings
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    opened = []
+
+    def declare(*arguments):
+        context = Context()
+        context.init(args=["--ros-args", *arguments] if arguments else [])
+        node = Node("some", context=context)
+        opened.append((context, node))
+        return node, declare_settings(node, Some, read_only=["fixed", "times"])
+
+    yield declare
+    for context, node in opened:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def values(node, **changes):
+    from rclpy.parameter import Parameter
+
+    return node.set_parameters_atomically([Parameter(name, value=value) for name, value in changes.items()])
+
+
+def test_the_defaults(make):
+    from rclpy.parameter import Parameter
+
+    node, settings = make()
+    assert settings == Some()
+    kinds = [node.get_parameter(name).type_ for name in ("count", "size", "name", "limit", "times", "gains", "fixed")]
+    kind = Parameter.Type
+    array = kind.DOUBLE_ARRAY
+    assert kinds == [kind.INTEGER, kind.DOUBLE, kind.STRING, kind.DOUBLE, array, array, kind.BOOL]
+    assert math.isnan(node.get_parameter("limit").value)
+    assert node.describe_parameter("size").description == "How large [m]"
+    assert node.describe_parameter("times").read_only
+    assert node.describe_parameter("limit").additional_constraints == "at least 0, nan: the default"
+
+
+def test_a_parameter_file(make, tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text("/**:\n  ros__parameters:\n    times: [1.0, 2.0]\n    limit: 4.0\n    gains: [0.0, 1.0]\n")
+    assert make("--params-file", str(path))[1] == Some(times=(1.0, 2.0), limit=4.0, gains=(0.0, 1.0))
+    path.write_text("/**:\n  ros__parameters:\n    times: []\n    limit: .nan\n")
+    assert make("--params-file", str(path))[1] == Some()
+
+
+def test_a_wrong_start(make):
+    from rclpy.exceptions import ParameterException
+
+    for argument in ("count:=9", "count:=1.5", "size:=.nan", "size:=5", "times:=[a]"):
+        with pytest.raises(ParameterException):
+            make("-p", argument)
+    for argument in ("name:=c", "limit:=0.5", "limit:=-1.0", "times:=[-1.0]", "gains:=[1.0]"):
+        with pytest.raises(ConfigurationError):
+            make("-p", argument)
+
+
+def test_changes_are_checked_together_and_told(make):
+    from drive_id.nodes.parameters import on_change
+
+    node, _ = make()
+    told = []
+
+    def even(settings):
+        if settings.count % 2 == 0:
+            raise ConfigurationError("count is even.")
+
+    on_change(node, Some, even, told.append)
+    assert values(node, size=3.0, limit=4.0).successful
+    assert values(node, limit=math.nan, size=9.0).successful
+    assert told == [Some(size=3.0, limit=4.0), Some(size=9.0)]
+    for changes, reason in (
+        ({"size": 5.0, "limit": 4.0}, "size is beyond limit"),
+        ({"count": 4}, "count is even"),
+        ({"count": 6}, "out of range"),
+        ({"limit": math.inf}, "finite"),
+        ({"limit": None}, "cannot be undeclared"),
+        ({"fixed": False}, "read-only"),
+    ):
+        result = values(node, **changes)
+        assert not result.successful
+        assert reason in result.reason
+    assert len(told) == 2

@@ -1,0 +1,348 @@
+"""The node ``recorder`` as a process: recordings by service, counts, publishers that do not fit, disks, and its end."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from ros_bench import require_ros, ros_bench
+from rosbags.rosbag2 import Reader
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
+from recorder_blocks import TOPICS, block
+
+from drive_id.files.bag_reader import read_recording
+from drive_id.files.bag_recover import recover_bag
+from drive_id.files.recording_settings import RecordingSettings
+
+CONFIG = Path(__file__).parent.parent.parent / "config" / "recorder.yaml"
+MODULE = "drive_id.nodes.recorder"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ros_or_skip():
+    require_ros()
+
+
+@pytest.fixture
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+class Bench:
+    """Publishes blocks on the four topics from the test's own node, once somebody listens."""
+
+    def __init__(self, ros, *, namespace="", best_effort=()):
+        from drive_id_msgs import msg
+
+        from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+
+        self.ros = ros
+        self.next = 0
+        self.publishers = {}
+        for topic in TOPICS:
+            kind = getattr(msg, topic.type_name.rsplit("/", 1)[-1])
+            qos = STREAM_BEST_EFFORT if topic.name in best_effort else STREAM
+            self.publishers[topic.name] = ros.node.create_publisher(kind, namespace + topic.name, qos)
+
+    def wait_for_listeners(self):
+        publishers = self.publishers.values()
+        self.ros.wait(lambda: all(p.get_subscription_count() for p in publishers), "the recorder's subscriptions")
+
+    def publish(self, count, *, size=100, lose=()):
+        for _ in range(count):
+            for topic in TOPICS:
+                if (self.next, topic.name) not in lose and topic.name in self.publishers:
+                    self.publishers[topic.name].publish(block(topic.type_name, self.next * size, size))
+            self.next += 1
+
+
+class Recorder:
+    """The node, and what it says on ``/diagnostics``."""
+
+    def __init__(self, ros, *, namespace="", **parameters):
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self.ros = ros
+        self.name = f"{namespace}/recorder"
+        self.data = ros.folder / "data"
+        self.status = None
+        self.subscription = ros.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 10)
+        parameters = {"data_directory": str(self.data), **parameters}
+        self.process = ros.start(MODULE, parameters=parameters, namespace=namespace)
+
+    def _hear(self, array):
+        for status in array.status:
+            if status.name == self.name:
+                self.status = status
+
+    def start(self, name=""):
+        from drive_id_msgs.srv import StartRecording
+
+        return self.ros.call(StartRecording, f"{self.name}/start", name=name)
+
+    def stop(self):
+        from drive_id_msgs.srv import StopRecording
+
+        return self.ros.call(StopRecording, f"{self.name}/stop")
+
+    def wait_for_status(self, text, level=None):
+        """Wait for a status that contains the text."""
+
+        def fits():
+            found = self.status is not None and text in self.status.message
+            return found and level in (None, ord(self.status.level))
+
+        self.ros.wait(fits, f"'{text}' in diagnostics (now: {self.status and self.status.message})")
+        return {value.key: value.value for value in self.status.values}
+
+    def wait_for_samples(self, **samples):
+        """Wait until so many samples are written, by topic."""
+
+        def fits():
+            values = {value.key: value.value for value in self.status.values} if self.status else {}
+            return all(values.get(f"/{name}: samples written") == str(count) for name, count in samples.items())
+
+        self.ros.wait(fits, f"{samples} written")
+
+
+def stock_messages(path):
+    with Reader(path) as reader:
+        return [(connection.topic, bytes(data)) for connection, _, data in reader.messages()]
+
+
+def test_a_recording_by_service(ros):
+    recorder, bench = Recorder(ros), Bench(ros)
+    reply = recorder.stop()
+    assert (reply.success, reply.message) == (False, "Nothing is being recorded: start a recording first.")
+    bench.wait_for_listeners()
+    bench.publish(20)  # before the start: not recorded, and not lost
+    reply = recorder.start("first")
+    assert reply.success, reply.message
+    assert reply.uri == str(recorder.data / "first")
+    again = recorder.start("second")
+    assert (again.success, again.uri) == (False, "")
+    assert "first is being recorded: stop it first" in again.message
+    bench.publish(200)
+    recorder.wait_for_samples(phase_currents=20000, phase_voltages=20000, resolver=20000, current_reference=20000)
+    assert recorder.wait_for_status("Recording")["samples dropped"] == "0"
+    reply = recorder.stop()
+    assert reply.success, reply.message
+    assert (reply.samples, reply.dropped, reply.uri) == (20000, 0, str(recorder.data / "first"))
+    assert reply.duration == pytest.approx(1.9999, abs=1e-9)
+    expected = [(topic.name, block(topic.type_name, number * 100)) for topic in TOPICS for number in range(20, 220)]
+    assert sorted(stock_messages(recorder.data / "first")) == sorted(expected)
+    assert not (recorder.data / "second").exists()
+    assert recorder.process.interrupt()[0] == 0
+    assert "Traceback" not in recorder.process.output
+
+
+def test_names_are_confined(ros):
+    recorder = Recorder(ros)
+    (recorder.data / "there").mkdir(parents=True)
+    for name, said in (
+        ("../out", "is no name"), ("/tmp/out", "is no name"), ("a/b", "is no name"), ("there", "exists already"),
+    ):  # fmt: skip
+        reply = recorder.start(name)
+        assert (reply.success, reply.uri) == (False, "")
+        assert said in reply.message
+    reply = recorder.start()
+    assert reply.success
+    assert Path(reply.uri).parent == recorder.data
+    assert Path(reply.uri).name.startswith("recording_")
+    reply = recorder.stop()
+    assert (reply.success, reply.samples) == (True, 0)
+    assert "nothing came on /phase_currents" in reply.message
+
+
+def test_losses_and_silence_are_told(ros):
+    recorder, bench = Recorder(ros, silence=0.5, max_file_duration=1e-3), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    recorder.wait_for_status("No message has come on /resolver yet", 1)
+    bench.publish(30, lose={(7, "/resolver"), (8, "/resolver"), (20, "/phase_voltages")})
+    values = recorder.wait_for_status("200 samples of /resolver were lost in 1 places", 1)
+    assert values["/phase_voltages: samples lost"] == "100"
+    recorder.wait_for_status("No message has come on /phase_currents for", 1)
+    reply = recorder.stop()
+    assert (reply.success, reply.samples, reply.dropped) == (True, 3000, 300)
+    assert "these samples were lost: 100 of /phase_voltages, 200 of /resolver" in reply.message
+    information = yaml.safe_load((recorder.data / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["custom_data"]["samples_lost:/resolver"] == "200"
+    assert len(information["relative_file_paths"]) > 1  # split by duration
+    assert any("missing in 1 places" in text for text in read_recording(recorder.data / "bag").warnings)
+
+
+@pytest.fixture
+def stranger(ros, monkeypatch):
+    """A node that is apart from the test's own, as if in another process."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.setenv(name, ros.environment[name])
+    context = Context()
+    context.init(args=[], domain_id=int(ros.environment["ROS_DOMAIN_ID"]))
+    node = Node("stranger", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_publishers_that_do_not_fit_are_named(ros, stranger):
+    from std_msgs.msg import String
+
+    from drive_id.nodes.qos import STREAM
+
+    wrong = stranger.create_publisher(String, "/current_reference", STREAM)
+    bench = Bench(ros, best_effort={"/resolver"})
+    ros.node.destroy_publisher(bench.publishers.pop("/current_reference"))
+    recorder = Recorder(ros)
+    bench.wait_for_listeners()
+    said = "/stranger publishes std_msgs/msg/String on /current_reference instead of drive_id_msgs"
+    recorder.wait_for_status(said, 2)
+    recorder.wait_for_status("/test_bench offers /resolver as best effort only", 2)
+    assert recorder.start("bag").success
+    bench.publish(5)
+    recorder.wait_for_samples(resolver=500, phase_currents=500)
+    assert recorder.stop().success
+    with Reader(recorder.data / "bag") as reader:
+        qos = {c.topic: c.ext.offered_qos_profiles[0].reliability.name for c in reader.connections}
+    assert qos["/resolver"] == "BEST_EFFORT"
+    assert qos["/phase_currents"] == "RELIABLE"
+    stranger.destroy_publisher(wrong)
+    recorder.wait_for_status("Not recording. /test_bench offers /resolver", 1)
+
+
+def test_a_best_effort_publisher_that_comes_later(ros):
+    recorder = Recorder(ros)
+    assert recorder.start("bag").success
+    bench = Bench(ros, best_effort={topic.name for topic in TOPICS})
+    bench.wait_for_listeners()
+    bench.publish(3)
+    recorder.wait_for_samples(phase_currents=300, phase_voltages=300, resolver=300, current_reference=300)
+    assert recorder.stop().dropped == 0
+
+
+def test_a_namespace(ros):
+    recorder, bench = Recorder(ros, namespace="/drive_1"), Bench(ros, namespace="/drive_1")
+    other = Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    other.publish(3)
+    bench.publish(4)
+    ros.wait(lambda: len(stock_if_whole(recorder)) == 16, "16 messages", 60)
+    assert {topic for topic, _ in stock_if_whole(recorder)} == {f"/drive_1{topic.name}" for topic in TOPICS}
+
+
+def stock_if_whole(recorder):
+    """Stop, and start again, until everything is there: the messages of all bags."""
+    recorder.stop()
+    messages = [message for path in sorted(recorder.data.iterdir()) for message in stock_messages(path)]
+    recorder.start()
+    return messages
+
+
+# -- ends ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk(ros):
+    recorder, bench = Recorder(ros, chunk_size=8192, flush_period=0.1), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (150_000, 10**9))
+    bench.publish(300)
+    no_disk = os.strerror(errno.EFBIG)
+    recorder.wait_for_status(no_disk, 2)
+    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (10**9, 10**9))
+    reply = recorder.stop()
+    assert not reply.success
+    assert f"cannot be written ({no_disk})" in reply.message
+    assert "complete and readable" in reply.message
+    assert 0 < reply.samples < 30000
+    messages = stock_messages(recorder.data / "bag")
+    assert len([topic for topic, _ in messages if topic == "/phase_currents"]) * 100 == reply.samples
+    assert len(read_recording(recorder.data / "bag").samples) > 0
+    assert recorder.stop().message.startswith("Nothing is being recorded")
+    assert recorder.start("next").success
+    bench.publish(2)
+    recorder.wait_for_samples(phase_currents=200)
+    assert recorder.stop().success
+    assert f"cannot be written ({no_disk})" in recorder.process.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_node_ends_during_a_recording(ros, number):
+    recorder, bench = Recorder(ros), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    bench.publish(10)
+    recorder.wait_for_samples(phase_currents=1000, resolver=1000)
+    code, _ = recorder.process.interrupt(number=number)
+    assert code == 0
+    assert "Traceback" not in recorder.process.output
+    assert len(read_recording(recorder.data / "bag").samples) == 1000
+    assert read_recording(recorder.data / "bag").warnings == ()
+
+
+def test_a_recorder_that_is_killed(ros):
+    recorder, bench = Recorder(ros, flush_period=0.2), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    bench.publish(100)
+    path = recorder.data / "bag"
+
+    def flushed():
+        try:
+            return len(read_recording(path).samples) == 10000
+        except Exception:  # noqa: BLE001  # nothing there yet
+            return False
+
+    ros.wait(flushed, "the flush of 10000 samples")
+    bench.publish(1)
+    recorder.process.popen.send_signal(signal.SIGKILL)
+    recorder.process.popen.wait()
+    recording = read_recording(path)
+    assert "was not completed" in recording.warnings[0]
+    assert 10000 <= len(recording.samples) <= 10100
+    recovery = recover_bag(path)
+    assert len(stock_messages(recovery.output)) == sum(recovery.topics.values()) >= 400
+    again = Recorder(ros, namespace="/again")  # another name, for the killed one's services seem to be there still
+    reply = again.start("bag")
+    assert not reply.success
+    assert "exists already" in reply.message
+
+
+# -- parameters ----------------------------------------------------------------------------------------------------
+
+
+def test_the_shipped_file_holds_the_defaults(ros):
+    from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+    from rclpy.parameter import Parameter, parameter_value_to_python
+
+    recorder = ros.start(MODULE, arguments=["--params-file", str(CONFIG)])
+    names = list(RecordingSettings.__dataclass_fields__)
+    given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
+    assert RecordingSettings(**given) == RecordingSettings()
+    assert list(given) == names
+    values = ros.call(GetParameters, "/recorder/get_parameters", names=names).values
+    assert [parameter_value_to_python(value) for value in values] == list(given.values())
+    for descriptor in ros.call(DescribeParameters, "/recorder/describe_parameters", names=names).descriptors:
+        assert descriptor.description
+        assert descriptor.read_only == (descriptor.name == "queue_depth")
+
+    def change(name, value):
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        return ros.call(SetParametersAtomically, "/recorder/set_parameters_atomically", parameters=[parameter]).result
+
+    assert change("max_file_size", 5.0).successful
+    for name, value in (("chunk_size", 10**6), ("compression", "zip"), ("flush_period", 0.0), ("queue_depth", 2000)):
+        assert not change(name, value).successful, name
+    assert recorder.interrupt()[0] == 0

@@ -1,0 +1,1 @@
+"""What engineers do with identified maps: pictures and derived quantities."""

@@ -1,0 +1,185 @@
+"""What the command line and the nodes do with bags: simulate one, fit some."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.identification import Identification
+from drive_id.core.identify import Progress, identify, score, silent
+from drive_id.core.trajectories import Lissajous
+from drive_id.errors import ConfigurationError
+from drive_id.files.bag_reader import Recording, read_recordings
+from drive_id.files.bag_writer import write_recording
+from drive_id.files.machines import read_machine
+from drive_id.files.results import Provenance, check_absent, check_output, write_results
+from drive_id.files.signals import SignalMap
+from drive_id.sim.drive import Simulation, simulate
+from drive_id.sim.machine import default_amplitude
+from drive_id.sim.machines import machine_map
+from drive_id.sim.settings import SimulationSettings
+from drive_id.types import MachineMap
+
+PICTURE = "flux_map.png"
+_MOST_SAMPLES = 2e7
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What a fit of bags yields.
+
+    Parameters
+    ----------
+    recording : Recording
+    identification : Identification
+    provenance : Provenance
+    """
+
+    recording: Recording
+    identification: Identification
+    provenance: Provenance
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about the recording and about the fit."""
+        return (*self.provenance.warnings, *self.identification.report.warnings)
+
+
+def load_machine(name_or_file: str) -> MachineMap:
+    """Return a shipped machine by name or read one from a ``.npz`` or ``.mat`` file.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none, or the file is not a machine.
+    """
+    path = Path(name_or_file)
+    is_file = path.suffix in (".npz", ".mat") or os.path.exists(path)  # noqa: PTH110  # never raises, whatever the name
+    return read_machine(path) if is_file else machine_map(name_or_file)
+
+
+def run_experiment(
+    machine: MachineMap, settings: SimulationSettings, trajectory: Lissajous | None = None, seconds: float = 10.0
+) -> Simulation:
+    """Drive a simulated machine along a trajectory.
+
+    Parameters
+    ----------
+    machine : MachineMap
+    settings : SimulationSettings
+    trajectory : Lissajous, optional
+        Its radius gives way to that of the settings or of the machine.
+    seconds : float
+        Duration, s.
+
+    Raises
+    ------
+    ConfigurationError
+        When machine, settings and duration do not make an experiment.
+    """
+    samples = seconds / settings.sample_period
+    if not 2 <= samples <= _MOST_SAMPLES:
+        raise ConfigurationError(
+            f"{seconds:g} s at a period of {settings.sample_period:g} s make {samples:.3g} samples: choose a duration "
+            f"that makes between 2 and {_MOST_SAMPLES:.0e}."
+        )
+    count = round(samples)
+    i_max = settings.i_max or default_amplitude(machine)
+    trajectory = replace(trajectory or Lissajous(), i_max=i_max)
+    reference = trajectory(settings.sample_period * np.arange(count, dtype=np.float64))
+    return simulate(machine, settings, reference)
+
+
+def simulate_bag(
+    machine: MachineMap, settings: SimulationSettings, output: Path, trajectory: Lissajous, seconds: float
+) -> Simulation:
+    """Drive a simulated machine along a trajectory and write the recording, its ground truth attached.
+
+    Raises
+    ------
+    OutputError
+        When the output exists or cannot be written.
+    ConfigurationError
+        When machine, settings and trajectory do not fit together.
+    """
+    check_absent(output)
+    simulation = run_experiment(machine, settings, trajectory, seconds)
+    write_recording(output, simulation.samples, simulation.truth)
+    return simulation
+
+
+def fit_bags(
+    bags: Sequence[Path],
+    output: Path | None,
+    settings: FitSettings,
+    *,
+    signals: SignalMap | None = None,
+    namespace: str = "",
+    force: bool = False,
+    picture: bool = True,
+    tell: Progress = silent,
+) -> Fit:
+    """Fit one or several bags of one drive and write the results.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+    output : Path, optional
+        Folder for the result files; none are written without.
+    settings : FitSettings
+    signals : SignalMap, optional
+        Where to find the signals in bags that are not ours.
+    namespace : str
+        Of the drive, when a bag holds several.
+    force : bool
+        Write into a folder that holds other files.
+    picture : bool
+        Draw the maps beside the result files.
+    tell : callable, optional
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    DriveIdError
+        Nothing is written then.
+    """
+    if output is not None:
+        check_output(output, force=force)
+    tell("Reading", 0.0)
+    recording = read_recordings(bags, signals, namespace=namespace)
+    identification = identify([recording.samples], settings, tell)
+    truth = recording.truth
+    nrmse = score(identification, truth) if truth else None
+    strange = ("None of the map lies in the disc of the recorded truth: check the scale of the currents.",)
+    provenance = Provenance(
+        inputs=recording.digests,
+        settings=settings,
+        machine=truth.machine if truth else "",
+        nrmse=nrmse,
+        warnings=recording.warnings + (strange if nrmse and not np.isfinite(nrmse).all() else ()),
+    )
+    fit = Fit(recording, identification, provenance)
+    if output is not None:
+        tell("Writing", 0.0)
+        pictures = {PICTURE: draw_fit(fit)} if picture else {}
+        write_results(output, identification, provenance, force=force, pictures=pictures)
+    return fit
+
+
+def draw_fit(fit: Fit) -> bytes:
+    """Draw the identified maps with the trajectory over them, as PNG."""
+    from drive_id.analysis.plots import draw_flux_maps, to_png  # noqa: PLC0415  # matplotlib is slow to import
+
+    samples = fit.recording.samples
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    name = f"{fit.provenance.machine}, " if fit.provenance.machine else ""
+    return to_png(draw_flux_maps(fit.identification, i_dq, f"{name}method {fit.identification.method}"))

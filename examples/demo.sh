@@ -1,0 +1,70 @@
+#!/usr/bin/env bash
+# The whole suite, live: a simulated bench, the trajectory publisher, the recorder and the identification node as separate
+# processes, driven through their services by examples/supervisor.py. Everything is left in out/demo.
+set -euom pipefail # m: processes in groups of their own, so that Ctrl-C reaches this script, which ends them in order
+output=$(realpath -m "${1:-out/demo}")
+here=$(dirname "$(realpath "$0")")
+export PYTHONUNBUFFERED=1 ROS_LOG_DIR="$output/log/ros"
+
+rm -rf "$output"
+mkdir -p "$output/log"
+declare -A node  # name to process
+
+start() { # NAME, its parameters as NAME:=VALUE
+    local name=$1 parameters=()
+    shift
+    for parameter in "$@"; do parameters+=(-p "$parameter"); done
+    python -m "drive_id.nodes.$name" --ros-args "${parameters[@]}" >"$output/log/$name.log" 2>&1 &
+    node[$name]=$!
+}
+
+stop_all() {
+    kill -INT "${node[@]}" 2>/dev/null || true
+    local name status=0
+    for name in "${!node[@]}"; do
+        wait "${node[$name]}" || { status=$?; echo "demo: $name ended with exit code $status:" >&2; tail -n 20 "$output/log/$name.log" >&2; }
+    done
+    node=()
+    return "$status"
+}
+end() { # of this script, also by Ctrl-C
+    if [ -n "$supervisor" ] && kill -INT "$supervisor" 2>/dev/null; then
+        wait "$supervisor" || true # it brings the bench to rest
+    fi
+    [ ${#node[@]} -eq 0 ] || stop_all || true
+}
+supervisor=
+trap end EXIT
+trap 'exit 130' INT TERM
+
+echo "Four nodes are started: an interior-magnet machine of 300 A with rotor harmonics, sensor noise and an"
+echo "uncompensated inverter is simulated at 500 rpm; what they say is in $output/log."
+start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
+start recorder "data_directory:='$output'"
+start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true
+start trajectory_publisher i_max:=300.0 duration:=10.0
+
+python "$here/supervisor.py" --recording bag --truth "$output/truth.npz" --output "$output" &
+supervisor=$!
+status=0
+wait -n || status=$? # whoever ends first; it must be the supervisor
+if kill -0 "$supervisor" 2>/dev/null; then
+    echo "demo: a node has died during the experiment." >&2
+    kill -INT "$supervisor" 2>/dev/null || true
+    wait "$supervisor" || true
+    status=1
+fi
+supervisor=
+[ "$status" -eq 0 ] || for log in "$output"/log/*.log; do
+    echo "--- $log" >&2
+    tail -n 20 "$log" >&2
+done
+stop_all || status=1
+[ "$status" -eq 0 ] || exit "$status"
+
+echo
+echo "4. The same recording, read without ROS by the command line:"
+drive-id info "$output/bag"
+echo
+echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
+echo "$output/recording_psm, recording_joint and live_joint: look at flux_map.png."

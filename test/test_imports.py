@@ -1,0 +1,187 @@
+"""The rooms of the design and what each may import; imports in functions and for type checking count, too."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "drive_id"
+NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types"}
+APPLICATION = {"drive_id.identifier", "drive_id.reproduction", "drive_id.tables", "drive_id.workflows"}
+LIBRARY_ROOMS = {"drive_id.core", "drive_id.sim", "drive_id.files", "drive_id.analysis"}
+ROS = {
+    "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch", "launch_ros",
+    "rcl_interfaces", "rclpy", "rosgraph_msgs", "std_msgs", "std_srvs",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Room:
+    """What the modules of a room may import of ours and of others, itself and the standard library aside."""
+
+    ours: frozenset[str]
+    others: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, ours: set[str], others: set[str]) -> Room:
+        return cls(frozenset(ours), frozenset(others))
+
+
+ROOMS = {
+    "drive_id": Room.of(set(), set()),
+    "drive_id.errors": Room.of(set(), set()),
+    "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
+    "drive_id.settings": Room.of({"drive_id.errors"}, set()),
+    "drive_id.core": Room.of(NOUNS, {"numpy", "scipy", "numba"}),
+    "drive_id.sim": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy"}),
+    "drive_id.analysis": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy", "matplotlib"}),
+    "drive_id.files": Room.of(
+        NOUNS | {"drive_id", "drive_id.core"},
+        {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"},
+    ),
+    **{
+        name: Room.of(NOUNS | LIBRARY_ROOMS | (APPLICATION - {name}) | {"drive_id"}, {"numpy", "rich"})
+        for name in APPLICATION
+    },
+    "drive_id.nodes": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"numpy", "yaml", *ROS}),
+    "drive_id.cli": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"typer", "rich", "yaml"}),
+}
+
+
+def room_of(module: str) -> str:
+    """Return the room of a module of ours: the longest name in the table that it lies in."""
+    parts = module.split(".")
+    for length in range(len(parts), 1, -1):
+        if ".".join(parts[:length]) in ROOMS:
+            return ".".join(parts[:length])
+    if module == "drive_id":
+        return module
+    raise AssertionError(f"{module} is in no room: put it into one, or add the room to this table and to the design.")
+
+
+def imports(source: str) -> Iterator[tuple[int, str]]:
+    """Yield line and absolute name of everything that a source imports, wherever it does."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: import absolutely."
+            if node.module == "drive_id":  # modules and names of the package
+                yield from ((node.lineno, f"drive_id.{alias.name}") for alias in node.names)
+            else:
+                yield node.lineno, str(node.module)
+        elif isinstance(node, ast.Call) and called(node) in ("__import__", "import_module"):
+            argument = node.args[0] if node.args else None
+            assert isinstance(argument, ast.Constant), f"line {node.lineno}: import by a name that can be read here."
+            yield node.lineno, str(argument.value)
+
+
+def called(node: ast.Call) -> str:
+    return getattr(node.func, "id", getattr(node.func, "attr", ""))
+
+
+def violations(module: str, source: str) -> list[str]:
+    """Say which imports of a module its room does not allow."""
+    own = room_of(module)
+    found = []
+    for line, name in imports(source):
+        top = name.split(".")[0]
+        if top == "drive_id":
+            target = room_of("drive_id" if name == "drive_id.__version__" else name)
+            allowed = target == own or target in ROOMS[own].ours
+        else:
+            allowed = top in sys.stdlib_module_names or top in ROOMS[own].others
+        if not allowed:
+            found.append(f"{module}, line {line}: {own} must not import {name}")
+    return found
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_keep_the_direction_of_the_arrows(module):
+    assert not violations(module, MODULES[module].read_text(encoding="utf-8"))
+
+
+def test_the_walk_finds_the_package():
+    for name in ("drive_id", "drive_id.cli", "drive_id.workflows", "drive_id.core.identify", "drive_id.files.bag"):
+        assert name in MODULES
+    assert len(MODULES) > 50
+
+
+def test_the_initial_modules_import_nothing():
+    """Importing one room must not load others behind its back."""
+    for name, path in MODULES.items():
+        if path.name == "__init__.py":
+            found = [target for _, target in imports(path.read_text(encoding="utf-8"))]
+            assert all(target == "__future__" or target.startswith(f"{name}.") for target in found), name
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("drive_id.errors", "from drive_id.types import Samples"),
+        ("drive_id.types", "import drive_id.settings"),
+        ("drive_id.settings", "import numpy"),
+        ("drive_id.core.identify", "from drive_id.files.bag import open_bag"),
+        ("drive_id.core.identify", "import matplotlib.pyplot as plt"),
+        ("drive_id.core.identify", "def f():\n    from drive_id.sim import drive"),
+        ("drive_id.core.identify", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rclpy"),
+        ("drive_id.core.identify", "try:\n    import yaml\nexcept ImportError:\n    yaml = None"),
+        ("drive_id.core.identify", "import importlib\nimportlib.import_module('rclpy')"),
+        ("drive_id.core.identify", "__import__('mcap')"),
+        ("drive_id.core.identify", "from drive_id import workflows"),
+        ("drive_id.sim.drive", "from drive_id.analysis.plots import to_png"),
+        ("drive_id.sim.drive", "import numba"),
+        ("drive_id.analysis.plots", "from drive_id.files.results import write_results"),
+        ("drive_id.files.bag", "import rclpy"),
+        ("drive_id.files.bag", "from drive_id_msgs.msg import Resolver"),
+        ("drive_id.files.bag", "from drive_id.sim.drive import simulate"),
+        ("drive_id.workflows", "from drive_id.cli import app"),
+        ("drive_id.workflows", "from drive_id.nodes.recorder import main"),
+        ("drive_id.reproduction", "import typer"),
+        ("drive_id.nodes.recorder", "import drive_id.cli"),
+        ("drive_id.nodes.recorder", "from drive_id import cli"),
+        ("drive_id.cli", "from drive_id.nodes.recorder import main"),
+        ("drive_id.cli", "import rclpy"),
+    ],
+)
+def test_the_checker_sees_what_is_forbidden(module, source):
+    assert len(violations(module, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("drive_id.core.identify", "import json\nimport numpy as np\nfrom drive_id.types import Samples"),
+        ("drive_id.core.identify", "from drive_id.core import checks, frames"),
+        ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.bag_writer import write_recording"),
+        ("drive_id.nodes.recorder", "from drive_id.workflows import fit_bags"),
+        ("drive_id.cli", "import drive_id\nfrom drive_id.workflows import fit_bags"),
+        ("drive_id.workflows", "def f():\n    from drive_id.analysis.plots import to_png"),
+    ],
+)
+def test_the_checker_lets_pass_what_is_allowed(module, source):
+    assert violations(module, source) == []
+
+
+def test_the_checker_refuses_what_it_cannot_judge():
+    with pytest.raises(AssertionError, match="in no room"):
+        violations("drive_id.utils", "")
+    with pytest.raises(AssertionError, match="in no room"):
+        violations("drive_id.cli", "import drive_id.utils")
+    with pytest.raises(AssertionError, match="import absolutely"):
+        violations("drive_id.core.identify", "from . import frames")
+    with pytest.raises(AssertionError, match="by a name that can be read"):
+        violations("drive_id.core.identify", "import importlib\nimportlib.import_module(name)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from drive_id.core.health import Health
 from drive_id.errors import ConfigurationError
 from drive_id.files.ground_truth import write_truth
 from drive_id.nodes.diagnostics import Diagnostics
@@ -62,7 +64,7 @@ class BenchSimulator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
         self._timer = self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=steady)
-        self._diagnostics = Diagnostics(self, self._bench.health)
+        self._diagnostics = Diagnostics(self, self._health)
         self.get_logger().info("Ready.")
 
     def _tell_truth(self) -> None:
@@ -75,6 +77,13 @@ class BenchSimulator(Node):
             f"Simulating {truth.machine}: R {truth.resistance:.4g} ohm, i_max {truth.i_max:g} A, inverter "
             f"{self._drive.inverter}, {', '.join(f'{speed:g}' for speed in self._drive.speeds)} rpm; the truth {where}."
         )
+
+    def _health(self) -> Health:
+        """Add how many listen, which only the bench knows: what it sends before it has found one is lost on it."""
+        health = self._bench.health()
+        publishers = self._publishers_kept.values()
+        listeners = {f"{p.topic_name}: listeners": str(p.get_subscription_count()) for p in publishers}
+        return replace(health, values={**health.values, **listeners})
 
     def _now(self) -> int:
         if self._follows_clock:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from functools import partial
 from typing import Any
 
-import rclpy
 from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver
 from drive_id_msgs.srv import Identify
 from rclpy.clock import Clock, ClockType
@@ -63,12 +61,8 @@ class Identification(Node):
         self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
     def close(self) -> None:
-        """Give up the fit that is under way."""
-        if not self._worker.stop(_PATIENCE):  # compiled code cannot be stopped, and must not hold up the end
-            self.destroy_node()
-            rclpy.try_shutdown()
-            sys.stdout.flush()
-            os._exit(0)
+        """Give up the fit that is under way; where it does not, in compiled code, it ends with the process."""
+        self._worker.stop(_PATIENCE)
 
     def _look_round(self) -> None:
         for topic in self._topics:

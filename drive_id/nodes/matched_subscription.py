@@ -58,6 +58,7 @@ class MatchedSubscription:
         if self._subscription is not None and wanted == self.reliable:
             return
         if self._subscription is not None:
+            self.drain()
             self._node.destroy_subscription(self._subscription)
         self.reliable = wanted
         base = STREAM if wanted else STREAM_BEST_EFFORT
@@ -65,6 +66,20 @@ class MatchedSubscription:
             history=base.history, depth=self._depth, reliability=base.reliability, durability=base.durability
         )
         self._subscription = self._node.create_subscription(self._kind, self._given, self._callback, qos, raw=self._raw)
+
+    def drain(self) -> None:
+        """Call the callback with every message that has arrived by now, instead of when the executor gets to it.
+
+        An executor works off what waits in an order of its own: the single-threaded one serves a request after one
+        message of each topic, however many came before it.
+        """
+        subscription = self._subscription
+        for _ in range(self._depth):  # no more can wait; those that come meanwhile are not from before the call
+            with subscription.handle:
+                taken = subscription.handle.take_message(self._kind, self._raw)
+            if taken is None:
+                return
+            self._callback(taken[0])
 
     def offered(self) -> Qos | None:
         """Return the quality of service that the topic is offered with; None while nobody publishes it."""

@@ -37,7 +37,7 @@ _LAST_PATIENCE = 30.0  # s, when the node ends
 
 
 class Recorder(Node):
-    """Is subscribed from its beginning, so that a recording begins with the next message."""
+    """Is subscribed from its beginning: a recording holds what arrives from its start to its stop, and nothing else."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -64,6 +64,7 @@ class Recorder(Node):
     def close(self) -> None:
         """Complete the bag when the node ends during a recording."""
         if self._session is not None:
+            self._drain()
             ended = self._session.stop(_LAST_PATIENCE)
             outcome = self._session.report().outcome()
             self.get_logger().info(outcome if ended else f"{outcome} The disk does not answer: the bag breaks off.")
@@ -75,6 +76,11 @@ class Recorder(Node):
         self._last[topic] = time.monotonic()
         if self._session is not None:
             self._session.receive(topic, data, self._now())
+
+    def _drain(self) -> None:
+        """Take what has arrived: it came before what the node is about to do."""
+        for topic in self._topics:
+            topic.drain()
 
     def _now(self) -> int:
         clock = self.get_clock()
@@ -109,6 +115,7 @@ class Recorder(Node):
             path = recording_path(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
             for topic in self._topics:
                 topic.match()
+            self._drain()
             recorded = [RecordedTopic(topic.topic, topic.type_name, topic.offered()) for topic in self._topics]
             distro = os.environ.get("ROS_DISTRO", "jazzy")
             self._session = RecordingSession(path, recorded, self._settings, ros_distro=distro)
@@ -125,6 +132,8 @@ class Recorder(Node):
         if self._session is None:
             response.message = "Nothing is being recorded: start a recording first."
             return response
+        if not self._stopping:
+            self._drain()
         self._stopping = True
         if not self._session.stop(_PATIENCE):
             response.uri = str(self._session.path)

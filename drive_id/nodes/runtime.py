@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import NoReturn
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -15,7 +20,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from drive_id.errors import DriveIdError
+from drive_id.nodes.middleware import without_type_lookup
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _WAKE_UP = 0.1  # s; how long a node without any callback to work off overlooks a signal
 
 
@@ -28,17 +35,31 @@ class Stop:
     def __init__(self) -> None:
         self.asked = False
         self.spinning = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        self._heard, self._tell = os.pipe()
+        for number in SIGNALS:
             signal.signal(number, self._handle)
 
     def _handle(self, _number: int, _frame: FrameType | None) -> None:
         first, self.asked = not self.asked, True
         if first and not self.spinning:
             raise KeyboardInterrupt
+        if first:
+            os.write(self._tell, b"!")  # takes no lock, which the code that the signal has interrupted may hold
+
+    def complete(self, future: Future[None]) -> None:
+        """Complete a future as soon as the process is told to stop."""
+
+        def wait() -> None:
+            os.read(self._heard, 1)
+            future.set_result(None)
+
+        threading.Thread(target=wait, name="stop", daemon=True).start()
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
-    """Make a node, spin it until the process is told to stop, close it, and end with exit code 0.
+    """Make a node, spin it until the process is told to stop, close it, and end the process.
+
+    The exit code is 0, or 1 when the node could not be made, with one sentence that says why.
 
     Parameters
     ----------
@@ -49,35 +70,54 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
     """
     stop = Stop()
     node: Node | None = None
+    code = 0
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        node = make()
+        with without_type_lookup():
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            node = make()
         spin(node, stop)
     except (DriveIdError, ParameterException) as error:
         sys.stderr.write(f"{make.__name__}: {error}\n")
-        raise SystemExit(1) from None
+        code = 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # how a node is meant to be stopped
     finally:
-        stop.asked = True  # from here on, signals do not break off the end
+        # Ctrl-C and a launcher often send one signal each: the second must not break off the end.
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
         close = getattr(node, "close", None)
         if close is not None:
             close()
         if node is not None:
             node.destroy_node()
+        else:
+            gc.collect()  # destroys one that was half made, so that nobody goes on seeing it
         rclpy.try_shutdown()
-        # Ctrl-C and a launcher often send one signal each; the second must not kill an interpreter that is going down.
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    _leave(code)
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process now that all is closed, without taking the interpreter and its libraries apart.
+
+    That took seconds on a busy machine, for nothing; Python 3.11 then dies of SIGINT, whatever the exit code was to be,
+    if a KeyboardInterrupt has ever gone through an ``exec`` (numba's, say); and a fit that cannot be stopped goes on in
+    its thread meanwhile.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    ctypes.CDLL(None).fflush(None)  # logs of rcl on stdout
+    os._exit(code)
 
 
 def spin(node: Node, stop: Stop) -> None:
     """Work off a node's callbacks until the process is told to stop or the context is shut down."""
     executor = _executor()
     executor.add_node(node)
-    forever: Future[None] = Future()
+    over: Future[None] = Future()
+    stop.complete(over)  # the events executor looks at the time only when it has nothing to do: a busy one is deaf else
     stop.spinning = True
     while rclpy.ok() and not stop.asked:
-        executor.spin_until_future_complete(forever, _WAKE_UP)
+        executor.spin_until_future_complete(over, _WAKE_UP)
 
 
 def _executor() -> Executor:

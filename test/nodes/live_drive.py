@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
+from simulated_time import stamp_of
 
 from drive_id.core import frames
 
 PUBLISHER = "drive_id.nodes.trajectory_publisher"
 BENCH = "drive_id.nodes.bench_simulator"
+SIGNALS = ("phase_currents", "phase_voltages", "resolver")
 SETTINGS = {
-    "i_max": 100.0, "frequency_d": 7.3, "frequency_q": 2.3, "duration": 1.0, "slew_rate": 2e4, "lead_time": 0.5,
-    "watch_timeout": 3.0,
+    "i_max": 100.0, "frequency_d": 7.3, "frequency_q": 2.3, "duration": 1.0, "slew_rate": 2e4, "lead_time": 1.0,
+    "watch_timeout": 30.0,
 }  # fmt: skip
 """A short experiment, patient enough for a busy machine."""
 
 
 class LiveDrive:
-    """Both processes in one namespace, everything that they publish, and their services."""
+    """Both processes in one namespace, everything that they publish, and their services.
 
-    def __init__(self, ros, namespace="", publisher=None, bench=None, **remaps):
+    Their time is simulated while the test waits, by the ``clock`` given, or by the bench itself without any.
+    """
+
+    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, **remaps):
         from diagnostic_msgs.msg import DiagnosticArray
         from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
 
-        self.ros = ros
+        self.ros, self.clock = ros, clock
         self.namespace = namespace
         arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
+        bench = {"use_sim_time": clock is not None} | (bench or {})
+        publisher = SETTINGS | {"use_sim_time": True} | (publisher or {})
         self.bench = ros.start(BENCH, parameters=bench, arguments=arguments, namespace=namespace)
-        self.publisher = ros.start(
-            PUBLISHER, parameters=SETTINGS | (publisher or {}), arguments=arguments, namespace=namespace
-        )
-        self.messages = {}
+        self.publisher = ros.start(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
+        self.messages, self._before = {}, {}
         for kind, name in (
             (PhaseCurrents, "phase_currents"), (PhaseVoltages, "phase_voltages"), (Resolver, "resolver"),
             (CurrentReference, "current_reference"),
@@ -39,11 +45,18 @@ class LiveDrive:
             self.messages[name] = []
             topic = f"{namespace}/{remaps.get(name, name)}"
             ros.node.create_subscription(kind, topic, self.messages[name].append, 1000)
-        self.statuses = {}
+        if clock is not None:
+            clock.follow(
+                partial(self.last, "resolver"), partial(self.last, "current_reference"),
+                lambda: self.bench, lambda: self.publisher,
+            )  # fmt: skip
+        self.statuses, self.times = {}, {}
         ros.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message):
-        self.statuses |= {status.name: status for status in message.status}
+        for status in message.status:
+            self.statuses[status.name] = status
+            self.times[status.name] = stamp_of(message)
 
     def status(self, node="trajectory_publisher"):
         return self.statuses.get(f"{self.namespace}/{node}")
@@ -75,7 +88,16 @@ class LiveDrive:
 
     def start(self):
         """Start as soon as the publisher has heard from the drive."""
-        return self.ask("start", lambda reply: reply.success, "a start")
+        if self.clock is None:
+            return self.ask("start", lambda reply: reply.success, "a start")
+
+        def attempt():
+            before, reply = self.last("current_reference"), self.trigger("start")
+            if reply.success:
+                self.ros.wait(lambda: self.last("current_reference") is not before, "references")
+            return reply if reply.success else None
+
+        return self.clock.start(attempt, lambda now: self.times.get(f"{self.namespace}/trajectory_publisher") == now)
 
     def refuses(self, reason):
         """Wait until a start is refused for this reason."""
@@ -104,7 +126,19 @@ class LiveDrive:
         """Wait until the publisher's diagnostics say so."""
         self.ros.wait(lambda: (status := self.status()) and text in status.message, f"diagnostics: {text}")
 
+    def last(self, name):
+        """Return the last message of a topic, forgotten or not; None before the first one."""
+        return self.messages[name][-1] if self.messages[name] else self._before.get(name)
+
+    def replace_bench(self):
+        """Start another bench in place of one that was killed, whose samples end where that died."""
+        self.bench = self.ros.start(BENCH, parameters={"use_sim_time": True}, namespace=self.namespace)
+        for name in SIGNALS:
+            self.messages[name].clear()
+            self._before.pop(name, None)
+
     def forget(self):
+        self._before = {name: self.last(name) for name in self.messages}
         for messages in self.messages.values():
             messages.clear()
 
@@ -149,7 +183,7 @@ class LiveDrive:
 
 def samples(message, *fields):
     """Return stamps (N,), ns, and values (N, K) of a block."""
-    first = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    first = stamp_of(message)
     values = np.stack([np.frombuffer(getattr(message, name), np.float32) for name in fields], axis=-1).astype(float)
     return first + np.round(np.arange(len(values)) * message.sample_period * 1e9).astype(np.int64), values
 
@@ -159,5 +193,5 @@ def assert_contiguous(messages, field):
     counts = np.array([message.first_sample for message in messages])
     lengths = np.array([len(getattr(message, field)) for message in messages])
     np.testing.assert_array_equal(np.diff(counts), lengths[:-1])
-    stamps = np.array([message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages])
+    stamps = np.array([stamp_of(message) for message in messages])
     np.testing.assert_allclose(np.diff(stamps), lengths[:-1] * messages[0].sample_period * 1e9, atol=1.0)

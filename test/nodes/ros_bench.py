@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -14,8 +15,12 @@ from pathlib import Path
 
 import pytest
 
-DEADLINE = 60.0
+DEADLINE = 180.0
 """s; nothing takes as long, but machines are busy."""
+
+
+DOMAINS = 101
+"""That Fast DDS has ports for."""
 
 
 def require_ros():
@@ -26,6 +31,20 @@ def require_ros():
         if os.environ.get("DRIVE_ID_REQUIRE_ROS") == "1":
             pytest.fail(complaint)
         pytest.skip(complaint)
+
+
+def own_domain():
+    """Return a domain that no other test on this machine has, and the socket that holds it as long as it is open."""
+    for attempt in range(DOMAINS):
+        domain = 1 + (os.getpid() + attempt) % DOMAINS
+        lock = socket.socket(socket.AF_UNIX)
+        try:
+            lock.bind(f"\0drive_id_test_domain_{domain}")  # abstract: gone with the process, whatever its end
+        except OSError:
+            lock.close()
+        else:
+            return domain, lock
+    pytest.fail(f"All {DOMAINS} domains are taken")
 
 
 class Process:
@@ -44,6 +63,11 @@ class Process:
     def output(self):
         return self.log.read_text(errors="replace")
 
+    @property
+    def has_failed(self):
+        """Whether it has ended of itself, and wrongly; what a test kills, has not."""
+        return not self.expected_to_fail and self.popen.poll() not in {None, 0, -signal.SIGKILL}
+
     def interrupt(self, within=DEADLINE, number=signal.SIGINT):
         """End the process and return its exit code and how long it took, s."""
         start = time.monotonic()
@@ -52,49 +76,60 @@ class Process:
         return self.popen.returncode, time.monotonic() - start
 
     def end(self):
-        """End it whatever it is doing."""
+        """End it whatever it is doing, and return what was wrong with its end."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.popen.wait(10)
-        if self.popen.poll() is None:
-            self.popen.kill()
-            self.popen.wait()
+            try:
+                self.popen.wait(DEADLINE)
+            except subprocess.TimeoutExpired:
+                self.popen.kill()
+                self.popen.wait()
+                return f"{self.log.name}: did not end on SIGINT within {DEADLINE} s"
+        return f"{self.log.name}: exit code {self.popen.returncode}" if self.has_failed else ""
 
 
 class RosBench:
     """A node of the test's own in a domain of its own, and the processes that it has started."""
 
-    def __init__(self, folder, domain=None):
+    def __init__(self, folder):
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
+        from drive_id.nodes.middleware import without_type_lookup
+
         self.folder = Path(folder)
         self.environment = dict(os.environ)
-        domain = domain or 1 + os.getpid() % 101
+        domain, self._lock = own_domain()
         self.environment |= {
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(self.folder / "ros_log"),
+            "PYTHONFAULTHANDLER": "1",
         }
-        with _environment(self.environment):
+        with _environment(self.environment), without_type_lookup():
             self.context = Context()
             self.context.init(args=[], domain_id=domain)
             self.node = Node("test_bench", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes = []
+        self.meanwhile = []
+        """Called again and again while the test waits."""
         self._clients = {}
 
-    def start(self, module, *, parameters=None, files=(), arguments=(), namespace=""):
-        """Start ``python -m module`` with parameter files, and with parameters by name that prevail over them."""
+    def start(self, module, *, parameters=None, files=(), arguments=(), namespace="", alone=False):
+        """Start ``python -m module`` with parameter files, and with parameters by name that prevail over them.
+
+        What is alone does not know of any other process, nor anybody of it.
+        """
         given = [part for file in files for part in ("--params-file", str(file))]
         for name, value in (parameters or {}).items():
             given += ["-p", f"{name}:={_yaml(value)}"]
         remaps = ["-r", f"__ns:={namespace}"] if namespace else []
         log = self.folder / f"{module.rsplit('.', 1)[-1]}_{len(self.processes)}.log"
-        process = Process(module, ["--ros-args", *given, *remaps, *arguments], self.environment, log)
+        environment = self.environment | ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"} if alone else {})
+        process = Process(module, ["--ros-args", *given, *remaps, *arguments], environment, log)
         self.processes.append(process)
         return process
 
@@ -102,10 +137,12 @@ class RosBench:
         """Spin until the condition holds and return it; fail with the processes' output when it does not."""
         end = time.monotonic() + timeout
         while not (value := condition()):
-            if any(process.popen.poll() == 1 and not process.expected_to_fail for process in self.processes):
-                pytest.fail(f"A node has given up while waiting for: {what}\n{self.outputs()}")
+            if any(process.has_failed for process in self.processes):
+                pytest.fail(f"A node has given up or died while waiting for: {what}\n{self.outputs()}")
             if time.monotonic() > end:
                 pytest.fail(f"Not within {timeout} s: {what}\n{self.outputs()}")
+            for call in self.meanwhile:
+                call()
             self.executor.spin_once(timeout_sec=0.02)
         return value
 
@@ -127,11 +164,13 @@ class RosBench:
         return future.result()
 
     def close(self):
-        for process in self.processes:
-            process.end()
+        troubles = [trouble for process in self.processes if (trouble := process.end())]
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
+        self._lock.close()
+        if troubles:
+            pytest.fail("\n".join([*troubles, self.outputs()]))
 
 
 @contextlib.contextmanager

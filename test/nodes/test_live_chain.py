@@ -6,19 +6,22 @@ import os
 import shutil
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_bench import require_ros, ros_bench
+from ros_bench import DEADLINE, require_ros, ros_bench
+from simulated_time import SimulatedTime, end_of, stamp_of
 
 ROOT = Path(__file__).parent.parent.parent
 NODES = "drive_id.nodes."
 TOPICS = ("phase_currents", "phase_voltages", "resolver")
-LISTENERS = {"phase_currents": 3, "phase_voltages": 2, "resolver": 3}  # recorder, identification, trajectory publisher
+LISTENERS = {"phase_currents": "3", "phase_voltages": "2", "resolver": "4"}
+"""Recorder and identification, of two also the trajectory publisher, of one this test."""
 I_MAX = 100.0
 SECONDS = 4.0
+BLOCK = 10_001_000  # ns; a hundred samples at 10 kHz, and a bit for rounding
 
 
 @pytest.fixture(scope="module")
@@ -27,34 +30,9 @@ def ros():
         yield bench
 
 
-class SimulatedTime:
-    """Publishes /clock at the pace of real time while it is asked to; the bench stands still in between."""
-
-    def __init__(self, ros):
-        from rosgraph_msgs.msg import Clock
-
-        self.ros, self.kind = ros, Clock
-        self.publisher = ros.node.create_publisher(Clock, "/clock", 10)
-        self.now = 1_700_000_000_000_000_000
-
-    def run_until(self, condition, what):
-        last = time.monotonic_ns()
-
-        def tick():
-            nonlocal last
-            now = time.monotonic_ns()
-            self.now += min(now - last, 20_000_000)  # a busy machine makes the drive slower, not jumpy
-            last = now
-            message = self.kind()
-            message.clock.sec, message.clock.nanosec = divmod(self.now, 10**9)
-            self.publisher.publish(message)
-            return condition()
-
-        return self.ros.wait(tick, what)
-
-
 def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     from diagnostic_msgs.msg import DiagnosticArray
+    from drive_id_msgs.msg import CurrentReference, Resolver
     from drive_id_msgs.srv import Identify, StartRecording, StopRecording
     from std_srvs.srv import Trigger
 
@@ -62,57 +40,61 @@ def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     bench = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "use_sim_time": True}
     trajectory = {
         "i_max": I_MAX, "frequency_d": 7.3, "frequency_q": 2.3, "duration": SECONDS, "lead_time": 0.8,
-        "watch_timeout": 5.0, "use_sim_time": True,
+        "watch_timeout": 60.0, "use_sim_time": True,
     }  # fmt: skip
     ros.start(NODES + "recorder", parameters={"data_directory": str(data)})
     fit = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": I_MAX}
     ros.start(NODES + "identification", parameters=fit)
-    ros.start(NODES + "trajectory_publisher", parameters=trajectory)
-    ros.start(NODES + "bench_simulator", parameters=bench)
-    states = []
+    publisher = ros.start(NODES + "trajectory_publisher", parameters=trajectory)
+    simulator = ros.start(NODES + "bench_simulator", parameters=bench)
+    values, times, last = {}, {}, {"resolver": None, "current_reference": None}
 
     def note(message):
         for status in message.status:
-            if status.name == "/trajectory_publisher":
-                states.append({value.key: value.value for value in status.values}["state"])  # noqa: PERF401
+            values[status.name] = {value.key: value.value for value in status.values}
+            times[status.name] = stamp_of(message)
 
-    ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
-    clock = SimulatedTime(ros)
-    for name, count in LISTENERS.items():
-        ros.wait(lambda n=name, c=count: ros.node.count_subscribers(n) == c, f"{count} listeners of {name}")
-        ros.wait(lambda n=name: ros.node.count_publishers(n) == 1, f"a publisher of {name}")
+    def told(node, **wanted):
+        said = values.get(f"/{node}", {})
+        return all(said.get(key) == value for key, value in wanted.items())
+
+    ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    for kind, name in ((Resolver, "resolver"), (CurrentReference, "current_reference")):
+        ros.node.create_subscription(kind, name, partial(last.__setitem__, name), 1000)
+    # What the bench publishes before it has found a listener, that one never gets; only the bench knows.
+    listeners = {f"/{name}: listeners": count for name, count in LISTENERS.items()}
+    ros.wait(lambda: told("bench_simulator", **listeners), "everybody listening to the bench")
     uri = ros.call(StartRecording, "/recorder/start", name="bag").uri
     assert uri == str(data / "bag")
 
-    answers = []
-    client = ros.node.create_client(Trigger, "/trajectory_publisher/start")
-    ros.wait(client.service_is_ready, "the trajectory publisher")
+    def attempt():
+        reply = ros.call(Trigger, "/trajectory_publisher/start")
+        if reply.success:
+            ros.wait(lambda: last["current_reference"], "references")
+        return reply if reply.success else None
 
-    def started():
-        if not answers or (answers[-1].done() and not answers[-1].result().success):
-            answers.append(client.call_async(Trigger.Request()))
-        return answers[-1].done() and answers[-1].result().success
+    clock = SimulatedTime(ros)  # no sample before there is time
+    clock.follow(
+        partial(last.get, "resolver"), partial(last.get, "current_reference"), lambda: simulator, lambda: publisher
+    )
+    clock.start(attempt, lambda now: times.get("/trajectory_publisher") == now)
+    ros.wait(lambda: told("trajectory_publisher", state="running"), "a trajectory that runs")
+    ros.wait(lambda: told("trajectory_publisher", state="idle"), "the end of the trajectory")
 
-    clock.run_until(started, "the start of the trajectory")
-    clock.run_until(lambda: "running" in states, "a trajectory that runs")
-    clock.run_until(lambda: states[-1] == "idle", "the end of the trajectory")
-
-    counts = []
-
-    def all_there():
-        """The bench stands still; samples under way arrive."""
-        counts.append(ros.call(Identify, "/identification/identify").report.samples_read)
-        return len(counts) > 2 and counts[-1] == counts[-2] == counts[-3]
-
-    ros.wait(all_there, "live samples that are at rest")
+    clock.stands = True
+    ros.wait(lambda: clock.now - end_of(last["resolver"], last["resolver"].angle) < BLOCK, "all samples of the bench")
+    samples = last["resolver"].first_sample + len(last["resolver"].angle)
+    written = {f"/{name}: samples written": str(samples) for name in TOPICS}
+    read = {f"/{name}: samples": str(samples) for name in TOPICS}
+    ros.wait(lambda: told("recorder", **written) and told("identification", **read), f"{samples} samples everywhere")
     stopped = ros.call(StopRecording, "/recorder/stop")
     assert stopped.success, stopped.message
-    assert stopped.dropped == 0
+    assert (stopped.samples, stopped.dropped) == (samples, 0)
     live = ros.call(Identify, "/identification/identify")
     recorded = ros.call(Identify, "/identification/identify", bags=[uri])
     assert live.success, live.message
     assert recorded.success, recorded.message
-    assert live.report.samples_read == recorded.report.samples_read == stopped.samples > SECONDS * 1e4
+    assert live.report.samples_read == recorded.report.samples_read == samples > SECONDS * 1e4
     assert (live.report.gaps, recorded.report.gaps) == (0, 0)
     assert live.report.rows == recorded.report.rows
     for name in ("psi_d", "psi_q"):
@@ -145,7 +127,7 @@ def test_the_demonstration_fails_loudly_when_a_node_cannot_start(tmp_path):
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     done = subprocess.run(
-        ["bash", str(copy), str(tmp_path / "out")], env=environment, capture_output=True, text=True, timeout=120,
+        ["bash", str(copy), str(tmp_path / "out")], env=environment, capture_output=True, text=True, timeout=DEADLINE,
         check=False,
     )  # fmt: skip
     assert done.returncode != 0

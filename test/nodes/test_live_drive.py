@@ -6,8 +6,9 @@ import signal
 
 import numpy as np
 import pytest
-from live_drive import BENCH, PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
+from live_drive import PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
 from ros_bench import ros_bench
+from simulated_time import SimulatedTime
 
 from drive_id.files.ground_truth import decode_truth
 from drive_id.sim.machines import machine_map
@@ -18,7 +19,8 @@ def shared(tmp_path_factory):
     """One pair of processes for all tests that leave them alive, in a namespace."""
     with ros_bench() as ros:
         truth = tmp_path_factory.mktemp("truth") / "truth.npz"
-        drive = LiveDrive(ros, "/cell", bench={"truth_file": str(truth), "block_size": 200, "current_noise": 1e-3})
+        bench = {"truth_file": str(truth), "block_size": 200, "current_noise": 1e-3}
+        drive = LiveDrive(ros, "/cell", bench=bench, clock=SimulatedTime(ros))
         drive.truth = truth
         yield drive
 
@@ -158,7 +160,7 @@ def test_the_truth_is_in_its_file_and_in_no_topic(drive):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_publisher_with_zero_current(number):
     with ros_bench() as ros:
-        drive = LiveDrive(ros)
+        drive = LiveDrive(ros, clock=SimulatedTime(ros))
         drive.run_without_end()
         assert drive.publisher.interrupt(number=number)[0] == 0
         _, wanted = drive.ended_at_zero()
@@ -170,7 +172,7 @@ def test_signals_end_the_publisher_with_zero_current(number):
 def test_a_killed_publisher_leaves_no_current_behind():
     """References run out; the drive ramps down by itself."""
     with ros_bench() as ros:
-        drive = LiveDrive(ros)
+        drive = LiveDrive(ros, clock=SimulatedTime(ros))
         drive.run_without_end()
         drive.publisher.popen.kill()
         ros.wait(lambda: (bench := drive.status("bench_simulator")) and "no references" in bench.message, "the bench")
@@ -179,7 +181,7 @@ def test_a_killed_publisher_leaves_no_current_behind():
 
 def test_a_killed_bench_trips_the_watchdog():
     with ros_bench() as ros:
-        drive = LiveDrive(ros, publisher={"watch_timeout": 1.0})
+        drive = LiveDrive(ros, publisher={"watch_timeout": 10.0}, clock=SimulatedTime(ros))
         drive.run_without_end()
         drive.bench.popen.kill()
         drive.wait_for_message("Nothing has arrived on")
@@ -187,14 +189,15 @@ def test_a_killed_bench_trips_the_watchdog():
         drive.refuses("Not started: Nothing has arrived on")
         _, wanted = drive.ended_at_zero(alive=False)
         assert_smooth(wanted)
-        drive.bench = ros.start(BENCH)
+        drive.replace_bench()
         drive.start()
 
 
 def test_two_drives_on_one_graph_one_of_them_with_other_names():
     with ros_bench() as ros:
-        left = LiveDrive(ros, "/left", bench={"machine": "spm"}, publisher={"i_max": 10.0})
-        right = LiveDrive(ros, "/right", current_reference="wanted", phase_currents="sensors/currents")
+        clock = SimulatedTime(ros)
+        left = LiveDrive(ros, "/left", bench={"machine": "spm"}, publisher={"i_max": 10.0}, clock=clock)
+        right = LiveDrive(ros, "/right", clock=clock, current_reference="wanted", phase_currents="sensors/currents")
         left.run_without_end(5.0)
         right.run_without_end()
         assert np.hypot(*left.references()[1].T).max() <= 10.0
@@ -207,10 +210,10 @@ def test_two_drives_on_one_graph_one_of_them_with_other_names():
 
 def test_simulated_time_passes_at_its_own_speed():
     with ros_bench() as ros:
-        drive = LiveDrive(ros, bench={"time_scale": 0.5}, publisher={"use_sim_time": True})
+        drive = LiveDrive(ros, bench={"time_scale": 0.5}, publisher={"lead_time": 4.0})
         drive.run_without_end()
-        drive.forget()
-        ros.wait(lambda: len(drive.messages["resolver"]) > 120, "more than a second of samples")
+        before = len(drive.messages["resolver"])
+        ros.wait(lambda: len(drive.messages["resolver"]) > before + 120, "more than a second of samples")
         stamps, wanted = drive.references()
         times, i_dq = drive.current()
         inside = (times >= stamps[0]) & (times <= stamps[-1])
@@ -231,9 +234,10 @@ def test_a_wrong_start_is_one_sentence():
     ]
     with ros_bench() as ros:
         for module, parameters, _ in wrong:
-            ros.start(f"drive_id.nodes.{module}", parameters=parameters).expected_to_fail = True
+            process = ros.start(f"drive_id.nodes.{module}", parameters=parameters, alone=True)
+            process.expected_to_fail = True
         ros.wait(lambda: all(process.popen.poll() is not None for process in ros.processes), "their ends")
         for process, (_, _, reason) in zip(ros.processes, wrong, strict=True):
-            assert process.popen.returncode == 1
+            assert process.popen.returncode == 1, process.output
             assert reason in process.output
             assert len(process.output.strip().splitlines()) == 1, process.output

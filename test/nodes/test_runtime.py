@@ -1,0 +1,99 @@
+"""Ends of nodes: told once or often, at any moment, the exit code is 0 and nobody dies of the middleware."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from live_drive import BENCH, PUBLISHER
+from ros_bench import DEADLINE, ros_bench
+
+from drive_id.nodes.middleware import without_type_lookup
+
+VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"
+
+
+@pytest.fixture
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+def threads(process):
+    """Return the names of a process's threads."""
+    tasks = Path(f"/proc/{process.popen.pid}/task").iterdir()
+    return {(task / "comm").read_text(encoding="utf-8").strip() for task in tasks}
+
+
+def test_nodes_have_no_type_lookup_service(ros):
+    process = ros.start(BENCH)
+    ros.wait(lambda: "Ready" in process.output, "the bench")
+    names = threads(process)
+    if os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp":
+        assert any(name.startswith("dds.") for name in names), names
+    assert not any(name.startswith("dds.tls") for name in names), names
+
+
+def test_the_profile_is_there_while_a_node_is_made(monkeypatch, tmp_path):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.chdir(tmp_path)
+    with without_type_lookup():
+        path = Path(os.environ[VARIABLE])
+        assert "fastdds.type_propagation" in path.read_text(encoding="utf-8")
+    assert VARIABLE not in os.environ
+    assert not path.exists()
+
+
+def test_profiles_of_the_users_own_are_kept(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(VARIABLE, "own.xml")
+    with without_type_lookup():
+        assert os.environ[VARIABLE] == "own.xml"
+    assert os.environ[VARIABLE] == "own.xml"
+    monkeypatch.delenv(VARIABLE)
+    (tmp_path / "DEFAULT_FASTDDS_PROFILES.xml").touch()
+    with without_type_lookup():
+        assert VARIABLE not in os.environ
+
+
+@pytest.mark.parametrize("module", [PUBLISHER, BENCH])
+def test_a_signal_that_comes_again_and_again_does_no_harm(ros, module):
+    process = ros.start(module)
+    ros.wait(lambda: "Ready" in process.output, "the node")
+    while process.popen.poll() is None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            process.popen.send_signal(number)
+        time.sleep(1e-3)
+    assert process.popen.returncode == 0, process.output
+    assert "Traceback" not in process.output
+
+
+def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
+    """A bench that has always something to do, for its clock runs as fast as it can."""
+    process = ros.start(BENCH, parameters={"time_scale": 100.0})
+    ros.wait(lambda: "Ready" in process.output, "the bench")
+    ros.wait(lambda: ros.node.count_publishers("/clock") == 1, "its clock")
+    assert process.interrupt()[0] == 0, process.output
+
+
+def test_a_signal_while_the_node_is_made(ros):
+    process = ros.start(PUBLISHER)
+
+    def is_prepared():
+        """SIGTERM is caught: by nothing but the node's own handler."""
+        status = Path(f"/proc/{process.popen.pid}/status").read_text(encoding="utf-8")
+        caught = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+        return int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1
+
+    ros.wait(is_prepared, "the handler")
+    process.popen.send_signal(signal.SIGTERM)
+    try:
+        process.popen.wait(DEADLINE)
+    except subprocess.TimeoutExpired:
+        pytest.fail(f"It has not ended:\n{process.output}")
+    assert process.popen.returncode == 0, process.output
+    assert "Traceback" not in process.output

@@ -37,3 +37,57 @@ class TanhShape:
     def __call__(self, i_abc: FloatArray) -> FloatArray:
         """Return the drop for a voltage error of 1 V at phase currents of any shape, A."""
         return np.asarray(np.tanh(i_abc / self.current_scale))
+
+
+@dataclass(frozen=True, eq=False)
+class CapacitiveShapes:
+    """A dictionary of odd saturating curves, method ``full``: sums of them take the form of any real inverter's drop.
+
+    With x = i / scale each is x/2 for |x| < 1 and sign(x) (1 - 1/(2|x|)) beyond, the law of a dead time during which
+    the current charges the capacitances of the legs. All tend to 1: a part that is linear over the whole range is none
+    of them, and counts as resistance.
+
+    Parameters
+    ----------
+    scales : (S,) float
+        A, increasing.
+    """
+
+    scales: FloatArray
+
+    @classmethod
+    def up_to(cls, i_max: float) -> CapacitiveShapes:
+        """Take scales from an 800th to a 6th of the largest current, A, each twice the one before."""
+        return cls(i_max / 800 * 2.0 ** np.arange(8, dtype=np.float64))
+
+    def __call__(self, i: FloatArray) -> FloatArray:
+        """Return the curves (..., S) at phase currents (...), A."""
+        x = np.asarray(i)[..., None] / self.scales
+        return np.where(np.abs(x) < 1, x / 2, np.sign(x) * (1 - 0.5 / np.maximum(np.abs(x), 1)))
+
+    def integrals(self, i_abc: FloatArray, period: float) -> FloatArray:
+        """Integrate over time, exactly for currents that are linear between samples.
+
+        Parameters
+        ----------
+        i_abc : (N, 3) float
+            Phase currents, A.
+        period : float
+            s.
+
+        Returns
+        -------
+        (N, S, 3) float
+            From the first sample to each, s.
+        """
+        out = np.zeros((len(i_abc), len(self.scales), 3))
+        step = np.diff(i_abc, axis=0)
+        for number, scale in enumerate(self.scales):
+            x = np.abs(i_abc) / scale
+            beyond = np.maximum(x, 1.0)
+            primitive = scale * (np.minimum(x, 1.0) ** 2 / 4 + (beyond - 1) - 0.5 * np.log(beyond))
+            flat = np.abs(step) < 1e-5 * scale  # where the difference quotient loses its digits
+            middle = CapacitiveShapes(self.scales[number : number + 1])(i_abc[:-1] + step / 2)[..., 0]
+            mean = np.where(flat, middle, np.diff(primitive, axis=0) / np.where(flat, 1.0, step))
+            np.cumsum(period * mean, axis=0, out=out[1:, number])
+        return out

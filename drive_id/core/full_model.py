@@ -1,0 +1,167 @@
+"""Everything that method ``full`` fits at once, as columns of one linear regression over windows.
+
+    int u_s + delta [shifts] = R (1 + alpha dT) int i_s + u_0 dt + sum_j c_j int h_j(i)_s + k dT [e^{j theta}]
+                               + [e^{j theta} (f(i) + sum_h a_h(i) cos h theta + b_h(i) sin h theta)] at the ends
+
+f is the flux map averaged over the rotor position; a_h, b_h are its harmonics, on a coarser grid; u_0 is a constant
+voltage in the stator frame, which the offset of a current sensor causes in R int i_s. Harmonics 1 and 2 are no property
+of a machine: an offset o of the measured currents turns with -theta in the rotor frame and adds
+``-f'(i) e^{-j theta} o``, a mismatch of their gains turns with -2 theta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from drive_id.core.inverter import CapacitiveShapes
+from drive_id.core.potential import GradientSpline
+from drive_id.core.windows import SHIFTS, Windows
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+FLUX_CELLS, FLUX_DEGREE = 16, 4
+HARMONIC_CELLS, HARMONIC_DEGREE = 4, 3
+SENSOR_CELLS, SENSOR_DEGREE = 3, 3
+SENSOR_ORDERS = (1, 2)
+
+VOLTAGE, RESISTANCE = 0, 1
+CONSTANT = slice(2, 4)
+SHIFT = slice(4, 4 + len(SHIFTS))
+MAGNET = SHIFT.stop
+COPPER = 3.93e-3
+"""Temperature coefficient of the winding's resistance at 20 degrees Celsius, 1/K."""
+
+
+@dataclass(frozen=True, eq=False)
+class FullModel:
+    """The spaces of the unknowns and the columns where they stand.
+
+    Parameters
+    ----------
+    low, high : (2,) float
+        Range of the map in i_d and i_q, A.
+    i_max : float
+        Radius of the current disc, A.
+    orders : tuple of int
+        Candidate harmonics of the rotor position, electrical.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    i_max: float
+    orders: tuple[int, ...]
+
+    @cached_property
+    def shapes(self) -> CapacitiveShapes:
+        """Of the inverter's drop."""
+        return CapacitiveShapes.up_to(self.i_max)
+
+    @cached_property
+    def flux(self) -> GradientSpline:
+        """Space of the flux map."""
+        return GradientSpline.within(self.low, self.high, FLUX_CELLS, FLUX_DEGREE)
+
+    @cached_property
+    def harmonic(self) -> GradientSpline:
+        """Space of each harmonic's amplitudes."""
+        return GradientSpline.within(self.low, self.high, HARMONIC_CELLS, HARMONIC_DEGREE)
+
+    @cached_property
+    def sensor(self) -> GradientSpline:
+        """Space of each harmonic that a current sensor causes."""
+        return GradientSpline.within(self.low, self.high, SENSOR_CELLS, SENSOR_DEGREE)
+
+    @property
+    def drops(self) -> slice:
+        """Columns of the inverter's shapes, [shape, phase] row-major."""
+        return slice(MAGNET + 1, MAGNET + 1 + 3 * len(self.shapes.scales))
+
+    @property
+    def map(self) -> slice:
+        """Columns of the flux map."""
+        return slice(self.drops.stop, self.drops.stop + self.flux.parameters)
+
+    @property
+    def all_orders(self) -> tuple[int, ...]:
+        """Harmonics in the order of their columns."""
+        return (*SENSOR_ORDERS, *self.orders)
+
+    def space(self, order: int) -> GradientSpline:
+        """Return the space of a harmonic's amplitudes."""
+        return self.sensor if order in SENSOR_ORDERS else self.harmonic
+
+    @cached_property
+    def harmonics(self) -> dict[int, slice]:
+        """Columns of each harmonic, those of a_h before those of b_h."""
+        columns, start = {}, self.map.stop
+        for order in self.all_orders:
+            columns[order] = slice(start, start + 2 * self.space(order).parameters)
+            start = columns[order].stop
+        return columns
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return int(self.harmonics[self.all_orders[-1]].stop)
+
+    def contains(self, windows: Windows) -> BoolArray:
+        """Tell (N,) which windows begin and end within the range of the map."""
+        inside = self.flux.contains(windows.i_dq.reshape(-1, 2)).reshape(-1, 2)
+        return np.asarray(inside.all(axis=1))
+
+    def design(self, windows: Windows) -> FloatArray:
+        """Return the rows of the regression.
+
+        Parameters
+        ----------
+        windows : Windows
+
+        Returns
+        -------
+        (N, 2, size) float
+            Real parts in [:, 0], imaginary parts in [:, 1].
+        """
+        count, drops = len(windows), self.drops
+        out = np.zeros((count, 2, self.size))
+        known = np.concatenate([windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1)
+        out[:, 0, :2], out[:, 1, :2] = known.real, known.imag
+        out[:, 0, CONSTANT.start] = out[:, 1, CONSTANT.start + 1] = windows.duration
+        out[:, 0, SHIFT], out[:, 1, SHIFT] = windows.shifted.real, windows.shifted.imag
+        magnet = windows.heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
+        out[:, 0, MAGNET], out[:, 1, MAGNET] = magnet.real, magnet.imag
+        a, b, c = np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
+        zero = np.zeros_like(a)
+        out[:, 0, drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
+        out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
+        for end, sign in ((0, -1.0), (1, 1.0)):
+            self._add_end(out, windows.i_dq[:, end], windows.angle[:, end], sign)
+        return out
+
+    def _add_end(self, out: FloatArray, i_dq: FloatArray, angle: FloatArray, sign: float) -> None:
+        """Add the flux at one end of all windows."""
+        cosine, sine = sign * np.cos(angle)[:, None], sign * np.sin(angle)[:, None]
+        window = np.arange(len(angle))[:, None]
+        for space, parts in self._parts(angle).items():
+            rows = space.rows(i_dq)
+            d, q = rows.value[:, 0], rows.value[:, 1]
+            turned = ((0, 0, cosine * d), (0, 1, -sine * q), (1, 0, sine * d), (1, 1, cosine * q))
+            for start, factor in parts:
+                for row, component, value in turned:
+                    columns = rows.column[:, component] + start
+                    out[window, row, columns] += value if factor is None else factor * value
+
+    def _parts(self, angle: FloatArray) -> dict[GradientSpline, list[tuple[int, FloatArray | None]]]:
+        """Return for each space the first columns of the maps in it and their factors (N, 1)."""
+        parts: dict[GradientSpline, list[tuple[int, FloatArray | None]]] = {self.flux: [(self.map.start, None)]}
+        for order in self.all_orders:
+            space, start = self.space(order), self.harmonics[order].start
+            phase = order * angle[:, None]
+            parts.setdefault(space, []).append((start, np.cos(phase)))
+            parts[space].append((start + space.parameters, np.sin(phase)))
+        return parts
+
+    def phase_columns(self) -> IntArray:
+        """Return the columns of the inverter's shapes as (S, 3)."""
+        return np.arange(self.drops.start, self.drops.stop).reshape(-1, 3)

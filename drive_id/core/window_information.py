@@ -1,0 +1,181 @@
+"""What windows say about the unknowns of method ``full``: cross products per fold of time, and some of the windows."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
+
+from drive_id.core.accumulator import State
+from drive_id.core.full_model import FullModel
+from drive_id.core.windows import WindowCutter, Windows
+from drive_id.types import FloatArray, Samples
+
+FOLDS = 5
+SEGMENT = 0.25
+"""s of data in a row that go to the same fold."""
+MOST_KEPT = 24_000
+"""Windows that are kept themselves, in whole segments evenly over time, to study the residuals."""
+
+
+class WindowInformation:
+    """Z'Z over windows, per fold; its size does not grow with the recording.
+
+    Parameters
+    ----------
+    model : FullModel
+
+    Notes
+    -----
+    Segments of time take turns in the folds: leaving one out tests a fit on data that it has not seen.
+    """
+
+    def __init__(self, model: FullModel) -> None:
+        self.model = model
+        self.windows = 0
+        self.outside = 0
+        self._cutter = WindowCutter(model.shapes)
+        self._folds: list[FloatArray] = []
+        self._counts = np.zeros(FOLDS, np.int64)
+        self._pending: list[Windows] = []
+        self._segment = 0
+        self._kept: dict[int, Windows] = {}
+        self._every = 1
+
+    def next_recording(self, heating: float = 0.0, drop_scale: float = 1.0) -> None:
+        """Tell that another recording begins, and under which conditions, see :class:`Windows`."""
+        for windows in self._cutter.finish():
+            self._take(windows)
+        self._cutter.set_conditions(heating, drop_scale)
+
+    def add(self, samples: Samples, *, continues: bool = False) -> None:
+        """Accumulate further samples, see :meth:`WindowCutter.cut`."""
+        for windows in self._cutter.cut(samples, continues=continues):
+            self._take(windows)
+
+    def finished(self) -> WindowInformation:
+        """Return the information with the samples that still wait for more; this one goes on without it."""
+        other = self.copy()
+        for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
+            other._take(windows)  # noqa: SLF001
+        other._flush()  # noqa: SLF001
+        return other
+
+    def copy(self) -> WindowInformation:
+        """Return information that goes its own way from here."""
+        other = copy.copy(self)
+        other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
+        other._folds = [fold.copy(order="F") for fold in self._folds]  # noqa: SLF001
+        other._counts = self._counts.copy()  # noqa: SLF001
+        other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
+        return other
+
+    def merge(self, other: WindowInformation) -> None:
+        """Add what another one of equal model has gathered of other recordings; that one stays as it is."""
+        theirs = other.finished()
+        for windows in self._cutter.finish():
+            self._take(windows)
+        self._flush()
+        offset = self._segment + 1 if self.windows else 0
+        pairs = zip(self._matrices(), theirs._matrices(), strict=True)  # noqa: SLF001  # of its own class
+        self._folds = [np.asfortranarray(mine + matrix) for mine, matrix in pairs]
+        self._counts = self._counts + theirs._counts  # noqa: SLF001
+        self._kept |= {offset + number: windows for number, windows in theirs._kept.items()}  # noqa: SLF001
+        self._segment = offset + theirs._segment  # noqa: SLF001
+        self._cutter.skip(SEGMENT * (theirs._segment + 1))  # noqa: SLF001
+        self._every = max(self._every, theirs._every)  # noqa: SLF001
+        self.windows += theirs.windows
+        self.outside += theirs.outside
+        self._thin()
+
+    def state(self) -> State:
+        """Return all that was gathered: the windows alone, while they are few enough to be kept all."""
+        done = self.finished()
+        out: State = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
+        out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
+        kept = done.kept()
+        out["length"] = np.array([len(windows) for windows in kept], np.int64)
+        if kept:
+            together = Windows.joined(kept)
+            out |= {f"windows.{field.name}": getattr(together, field.name) for field in fields(Windows)}
+        if done.windows > int(out["length"].sum()):
+            rows, columns = np.tril_indices(self.model.size)
+            out["folds"] = np.array([fold[rows, columns] for fold in done._matrices()])  # noqa: SLF001
+            out["counts"], out["last"] = done._counts, np.array(done._segment)  # noqa: SLF001
+        return out
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over a state, see :class:`~drive_id.core.accumulator.Accumulator`."""
+        self.__dict__.update(WindowInformation(self.model).__dict__)
+        ends = np.cumsum(state["length"])
+        together = Windows(*(state[f"windows.{field.name}"] for field in fields(Windows))) if len(ends) else None
+        for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
+            if together is not None:
+                self._segment, self._pending = int(number), [together.part(slice(int(start), int(end)))]
+                self._flush()
+        self.outside, self._every = int(state["outside"]), int(state["every"])
+        if "folds" in state:
+            rows, columns = np.tril_indices(self.model.size)
+            for fold, packed in zip(self._matrices(), state["folds"], strict=True):
+                fold[rows, columns] = packed
+            self._counts, self._segment = np.array(state["counts"]), int(state["last"])
+            self.windows = int(self._counts.sum())
+        self._cutter.skip(SEGMENT * (self._segment + 1))
+
+    @property
+    def folds(self) -> FloatArray:
+        """Z'Z of each fold, (FOLDS, size, size), symmetric."""
+        lower = self._matrices()
+        return np.array([np.tril(fold) + np.tril(fold, -1).T for fold in lower])
+
+    @property
+    def counts(self) -> FloatArray:
+        """Rows of each fold, (FOLDS,)."""
+        return np.asarray(2.0 * self._counts)
+
+    def kept(self) -> list[Windows]:
+        """Return the segments that were kept, in order of time."""
+        return [self._kept[number] for number in sorted(self._kept)]
+
+    def _matrices(self) -> list[FloatArray]:
+        if not self._folds:
+            self._folds = [np.zeros((self.model.size, self.model.size), order="F") for _ in range(FOLDS)]
+        return self._folds
+
+    def _take(self, windows: Windows) -> None:
+        """Collect windows until a segment is complete."""
+        usable = self.model.contains(windows)
+        self.outside += int((~usable).sum())
+        segment = (windows.time / SEGMENT).astype(np.int64)
+        for number in np.unique(segment):
+            if number != self._segment:
+                self._flush()
+                self._segment = int(number)
+            self._pending.append(windows.part(np.flatnonzero((segment == number) & usable)))
+
+    def _flush(self) -> None:
+        """Accumulate the windows of a segment."""
+        windows = Windows.joined(self._pending) if self._pending else None
+        self._pending = []
+        if windows is None or not len(windows):
+            return
+        fold = self._segment % FOLDS
+        rows = self.model.design(windows).reshape(-1, self.model.size)
+        matrices = self._matrices()
+        matrices[fold] = dsyrk(1.0, rows.T, beta=1.0, c=matrices[fold], lower=1, overwrite_c=1)
+        self._counts[fold] += len(windows)
+        self.windows += len(windows)
+        if self._segment % self._every == 0:
+            earlier = self._kept.get(self._segment)
+            self._kept[self._segment] = windows if earlier is None else Windows.joined([earlier, windows])
+            self._thin()
+
+    def _thin(self) -> None:
+        while len(self._kept) > 1 and sum(len(windows) for windows in self._kept.values()) > MOST_KEPT:
+            self._every *= 2
+            self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}

@@ -57,6 +57,10 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
             "The commanded voltages are zero or equal in all phases, or voltages or currents are beyond all measure: "
             "check their fields and scales."
         )
+    if evidence.settings.method == "full":
+        from drive_id.core.full_conclusion import conclude_full  # noqa: PLC0415  # scipy takes longer than other methods
+
+        return conclude_full(evidence, validation, inside, coverage)
     solution = solve(total, information.rows, with_inverter=evidence.settings.method == "joint")
     spread = deviations(information.blocks, solution)
     extended = _extended(evidence, solution, spread, inside)

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
+_MOST_ORDERS = 8
 
 
 @dataclass(frozen=True)
 class FitSettings:
     """What can be chosen about a fit."""
 
-    method: str = setting("joint", "psm: flux and resistance; joint: with the inverter", choices=("psm", "joint"))
+    method: str = setting(
+        "full",
+        "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, an "
+        "inverter curve and calibration",
+        choices=("psm", "joint", "full"),
+    )
     flux_model: str = setting(
         "spline",
         "spline: tensor-product cubic B-splines; polynomial: of total degree polynomial_degree; "
@@ -38,10 +44,84 @@ class FitSettings:
         unit="s",
         minimum=0.0,
     )
+    maps: str = setting(
+        "auto",
+        "full: reciprocal maps are gradients of a co-energy, free maps are not; auto: reciprocal unless the data refuse",
+        choices=("auto", "reciprocal", "free"),
+    )
+    harmonic_orders: tuple[int, ...] = setting(
+        (6, 12, 18, 24),
+        "full: electrical orders of the rotor-position harmonics to look for",
+        minimum=3,
+        maximum=96,
+    )
+    per_phase_inverter: bool = setting(False, "full: whether each phase has an inverter curve of its own")
+    passive_maps: bool = setting(False, "full: whether to enforce a positive definite inductance matrix")
+    calibrate_delay: bool = setting(True, "full: whether to estimate by how much the voltages act later than recorded")
+    calibrate_angle: bool = setting(True, "full: whether to estimate the resolver's offset from the mirror symmetry")
+    calibrate_currents: bool = setting(True, "full: whether to estimate offsets and gain mismatch of the currents")
+    temperatures: tuple[float, ...] = setting(
+        (),
+        "full: temperature of each recording, in order; resistance and map are those at 20 degrees Celsius then",
+        unit="degC",
+        minimum=-100.0,
+        maximum=300.0,
+    )
+    u_dc: tuple[float, ...] = setting(
+        (),
+        "full: DC-link voltage of each recording, in order",
+        unit="V",
+        minimum=1e-3,
+    )
+    u_dc_reference: float | None = setting(
+        None,
+        "full: DC-link voltage for which the inverter's curve is given; by default that of the first recording",
+        unit="V",
+        minimum=1e-3,
+    )
+    voltage_delay: float = setting(
+        0.0,
+        "full: known time by which the voltages act later than recorded, when it is not estimated",
+        unit="samples",
+        minimum=-2.0,
+        maximum=2.0,
+    )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
+
+    @property
+    def conditions(self) -> bool:
+        """Whether recordings were made under conditions of their own."""
+        return bool(self.temperatures or self.u_dc)
+
+    def of_recording(self, number: int) -> FitSettings:
+        """Return the settings for one recording by itself, which is to be merged with others.
+
+        Raises
+        ------
+        ConfigurationError
+            When there are conditions, but none for this one.
+        """
+        for name in ("temperatures", "u_dc"):
+            if getattr(self, name) and number >= len(getattr(self, name)):
+                raise ConfigurationError(
+                    f"{name} has {len(getattr(self, name))} entries and there are more recordings: give one for each, in "
+                    "order."
+                )
+        one = slice(number, number + 1)
+        reference = self.u_dc_reference or (self.u_dc[0] if self.u_dc else None)
+        return replace(self, temperatures=self.temperatures[one], u_dc=self.u_dc[one], u_dc_reference=reference)
 
     def __post_init__(self) -> None:
         check(self)
+        if self.temperatures and self.u_dc and len(self.temperatures) != len(self.u_dc):
+            raise ConfigurationError(
+                f"There are {len(self.temperatures)} temperatures and {len(self.u_dc)} DC-link voltages: give both for "
+                "each recording."
+            )
+        if len(set(self.harmonic_orders)) != len(self.harmonic_orders) or len(self.harmonic_orders) > _MOST_ORDERS:
+            raise ConfigurationError(
+                f"harmonic_orders is {self.harmonic_orders}: give at most {_MOST_ORDERS} orders, each once."
+            )
         if self.splines_d * self.splines_q > _MOST_FUNCTIONS:
             raise ConfigurationError(
                 f"splines_d x splines_q is {self.splines_d} x {self.splines_q}: choose at most {_MOST_FUNCTIONS} "

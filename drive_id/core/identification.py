@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.flux_models import FluxModel
 from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:  # whoever draws a map needs neither numba nor scipy
+    from drive_id.core.calibration import Calibration
+    from drive_id.core.flux_models import FluxModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,25 @@ class FluxMap:
     def grid(self) -> FloatArray:
         """Return the currents of all points, (D, Q, 2), A."""
         return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicMap:
+    """Amplitudes of one rotor-position harmonic, ``cos(h theta)`` and ``sin(h theta)``, on the flux map's grid.
+
+    Parameters
+    ----------
+    order : int
+        h, electrical.
+    psi_d_cos, psi_d_sin, psi_q_cos, psi_q_sin : (D, Q) float
+        Wb.
+    """
+
+    order: int
+    psi_d_cos: FloatArray
+    psi_d_sin: FloatArray
+    psi_q_cos: FloatArray
+    psi_q_sin: FloatArray
 
 
 @dataclass(frozen=True)
@@ -90,7 +113,7 @@ class Identification:
     Parameters
     ----------
     method : str
-        ``psm`` or ``joint``.
+        ``psm``, ``joint`` or ``full``.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance, sigma_resistance : float
@@ -104,6 +127,18 @@ class Identification:
     gamma : (P,) float
     flux_map : FluxMap
     report : FitReport
+    inverter_deviation : (C,) float or None
+        Standard deviation of ``inverter_voltage``, V; method ``full``.
+    phase_voltages : (C, 3) float or None
+        The identified drop of each phase, V, when each has a curve of its own.
+    harmonics : tuple of HarmonicMap
+        Of the rotor position; method ``full``.
+    calibrations : tuple of Calibration
+        Faults of the sensors; method ``full``.
+    magnet_coefficient : (float, float) or None
+        Change of the magnet's flux per kelvin and its deviation, Wb/K, when recordings of several temperatures were given.
+    statements : tuple of str
+        What fixed the unknowns that single data leave open, where data are missing, and what would help most.
     """
 
     method: str
@@ -118,6 +153,12 @@ class Identification:
     gamma: FloatArray
     flux_map: FluxMap
     report: FitReport
+    inverter_deviation: FloatArray | None = None
+    phase_voltages: FloatArray | None = None
+    harmonics: tuple[HarmonicMap, ...] = ()
+    calibrations: tuple[Calibration, ...] = ()
+    magnet_coefficient: tuple[float, float] | None = None
+    statements: tuple[str, ...] = ()
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A."""

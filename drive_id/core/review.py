@@ -30,10 +30,11 @@ def review(
     mad: tuple[float, float],
 ) -> tuple[str, ...]:
     """Return whole sentences on what is weak, most basic first."""
-    return (*_on_data(evidence, coverage), *_on_model(evidence, solution, spread, flux_map, mad))
+    return (*on_data(evidence, coverage), *_on_model(evidence, solution, spread, flux_map, mad))
 
 
-def _on_data(evidence: Evidence, coverage: float) -> list[str]:
+def on_data(evidence: Evidence, coverage: float) -> list[str]:
+    """Return sentences on what is weak about the samples, whatever is fitted to them."""
     warnings = []
     if evidence.zero_sequence > _ZERO_SEQUENCE_SHARE * evidence.i_max:
         warnings.append(
@@ -50,7 +51,7 @@ def _on_data(evidence: Evidence, coverage: float) -> list[str]:
             f"{evidence.information.outside} pairs of samples lie beyond the map's range and were left out: they are "
             "faulty, or i_max is set too low."
         )
-    if evidence.noise_share > _LARGE_NOISE:
+    if evidence.noise_share > _LARGE_NOISE and evidence.settings.method != "full":
         warnings.append(
             f"The noise of the currents is large for this speed ({100 * evidence.noise_share:.0f} % of what the "
             "rotation shows), which biases the maps: record faster, or with less noise."

@@ -1,0 +1,184 @@
+"""The fit of method ``full``: which model the data ask for, its parameters, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
+from drive_id.core.full_solver import PENALTIES, Choice, FullSolution, Solver
+from drive_id.core.passivity import enforce_passivity, passive_points
+from drive_id.core.window_information import WindowInformation
+from drive_id.core.windows import Windows
+from drive_id.types import BoolArray, FloatArray
+
+BATCH = 0.05
+"""s; residuals of windows that start within as much are taken as dependent, those further apart as not."""
+
+_FREE_GAIN = 0.05
+_DELAY_SIGNIFICANCE = 5.0
+_LEAST_DELAY_ANGLE = 2e-3
+_ORDER_SIGNIFICANCE = 2.0
+_NYQUIST_SHARE = 0.6
+_LEAST_FREEDOM = 0.05
+_LEAST_HEATING = 5.0
+"""K between recordings, from which on the magnet's temperature coefficient is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class FullFit:
+    """What was fitted, and what each batch of time changes in it.
+
+    Parameters
+    ----------
+    model : FullModel
+    solution : FullSolution
+    changes : (size, B) float
+        What leaving each batch's residuals out changes in the estimate, to first order: the covariance of the estimate
+        is ``changes @ changes.T``, a heteroscedasticity and autocorrelation consistent one.
+    delay, sigma_delay : float
+        Estimated delay of the voltages and its deviation, samples; NaN when it was not asked for.
+    advantage : float
+        Share of the squared error on data left out that free maps save over reciprocal ones; negative when they cost.
+    speeds : (N,) float
+        Electrical speeds of windows, rad/s.
+    total_voltage : float
+        Mean square of the integrated voltages, (Vs)^2.
+    """
+
+    model: FullModel
+    solution: FullSolution
+    changes: FloatArray
+    delay: float
+    sigma_delay: float
+    advantage: float
+    speeds: FloatArray
+    total_voltage: float
+
+    @property
+    def choice(self) -> Choice:
+        """What was fitted."""
+        return self.solution.choice
+
+    def deviation(self, form: FloatArray) -> float:
+        """Return the standard deviation of a linear function (size,) of the estimate."""
+        consistent = float(np.sqrt(np.sum((form @ self.changes) ** 2)))
+        return max(consistent, float(self.white(form[:, None])[0]))
+
+    def white(self, forms: FloatArray) -> FloatArray:
+        """Return the deviations (K,) of linear functions (size, K) if the residuals were white."""
+        half = self.solution.half_gain(np.asarray(self.solution.basis.T @ forms))
+        return np.asarray(self.solution.residual_rms * np.sqrt(np.sum(half**2, axis=0)))
+
+    def passive(self, i_dq: FloatArray) -> BoolArray:
+        """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
+        return passive_points(self.model.flux, self.solution.residual[self.model.map], i_dq)
+
+    @property
+    def sigma_resistance(self) -> float:
+        """Ohm."""
+        form = np.zeros(self.model.size)
+        form[RESISTANCE] = 1.0
+        return self.deviation(form)
+
+
+def fit_full(information: WindowInformation, settings: FitSettings, turn: float) -> FullFit:
+    """Choose a model and fit it.
+
+    Parameters
+    ----------
+    information : WindowInformation
+        Finished.
+    settings : FitSettings
+    turn : float
+        Root mean square of the angle turned per sample, rad.
+    """
+    model = information.model
+    solver = Solver(model, information.folds, information.counts)
+    orders = tuple(order for order in model.all_orders if (order + 1) * turn < _NYQUIST_SHARE * np.pi)
+    if not settings.calibrate_currents:
+        orders = tuple(order for order in orders if order not in SENSOR_ORDERS)
+    heating = np.concatenate([windows.heating for windows in information.kept()])
+    choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
+    choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
+    delay, sigma_delay = (np.nan, np.nan)
+    if not settings.calibrate_delay:
+        choice = replace(choice, delay=settings.voltage_delay)
+    elif choice.reciprocal:
+        delay, sigma_delay = solver.delay(choice)
+        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
+            choice = replace(choice, delay=delay)
+    choice, advantage = _reciprocal_or_free(solver, solver.smoothest(choice), settings)
+    solution = solver.solve(choice)
+    significant = _significant_orders(model, solution)
+    if significant != choice.orders:
+        solution = solver.solve(replace(choice, orders=significant))
+    if settings.passive_maps:
+        solution = enforce_passivity(solver, solution)
+    kept = information.kept()
+    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
+    speeds = np.concatenate(turns)
+    total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
+    changes = batch_changes(information, solution)
+    return FullFit(model, solution, changes, delay, sigma_delay, advantage, speeds, total_voltage)
+
+
+def _reciprocal_or_free(solver: Solver, choice: Choice, settings: FitSettings) -> tuple[Choice, float]:
+    """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
+    if settings.maps != "auto":
+        return choice, np.nan
+    delay = 0.0 if settings.calibrate_delay else choice.delay
+    free = replace(choice, reciprocal=False, delay=delay)
+    reciprocal_error, free_error = solver.left_out(choice), solver.left_out(free)
+    advantage = 1.0 - float(free_error.sum() / reciprocal_error.sum())
+    if advantage > _FREE_GAIN and np.sum(free_error < reciprocal_error) >= len(free_error) - 1:
+        return solver.smoothest(free), advantage
+    return choice, advantage
+
+
+def _significant_orders(model: FullModel, solution: FullSolution) -> tuple[int, ...]:
+    """Return the harmonics whose amplitudes differ from zero by more than the noise explains.
+
+    The mean square of the amplitudes' estimates over their variances is 1 for a harmonic that is not there.
+    """
+    chosen = []
+    for order in solution.choice.orders:
+        columns = np.arange(model.harmonics[order].start, model.harmonics[order].stop)
+        unknowns = np.flatnonzero(np.asarray(abs(solution.basis[columns]).sum(axis=0)).ravel())
+        forms = np.zeros((solution.basis.shape[1], len(unknowns)))
+        forms[unknowns, np.arange(len(unknowns))] = 1.0
+        half = solution.half_gain(forms)
+        covariance = solution.residual_rms**2 * (half.T @ half)
+        estimate = np.linalg.lstsq(solution.basis[columns][:, unknowns].toarray(), solution.residual[columns])[0]
+        scale = np.sqrt(np.diag(covariance))
+        values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+        usable = values > 1e-9 * values[-1]
+        square = (vectors[:, usable].T @ (estimate / scale)) ** 2 / values[usable]
+        if np.mean(square) > _ORDER_SIGNIFICANCE:
+            chosen.append(order)
+    return tuple(chosen)
+
+
+def batch_changes(information: WindowInformation, solution: FullSolution) -> FloatArray:
+    """Return what the residuals of each batch of kept windows change in the estimate, (size, B)."""
+    model, kept = information.model, information.kept()
+    scores = [score for segment in kept for score in _batch_scores(model, solution, segment)]
+    share = information.windows / max(sum(len(segment) for segment in kept), 1)
+    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * np.array(scores).T))
+
+
+def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
+    """Return the scores of each batch, its residuals freed of what the fit took from them by its leverage (CR2)."""
+    rows = model.design(segment)
+    batch = (segment.time / BATCH).astype(np.int64)
+    scores = []
+    for number in np.unique(batch):
+        part = rows[batch == number].reshape(-1, model.size)
+        forms = np.asarray(solution.basis.T @ part.T)
+        half = solution.half_gain(forms)
+        values, vectors = np.linalg.eigh(np.eye(len(part)) - half.T @ half)
+        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
+        scores.append(forms @ residual)
+    return scores

@@ -1,0 +1,271 @@
+"""Method ``full``: penalized least squares on the accumulated windows, with every choice made on data left out.
+
+All choices are congruences of the same accumulated matrix Z'Z, ``x -> Z T x``: reciprocal or free maps, the harmonics
+in use, one inverter curve or one per phase. None needs a second pass over the samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, sparse
+
+from drive_id.core.full_model import CONSTANT, MAGNET, RESISTANCE, SENSOR_ORDERS, SHIFT, VOLTAGE, FullModel
+from drive_id.core.windows import SHIFTS
+from drive_id.types import FloatArray
+
+PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Weights of the map's roughness to try, relative to the mean information of a coefficient."""
+
+_HARMONIC_RIDGE = 1e-5
+_DROP_RIDGE = 1e-7
+_JITTER = 1e-13
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is fitted.
+
+    Parameters
+    ----------
+    reciprocal : bool
+        The maps are gradients of a co-energy.
+    orders : tuple of int
+        Harmonics in use, those of the sensors included.
+    per_phase : bool
+        One inverter curve for each phase.
+    inverter : bool
+        With an inverter curve at all.
+    constant : bool
+        With a constant voltage in the stator frame.
+    penalty : float
+        Of the map's roughness.
+    delay : float
+        By which the voltages act later than recorded, samples.
+    magnet : bool
+        With a magnet's flux that changes with the temperature.
+    """
+
+    reciprocal: bool
+    orders: tuple[int, ...]
+    per_phase: bool = False
+    inverter: bool = True
+    constant: bool = True
+    penalty: float = PENALTIES[0]
+    delay: float = 0.0
+    magnet: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FullSolution:
+    """Estimate of all unknowns.
+
+    Parameters
+    ----------
+    choice : Choice
+    residual : (size,) float
+        r with ``Z r`` the residuals, Vs: the estimate in the columns of its unknowns, -1 and the delay's shares in
+        those of the voltage.
+    basis : (size, M) sparse
+        T, from unknowns to columns.
+    factor : (M, M) float
+        Lower triangular, of the penalized normal matrix divided by ``scale`` on both sides.
+    scale : (M,) float
+    sum_of_squares : float
+        Of the residuals, (Vs)^2.
+    rows : float
+    """
+
+    choice: Choice
+    residual: FloatArray
+    basis: sparse.csr_array
+    factor: FloatArray
+    scale: FloatArray
+    sum_of_squares: float
+    rows: float
+
+    @property
+    def residual_rms(self) -> float:
+        """Vs."""
+        return float(np.sqrt(max(self.sum_of_squares, 0.0) / max(self.rows, 1.0)))
+
+    @property
+    def resistance(self) -> float:
+        """Ohm."""
+        return float(self.residual[RESISTANCE])
+
+    def gain(self, scores: FloatArray) -> FloatArray:
+        """Return what scores (M, K), gradients of the sum of squares, change in the unknowns, (M, K)."""
+        return np.asarray(linalg.cho_solve((self.factor, True), scores / self.scale[:, None]) / self.scale[:, None])
+
+    def half_gain(self, queries: FloatArray) -> FloatArray:
+        """Return Q (M, K) with Q'Q the covariance of ``queries' x``, (M, K) linear forms, for white unit residuals."""
+        return np.asarray(linalg.solve_triangular(self.factor, queries / self.scale[:, None], lower=True))
+
+
+def delay_shares(delay: float) -> FloatArray:
+    """Return the voltage columns' weights (len(SHIFTS),) for a delay in samples, -2 to 2.
+
+    The commanded voltage is held, so that a delay of a part of a sample takes just that part of the sample before.
+    """
+    shares = []
+    for shift in SHIFTS:
+        if shift < 0:
+            shares.append(np.clip(delay + shift + 1, 0.0, 1.0))
+        else:
+            shares.append(-np.clip(-delay - shift, 0.0, 1.0))
+    return np.array(shares)
+
+
+def basis(model: FullModel, choice: Choice) -> sparse.csr_array:
+    """Return T (size, M), from the unknowns of a choice to the columns of the regression."""
+    size, parts = model.size, []
+
+    def place(block: sparse.sparray | FloatArray, first: int) -> None:
+        block = sparse.coo_array(block)
+        parts.append(sparse.coo_array((block.data, (block.coords[0] + first, block.coords[1])), (size, block.shape[1])))
+
+    place(np.ones((1, 1)), RESISTANCE)
+    if choice.constant:
+        place(np.eye(2), CONSTANT.start)
+    if choice.magnet:
+        place(np.ones((1, 1)), MAGNET)
+    if choice.inverter:
+        shapes = len(model.shapes.scales)
+        drops = np.eye(3 * shapes) if choice.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
+        place(drops, model.drops.start)
+    gradient = model.flux.gradient()
+    place(gradient[:, 1:] if choice.reciprocal else sparse.eye_array(model.flux.parameters), model.map.start)
+    for order in choice.orders:
+        space = model.space(order)
+        free = order in SENSOR_ORDERS or not choice.reciprocal
+        one = sparse.eye_array(space.parameters) if free else space.gradient()[:, 1:]
+        place(sparse.block_diag([one, one]), model.harmonics[order].start)
+    return sparse.csr_array(sparse.hstack(parts))
+
+
+def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr_array:
+    """Return the penalty on the columns (size, size): of second differences of the map, slight ridges elsewhere."""
+    diagonal = np.diag(total)
+    unit = float(diagonal[model.map].mean())
+    ridge = np.zeros(model.size)
+    for columns in model.harmonics.values():
+        ridge[columns] = _HARMONIC_RIDGE * unit
+    ridge[model.drops] = _DROP_RIDGE * float(diagonal[model.drops].mean())
+    out = sparse.lil_array((model.size, model.size))
+    out[model.map, model.map] = penalty * unit * model.flux.roughness(2)
+    return sparse.csr_array(sparse.csr_array(out) + sparse.diags_array(ridge))
+
+
+class Solver:
+    """Solves for any choice, on all folds or with one left out.
+
+    Parameters
+    ----------
+    model : FullModel
+    folds : (F, size, size) float
+        Z'Z of each.
+    counts : (F,) float
+        Rows of each.
+    """
+
+    def __init__(self, model: FullModel, folds: FloatArray, counts: FloatArray) -> None:
+        self.model = model
+        self.folds = folds
+        self.counts = counts
+        self.total = folds.sum(axis=0)
+        self._reduced: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
+
+    def solve(self, choice: Choice, wishes: tuple[FloatArray, FloatArray] | None = None) -> FullSolution:
+        """Fit to all folds.
+
+        Parameters
+        ----------
+        choice : Choice
+        wishes : (size, K) float and (K,) float, optional
+            Linear functions of the estimate and the values that they are to have, weighted like rows of the regression.
+        """
+        t, normal, penalty = self._normal(choice)
+        voltage = self._voltage(choice)
+        moment, information = t.T @ (self.total @ voltage), normal.sum(axis=0) + penalty
+        if wishes is not None:
+            forms = np.asarray(t.T @ wishes[0])
+            moment, information = moment + forms @ wishes[1], information + forms @ forms.T
+        factor, scale = _factorize(information)
+        x = linalg.cho_solve((factor, True), moment / scale) / scale
+        residual = t @ x - voltage
+        squares = float(residual @ self.total @ residual)
+        return FullSolution(choice, residual, t, factor, scale, squares, float(self.counts.sum()))
+
+    def left_out(self, choice: Choice) -> FloatArray:
+        """Return the sum of squared residuals per row of each fold in the fit to the others, (F,), (Vs)^2."""
+        t, normal, penalty = self._normal(choice)
+        voltage = self._voltage(choice)
+        everything, squares = normal.sum(axis=0) + penalty, np.zeros(len(self.folds))
+        for number, fold in enumerate(self.folds):
+            factor, scale = _factorize(everything - normal[number])
+            moment = t.T @ ((self.total - fold) @ voltage)
+            residual = t @ (linalg.cho_solve((factor, True), moment / scale) / scale) - voltage
+            squares[number] = residual @ fold @ residual
+        return np.asarray(squares / np.maximum(self.counts, 1.0))
+
+    def smoothest(self, choice: Choice) -> Choice:
+        """Return the choice with the penalty that predicts the folds best."""
+        errors = [self.left_out(replace(choice, penalty=penalty)).mean() for penalty in PENALTIES]
+        return replace(choice, penalty=PENALTIES[int(np.argmin(errors))])
+
+    def delay(self, choice: Choice) -> tuple[float, float]:
+        """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.
+
+        A delay turns the flux of a constant speed by omega delta: only the reciprocity of the maps, or several speeds,
+        tell it from a flux.
+        """
+        t, normal, penalty = self._normal(choice)
+        factor, scale = _factorize(normal.sum(axis=0) + penalty)
+        columns = np.r_[VOLTAGE, SHIFT]
+        moments = t.T @ self.total[:, columns]
+        half = linalg.solve_triangular(factor, moments / scale[:, None], lower=True)
+        left = self.total[np.ix_(columns, columns)] - half.T @ half
+        best, least, bend = 0.0, np.inf, 1.0
+        for low in range(-2, 2):
+            start, end = (np.concatenate([[1.0], -delay_shares(low + e)]) for e in (0.0, 1.0))
+            step = end - start
+            bend_here = float(step @ left @ step)
+            where = float(np.clip(-(step @ left @ start) / max(bend_here, 1e-300), 0.0, 1.0))
+            at = start + where * step
+            if float(at @ left @ at) < least:
+                best, least, bend = low + where, float(at @ left @ at), bend_here
+        return best, float(np.sqrt(max(least, 0.0) / max(float(self.counts.sum()), 1.0) / max(bend, 1e-300)))
+
+    def _voltage(self, choice: Choice) -> FloatArray:
+        """Return the combination (size,) of columns that is the integral of the voltage that acted."""
+        voltage = np.zeros(self.model.size)
+        voltage[VOLTAGE] = 1.0
+        voltage[SHIFT] = -delay_shares(choice.delay)
+        return voltage
+
+    def _normal(self, choice: Choice) -> tuple[sparse.csr_array, FloatArray, FloatArray]:
+        """Return T, the normal matrices of the folds, and the penalty."""
+        structure = replace(choice, penalty=0.0, delay=0.0)
+        if structure not in self._reduced:
+            t = basis(self.model, choice)
+            self._reduced = {structure: (t, np.array([t.T @ (t.T @ fold).T for fold in self.folds]))}
+        t, normal = self._reduced[structure]
+        return t, normal, np.asarray((t.T @ roughness(self.model, self.total, choice.penalty) @ t).toarray())
+
+
+def _factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Cholesky factor of the matrix scaled to a diagonal of ones, and the scale."""
+    diagonal = np.diag(normal)
+    scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
+    scaled = normal / scale[:, None] / scale
+    jitter = _JITTER
+    while True:
+        scaled[np.diag_indices_from(scaled)] += jitter
+        try:
+            return np.asarray(linalg.cholesky(scaled, lower=True)), scale
+        except linalg.LinAlgError:
+            if jitter > 1e-6:
+                raise
+            jitter *= 100.0

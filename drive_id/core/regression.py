@@ -8,15 +8,21 @@ addition, and leaving one block out at a time gives the uncertainty.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core import frames
-from drive_id.core.compiled import compiled
-from drive_id.core.flux_models import BasisRows, ColumnArray, FluxModel
+from drive_id.core.accumulator import State
+from drive_id.core.compiled import COMPILING, compiled, compiled_or
+from drive_id.core.flux_models import BasisRows, ColumnArray, FluxModel, TensorSpline
 from drive_id.core.inverter import TanhShape
+from drive_id.core.spline_rows import add_spline_rows
+from drive_id.core.time_blocks import TimeBlocks
+from drive_id.core.vectorized import add_rows
 from drive_id.types import BoolArray, FloatArray, Samples
 
 CHUNK = 8192
@@ -135,7 +141,8 @@ class Information:
         affordable = int(_BLOCK_MEMORY / (8 * self._size**2)) // 2 * 2
         self.max_blocks = max_blocks or min(max(affordable, 8), 128)
         self._blocks: list[FloatArray] = []
-        self._filled = np.inf  # time in the last block, s
+        self._starts: list[int] = []  # first block of each of several recordings that were merged
+        self._filled = np.inf  # time in the last block, s; infinite: a new recording begins
 
     @property
     def blocks(self) -> FloatArray:
@@ -155,10 +162,42 @@ class Information:
         other = copy.copy(self)
         growing = [block.copy() for block in self._blocks[-1:]]
         other._blocks = [*self._blocks[:-1], *growing]  # noqa: SLF001  # of its own class
+        other._starts = [*self._starts]  # noqa: SLF001
         return other
 
+    def next_recording(self) -> None:
+        """Put what comes now into blocks of its own, as merging does."""
+        self._filled = np.inf
+
+    def merge(self, other: Information) -> None:
+        """Add what is known of other recordings, see :class:`~drive_id.core.accumulator.Accumulator`."""
+        self.rows += other.rows
+        self.outside += other.outside
+        self._take(self._time_blocks().joined(other.copy()._time_blocks(), self.max_blocks))  # noqa: SLF001
+        self.next_recording()
+
+    def state(self) -> State:
+        """Return all that was gathered."""
+        counts = {"rows": np.array(self.rows), "outside": np.array(self.outside), "filled": np.array(self._filled)}
+        return self._time_blocks().state() | counts
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over a state, see :class:`~drive_id.core.accumulator.Accumulator`."""
+        self._take(TimeBlocks.of_state(state, self._size).within(self.max_blocks))
+        self.rows, self.outside, self._filled = int(state["rows"]), int(state["outside"]), float(state["filled"])
+
+    def _time_blocks(self) -> TimeBlocks:
+        return TimeBlocks(tuple(self._blocks), tuple(self._starts), self.block_duration)
+
+    def _take(self, blocks: TimeBlocks) -> None:
+        self._blocks, self._starts, self.block_duration = list(blocks.sums), list(blocks.starts), blocks.duration
+
     def add(
-        self, samples: Samples, done: Callable[[int], None] | None = None, left_out: BoolArray | None = None
+        self,
+        samples: Samples,
+        done: Callable[[int], None] | None = None,
+        left_out: BoolArray | None = None,
+        rotation: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Accumulate the rows of further samples.
 
@@ -169,39 +208,92 @@ class Information:
             Told after each part how many of them are done.
         left_out : (N,) bool, optional
             Samples of which nothing is to be used.
+        rotation : (N,) float, (N,) float, optional
+            Cosine and sine of the angle, where they are known already.
         """
+        left_out = np.zeros(len(samples), np.bool_) if left_out is None else left_out
         for run in samples.runs():
             for part in _parts(run):
-                integrals = sample_integrals(samples, part, self.model, self.shape, left_out)
-                self._accumulate(integrals, samples.sample_period)
+                if COMPILING and isinstance(self.model, TensorSpline):
+                    turned = rotation and (rotation[0][part], rotation[1][part])
+                    self._accumulate_splines(self.model, samples, part, left_out[part], turned)
+                else:
+                    integrals = sample_integrals(samples, part, self.model, self.shape, left_out)
+                    self._accumulate(integrals, samples.sample_period)
                 if done:
                     done(part.stop)
+
+    def _accumulate_splines(
+        self,
+        model: TensorSpline,
+        samples: Samples,
+        part: slice,
+        left_out: BoolArray,
+        rotation: tuple[FloatArray, FloatArray] | None,
+    ) -> None:
+        """Accumulate what :func:`sample_integrals` gives, in one pass that forms no rows."""
+        i_abc, u_abc, angle, speed = (
+            array[part] for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)
+        )
+        cosine, sine = rotation or (np.cos(angle), np.sin(angle))
+        drop = self.shape(i_abc)
+        axes = np.array([[axis.low, axis.high, axis.width] for axis in (model.d, model.q)])
+        counts = np.array([model.d.count, model.q.count], np.int64)
+        for pairs in self._spans(len(angle) - 1, samples.sample_period):
+            own = slice(pairs.start, pairs.stop + 1)
+            rows, outside = add_spline_rows(
+                i_abc[own],
+                u_abc[own],
+                drop[own],
+                cosine[own],
+                sine[own],
+                speed[own],
+                left_out[own],
+                samples.sample_period,
+                axes,
+                counts,
+                self._blocks[-1],
+            )
+            self.rows += rows
+            self.outside += outside
 
     def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
         self.rows += 2 * int(integrals.valid.sum())
         self.outside += int((~integrals.inside).sum())
         known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
-        start, count = 0, len(integrals.v)
+        for pairs in self._spans(len(integrals.v), period):
+            own = slice(pairs.start, pairs.stop + 1)
+            _add_rows(
+                known[pairs],
+                integrals.half_turn[pairs],
+                integrals.valid[pairs],
+                integrals.rows.column[own],
+                integrals.rows.value[own],
+                self._blocks[-1],
+            )
+
+    def _spans(self, count: int, period: float) -> Iterator[slice]:
+        """Divide so many pairs of samples into those of the last block of time, and those of further ones."""
+        start = 0
         while start < count:
             if self._filled >= self.block_duration - period / 2:
                 self._open_block()
             room = max(1, round((self.block_duration - self._filled) / period))
             stop = min(count, start + room)
-            _add_rows(
-                known[start:stop],
-                integrals.half_turn[start:stop],
-                integrals.valid[start:stop],
-                integrals.rows.column[start : stop + 1],
-                integrals.rows.value[start : stop + 1],
-                self._blocks[-1],
-            )
+            yield slice(start, stop)
             self._filled += (stop - start) * period
             start = stop
 
     def _open_block(self) -> None:
         if len(self._blocks) == self.max_blocks:
-            self._blocks = [a + b for a, b in zip(self._blocks[::2], self._blocks[1::2], strict=True)]
-            self.block_duration *= 2
+            own, before = len(self._blocks) - self._starts[-1], self.block_duration
+            self._take(self._time_blocks().within(self.max_blocks - 1))
+            rest = own % round(self.block_duration / before)
+            if rest and np.isfinite(self._filled):  # the last block of this recording is not full at its new length
+                self._filled = rest * before
+                return
+        if np.isinf(self._filled):
+            self._starts.append(len(self._blocks))
         self._blocks.append(np.zeros((self._size, self._size)))
         self._filled = 0.0
 
@@ -211,7 +303,7 @@ def _parts(run: slice) -> Iterator[slice]:
         yield slice(start, min(start + CHUNK + 1, run.stop))
 
 
-@compiled
+@compiled_or(add_rows)
 def _add_rows(
     known: FloatArray,
     half_turn: FloatArray,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -44,6 +45,62 @@ def usual_period(elapsed: IntArray, count: IntArray) -> float | None:
     if not usual.any():
         return float(middle) * 1e-9
     return float(elapsed[usual].sum() / count[usual].sum()) * 1e-9
+
+
+class Spacings:
+    """Times between neighbouring messages of a recording of any length, to measure its sample period by.
+
+    The first ones are kept; of later ones, the sum of those that the first ones call usual.
+    """
+
+    def __init__(self, kept: int = 1 << 16) -> None:
+        self._most = kept
+        self._kept: list[IntArray] = []
+        self._count = 0
+        self._middle = 0.0
+        self._sum: IntArray = np.zeros(2, np.int64)
+        self._last: tuple[int, int] | None = None
+
+    def copy(self) -> Spacings:
+        """Return spacings that go their own way."""
+        other = copy.copy(self)
+        other._kept = list(self._kept)  # noqa: SLF001  # of its own class
+        return other
+
+    def add(self, stamp: IntArray, count: IntArray) -> None:
+        """Take further messages, by the stamp (B,), ns, and the number (B,) of their samples."""
+        if not len(stamp):
+            return
+        if self._last is not None:
+            stamp, count = np.append(self._last[0], stamp), np.append(self._last[1], count)
+        self._last = int(stamp[-1]), int(count[-1])
+        pairs = np.stack([np.diff(stamp), count[:-1]])
+        room = max(self._most - self._count, 0)
+        if room:
+            self._kept.append(pairs[:, :room])
+            self._count += min(pairs.shape[1], room)
+        later = pairs[:, room:]
+        if later.shape[1]:
+            if not self._middle:
+                elapsed, number = self._first()
+                self._middle = float(np.median((elapsed / number)[elapsed > 0]))
+            elapsed, number = later
+            usual = (elapsed > 0) & (np.abs(elapsed - number * self._middle) < 0.5 * self._middle)
+            self._sum = self._sum + later[:, usual].sum(axis=1)
+
+    def period(self) -> float | None:
+        """Return the sample period, s; see :func:`usual_period`."""
+        if not self._kept:
+            return None
+        elapsed, count = self._first()
+        if not self._sum[1]:
+            return usual_period(elapsed, count)
+        usual = (elapsed > 0) & (np.abs(elapsed - count * self._middle) < 0.5 * self._middle)
+        return float((elapsed[usual].sum() + self._sum[0]) / (count[usual].sum() + self._sum[1])) * 1e-9
+
+    def _first(self) -> IntArray:
+        self._kept = [np.concatenate(self._kept, axis=1)]
+        return self._kept[0]
 
 
 def common_period(signals: Sequence[Signal]) -> float:

@@ -8,7 +8,8 @@ from collections import deque
 import numpy as np
 
 from drive_id.core.join_report import SignalReport
-from drive_id.core.sample_period import declared_periods, usual_period
+from drive_id.core.sample_period import Spacings, declared_periods, usual_period
+from drive_id.core.scans import all_finite, rising
 from drive_id.core.signal import LARGEST_CUT, Signal, finite_rows, non_finite_error, order_error
 from drive_id.errors import DataError, EmptyTopicError, SamplePeriodError
 from drive_id.types import FloatArray, IntArray
@@ -24,6 +25,8 @@ class SignalTrack:
     ----------
     name : str
         Topic, for messages.
+    recorded : bool
+        It is read from a recording: all of its messages count for the measured period, not only the latest.
 
     Attributes
     ----------
@@ -40,7 +43,7 @@ class SignalTrack:
         Why the signal cannot be used any more.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, recorded: bool = False) -> None:
         self.name = name
         self.stamp: IntArray = np.zeros(0, np.int64)
         self.values: FloatArray = np.zeros((0, 0))
@@ -56,6 +59,7 @@ class SignalTrack:
         self._previous = 0  # stamp of the last sample, ns
         self._latest = 0  # largest stamp seen, ns
         self._spacings: deque[tuple[int, int]] = deque(maxlen=_SPACINGS)
+        self._whole = Spacings() if recorded else None
         self._last_message: tuple[int, int] | None = None
 
     @property
@@ -65,7 +69,9 @@ class SignalTrack:
 
     @property
     def measured_period(self) -> float | None:
-        """Sample period by the stamps of the latest messages, s."""
+        """Sample period by the stamps of the latest messages, or of all of a recording, s."""
+        if self._whole is not None:
+            return self._whole.period()
         elapsed, count = np.array(self._spacings, np.int64).reshape(-1, 2).T
         return usual_period(elapsed, count)
 
@@ -78,6 +84,7 @@ class SignalTrack:
         """Return a track that goes its own way."""
         other = copy.copy(self)
         other._raw, other._spacings = list(self._raw), self._spacings.copy()  # noqa: SLF001  # of its own class
+        other._whole = self._whole and self._whole.copy()  # noqa: SLF001
         return other
 
     def add(self, piece: Signal) -> None:
@@ -98,21 +105,28 @@ class SignalTrack:
         """Put in order what arrived: leave out samples that are not finite, and cut repeated and backward stamps."""
         if not self._raw:
             return
-        stamp = np.concatenate([piece.stamp for piece in self._raw])
-        values = np.concatenate([piece.values for piece in self._raw])
+        stamp, values = self._raw[0].stamp, self._raw[0].values
+        if len(self._raw) > 1:
+            stamp = np.concatenate([piece.stamp for piece in self._raw])
+            values = np.concatenate([piece.values for piece in self._raw])
         self._raw, self._raw_count = [], 0
         if self._start is None:
             self._start = int(stamp[0])
             self._latest = self._previous = self._start - 1
-        finite = finite_rows(values)
-        if not finite.all():
+        if not all_finite(values):
+            finite = finite_rows(values)
             if not self._not_finite:
                 self._first_not_finite = int(stamp[np.argmin(finite)]) - self._start
             self._not_finite += len(finite) - int(finite.sum())
             stamp, values = stamp[finite], values[finite]
-        kept = self._in_order(stamp)
-        self.stamp = np.concatenate([self.stamp, stamp[kept]])
-        self.values = np.concatenate([self.values.reshape(-1, values.shape[1]), values[kept]])
+        if len(stamp) and stamp[0] > self._latest and rising(stamp):
+            self._latest = self._previous = int(stamp[-1])
+        else:
+            kept = self._in_order(stamp)
+            stamp, values = stamp[kept], values[kept]
+        if len(self.stamp):
+            stamp, values = np.concatenate([self.stamp, stamp]), np.concatenate([self.values, values])
+        self.stamp, self.values = stamp, values
 
     def drop(self, count: int) -> None:
         """Forget the oldest samples."""
@@ -185,6 +199,9 @@ class SignalTrack:
     def _space(self, piece: Signal) -> None:
         """Note the time from message to message."""
         starts = np.arange(len(piece.stamp)) if piece.block_start is None else piece.block_start
+        if self._whole is not None:
+            self._whole.add(piece.stamp[starts], np.diff(np.append(starts, len(piece.stamp))))
+            return
         for start, end in zip(starts, np.append(starts[1:], len(piece.stamp)), strict=True):
             stamp = int(piece.stamp[start])
             if self._last_message is not None:

@@ -7,13 +7,14 @@ pieces; each continues the one before it, or begins behind a gap.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from drive_id.core.join import SHORTEST_RUN, early_error, no_run_error, overlap_error
 from drive_id.core.join_report import JoinReport, join_warnings
-from drive_id.core.matching import Phase, partners
+from drive_id.core.matching import Phase, constant_shift, partners
 from drive_id.core.sample_period import check_agreement
 from drive_id.core.signal import LARGEST_CUT, Signal
 from drive_id.core.signal_track import SignalTrack
@@ -42,16 +43,32 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Joined samples that are not handed on yet: stamps (N,) and a, b, c currents, voltages, angle, speed (N, 8)."""
+    """Joined samples that are not handed on yet: stamps (N,), currents and voltages (N, 3), angle and speed (N, 2)."""
 
     stamp: IntArray
-    values: FloatArray
+    i_abc: FloatArray
+    u_abc: FloatArray
+    position: FloatArray
+
+    @classmethod
+    def none(cls) -> _Rows:
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
 
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def __getitem__(self, part: slice) -> _Rows:
-        return _Rows(self.stamp[part], self.values[part])
+    def __getitem__(self, part: slice | IntArray) -> _Rows:
+        return _Rows(self.stamp[part], self.i_abc[part], self.u_abc[part], self.position[part])
+
+    def before(self, other: _Rows) -> _Rows:
+        if not len(self):
+            return other
+        return _Rows(
+            np.concatenate([self.stamp, other.stamp]),
+            np.concatenate([self.i_abc, other.i_abc]),
+            np.concatenate([self.u_abc, other.u_abc]),
+            np.concatenate([self.position, other.position]),
+        )
 
 
 class StreamJoin:
@@ -65,16 +82,34 @@ class StreamJoin:
         Samples to wait for before joining them: fewer cost more, more come later.
     capacity : int
         Most samples of a signal to keep while others lag behind; what is older goes without partners.
+    locking : int
+        Pairs of samples on which to measure the constant offset between the signals.
+    recorded : bool
+        The signals are read from a recording, see :class:`~drive_id.core.signal_track.SignalTrack`.
+    reference : callable, optional
+        Returns the current references (N, 2), A, at increasing stamps (N,), ns, for samples of a period, s.
 
     Notes
     -----
-    The sample period is the declared one of the currents. The constant offset between the signals is measured on the
-    first thousand samples. Faults that :func:`~drive_id.core.join.join` would raise are kept for :meth:`check`.
+    The sample period is the declared one of the currents. Faults that :func:`~drive_id.core.join.join` would raise are
+    kept for :meth:`check`.
     """
 
-    def __init__(self, names: tuple[str, str, str] = SECTIONS, *, batch: int = 1000, capacity: int = 50_000) -> None:
-        self.tracks = tuple(SignalTrack(name) for name in names)
+    def __init__(
+        self,
+        names: tuple[str, str, str] = SECTIONS,
+        *,
+        batch: int = 1000,
+        capacity: int = 50_000,
+        locking: int = _LOCKING_PAIRS,
+        recorded: bool = False,
+        reference: Callable[[IntArray, float], FloatArray | None] | None = None,
+    ) -> None:
+        self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
         self.batch = batch
+        self.locking = locking
+        self._reference = reference
+        self._recorded = recorded
         self.capacity = capacity
         self.samples = 0
         self.runs = 0
@@ -82,9 +117,12 @@ class StreamJoin:
         self.time_lost = 0.0
         self._offsets: tuple[int, int] | None = None
         self._phases = (Phase(), Phase())
+        self.late = False
+        """Samples arrived whose partners had been given up."""
+        self._given_up_to: int | None = None  # largest stamp of such partners
         self._fault: DataError | None = None
         self._taken: list[int | None] = [None, None]
-        self._carry = _Rows(np.zeros(0, np.int64), np.zeros((0, 8)))
+        self._carry = _Rows.none()
         self._continues = False  # the carry is the last sample handed on
         self._joined = 0
         self._early = 0
@@ -107,8 +145,19 @@ class StreamJoin:
             With its declared period; its losses are those since the part before.
         """
         track = self.tracks[section]
+        if self._given_up_to is not None and len(piece.stamp):
+            self.late |= int(piece.stamp.min()) <= self._given_up_to + self._step
         track.add(piece)
         return self._advance(final=False) if track.fresh >= self.batch else []
+
+    def advance(self) -> list[Piece]:
+        """Return what can be joined by now, however little it is."""
+        return self._advance(final=False)
+
+    @property
+    def failing(self) -> bool:
+        """Whether nothing will be joined any more: :meth:`check` says why."""
+        return self._fault is not None or any(track.fault for track in self.tracks)
 
     def finished(self) -> tuple[StreamJoin, list[Piece]]:
         """Join the rest as if nothing were to follow, without touching this stream.
@@ -159,7 +208,7 @@ class StreamJoin:
         given_up = [
             f"{track.given_up} samples of {track.name} waited too long for the other signals and were left out."
             for track in self.tracks
-            if track.given_up
+            if track.given_up and not self._recorded
         ]
         return report.with_warnings((*join_warnings(report), *given_up))
 
@@ -178,6 +227,7 @@ class StreamJoin:
         for track in self.tracks:
             excess = len(track.stamp) - self.capacity
             if excess > 0:
+                self._note_given_up(int(track.stamp[excess - 1]))
                 track.given_up += excess
                 track.drop(excess)
         return pieces
@@ -188,7 +238,7 @@ class StreamJoin:
             return True
         clock = self.tracks[0]
         phases = tuple(Phase.of(clock.stamp, other.stamp, self._step) for other in self.tracks[1:])
-        if not final and min(phase.count for phase in phases) < _LOCKING_PAIRS:
+        if not final and min(phase.count for phase in phases) < self.locking:
             return False
         try:
             self._offsets = (
@@ -210,27 +260,59 @@ class StreamJoin:
                 decided = min(decided, int(np.searchsorted(clock.stamp, latest, side="right")))
             overdue = len(clock.stamp) - self.capacity
             if overdue > decided:
+                self._note_given_up(int(clock.stamp[overdue - 1]))
                 clock.given_up += overdue - decided
                 decided = overdue
         stamp = clock.stamp[:decided]
-        found = np.ones(decided, np.bool_)
-        indices = []
-        for k, (other, offset) in enumerate(zip(others, offsets, strict=True)):
-            index, there = partners(stamp, other.stamp, offset, self._step, self._taken[k])
-            if there.any():
-                self._taken[k] = int(other.stamp[index[np.flatnonzero(there)[-1]]])
-            indices.append(index)
-            found &= there
-        self._measure_drift(stamp)
-        columns = [clock.values[:decided][found]]
-        columns += [other.values[index[found]] for other, index in zip(others, indices, strict=True) if found.any()]
-        rows = _Rows(stamp[found], np.hstack(columns) if found.any() else np.zeros((0, 8)))
+        rows = self._aligned(stamp)
+        if rows is None:
+            self._measure_drift(stamp)
+            rows = self._matched(stamp)
         if decided:
             for other, offset in zip(others, offsets, strict=True):
                 past = int(np.searchsorted(other.stamp, int(stamp[-1]) + offset, side="right")) - 1
                 other.drop(max(past, 0))
             clock.drop(decided)
         return rows
+
+    def _note_given_up(self, stamp: int) -> None:
+        self._given_up_to = max(stamp, self._given_up_to or stamp)
+
+    def _aligned(self, stamp: IntArray) -> _Rows | None:
+        """Return the samples at the clock's ``stamp`` (N,), if each signal has one for each of them, in order."""
+        parts, shifts = [], []
+        for k, (other, offset) in enumerate(zip(self.tracks[1:], self._offsets or (0, 0), strict=True)):
+            first = int(len(other.stamp) > 0 and other.stamp[0] == self._taken[k])
+            shift = constant_shift(stamp, other.stamp[first:], offset)
+            if shift is None or abs(shift - offset) > 0.5 * self._step:
+                return None
+            if first and 2 * abs(shift - offset) >= int(other.stamp[1]) - int(other.stamp[0]):
+                return None
+            parts.append(slice(first, first + len(stamp)))
+            shifts.append(shift)
+        phases = (Phase.constant(shift, len(stamp), self._step) for shift in shifts)
+        first_phase, second_phase = (before + phase for before, phase in zip(self._phases, phases, strict=True))
+        self._phases = first_phase, second_phase
+        for k, (other, part) in enumerate(zip(self.tracks[1:], parts, strict=True)):
+            self._taken[k] = int(other.stamp[part.stop - 1])
+        values = [other.values[part] for other, part in zip(self.tracks[1:], parts, strict=True)]
+        return _Rows(stamp, self.tracks[0].values[: len(stamp)], *values)
+
+    def _matched(self, stamp: IntArray) -> _Rows:
+        """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner."""
+        others = self.tracks[1:]
+        found = np.ones(len(stamp), np.bool_)
+        indices = []
+        for k, (other, offset) in enumerate(zip(others, self._offsets or (0, 0), strict=True)):
+            index, there = partners(stamp, other.stamp, offset, self._step, self._taken[k])
+            if there.any():
+                self._taken[k] = int(other.stamp[index[np.flatnonzero(there)[-1]]])
+            indices.append(index)
+            found &= there
+        if not found.any():
+            return _Rows.none()
+        values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
+        return _Rows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
 
     def _measure_drift(self, stamp: IntArray) -> None:
         first, second = (
@@ -243,7 +325,7 @@ class StreamJoin:
         """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
         if not len(new):
             return []
-        rows = _Rows(np.concatenate([self._carry.stamp, new.stamp]), np.concatenate([self._carry.values, new.values]))
+        rows = self._carry.before(new)
         step = np.diff(rows.stamp)
         early = step < 0.5 * self._step
         if early.any() and not self._early:
@@ -270,10 +352,13 @@ class StreamJoin:
         if not runs:
             return None
         continues = self._continues and runs[0].start == 0
-        index = np.concatenate([np.arange(run.start, run.stop) for run in runs])
         lengths = np.array([run.stop - run.start for run in runs])
         starts = np.concatenate(([0], np.cumsum(lengths)[:-1])).astype(np.int64)
-        stamp, values = rows.stamp[index], rows.values[index]
+        if len(starts) == 1 or int(lengths.sum()) == len(rows):
+            chosen = rows[runs[0].start : runs[-1].stop]
+        else:
+            chosen = rows[np.concatenate([np.arange(run.start, run.stop) for run in runs])]
+        stamp = chosen.stamp
         before = np.concatenate(([self._last_stamp if self._last_stamp is not None else stamp[0]], stamp[:-1]))
         begun = starts[1:] if continues or self._last_stamp is None else starts
         self.time_lost += float(np.sum(stamp[begun] - before[begun]) - self._step * len(begun))
@@ -282,11 +367,12 @@ class StreamJoin:
         self._last_stamp = int(stamp[-1])
         samples = Samples(
             stamp=stamp,
-            i_abc=np.ascontiguousarray(values[:, :3]),
-            u_abc=np.ascontiguousarray(values[:, 3:6]),
-            angle=values[:, 6].copy(),
-            speed=values[:, 7].copy(),
+            i_abc=chosen.i_abc,
+            u_abc=chosen.u_abc,
+            angle=chosen.position[:, 0].copy(),
+            speed=chosen.position[:, 1].copy(),
             sample_period=self.tracks[0].period or 0.0,
             run_starts=starts,
+            i_dq_reference=self._reference(stamp, self.tracks[0].period or 0.0) if self._reference else None,
         )
         return Piece(samples, continues)

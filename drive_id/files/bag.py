@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -71,13 +71,23 @@ class Bag:
         for storage in self.storages:
             for message in storage.messages(topics):
                 found[message.topic] += 1
-                yield self._decompressed(message)
+                yield self.decompressed(message)
+        self.check_counts(topics, found)
+
+    def check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
+        """Compare the messages found on topics with ``metadata.yaml``.
+
+        Raises
+        ------
+        MessageCountError
+            When it declares more, or fewer.
+        """
         declared = self.metadata.counts if self.metadata else {}
         for topic in topics:
-            if topic in declared and declared[topic] != found[topic]:
+            if topic in declared and declared[topic] != found.get(topic, 0):
                 raise MessageCountError(
                     f"metadata.yaml of {self.path} declares {declared[topic]} messages on {topic} but its files hold "
-                    f"{found[topic]}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
+                    f"{found.get(topic, 0)}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
 
     @property
@@ -85,7 +95,7 @@ class Bag:
         """Sentences about files that were not completed but can be read."""
         return tuple(text for storage in self.storages if (text := getattr(storage, "warning", "")))
 
-    def _decompressed(self, message: RawMessage) -> RawMessage:
+    def decompressed(self, message: RawMessage) -> RawMessage:
         """Undo the compression of single messages; serialized data never begin like zstd."""
         if message.data[:4] != ZSTD_MAGIC:
             return message
@@ -194,8 +204,14 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
     return storage
 
 
-def file_digest(path: Path) -> str:
+def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
     """Return the sha256 of a file, hexadecimal.
+
+    Parameters
+    ----------
+    path : Path
+    going_on : callable
+        Asked after each piece; when it says no, the digest is that of what was read by then.
 
     Raises
     ------
@@ -205,7 +221,7 @@ def file_digest(path: Path) -> str:
     digest = hashlib.sha256()
     try:
         with path.open("rb") as stream:
-            while piece := stream.read(1 << 20):
+            while going_on() and (piece := stream.read(1 << 20)):
                 digest.update(piece)
     except OSError as error:
         raise BagError(f"{path} cannot be read ({reason(error)}): check the disk or the network.") from error

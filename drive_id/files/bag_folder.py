@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -98,29 +99,36 @@ def read_metadata(path: Path) -> BagMetadata:
     """
     advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
     try:
-        if path.stat().st_size > _LARGEST_METADATA:
+        state = path.stat()
+        if state.st_size > _LARGEST_METADATA:
             raise ValueError("it is too large")
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-        information = _item(tree, "rosbag2_bagfile_information", dict)
-        files = _item(information, "relative_file_paths", list)
-        if not files or not all(isinstance(name, str) and PurePosixPath(name).name for name in files):
-            raise ValueError("relative_file_paths is not a list of file names")
-        counts: dict[str, int] = {}
-        types: dict[str, str] = {}
-        for entry in _item(information, "topics_with_message_count", list):
-            topic = _item(entry, "topic_metadata", dict)
-            name = _item(topic, "name", str)
-            counts[name] = counts.get(name, 0) + _item(entry, "message_count", int)
-            types[name] = _item(topic, "type", str)
-        by_message = str(information.get("compression_mode")).lower() == "message"
-        compression = str(information.get("compression_format")) if by_message else ""
-        names = tuple(PurePosixPath(name).name for name in files)
-        return BagMetadata(names, counts, types, compression)
+        return _parsed(path, state.st_mtime_ns, state.st_size)
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): {advice}") from error
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         said = f"it is no YAML in line {line}" if (line := _line(error)) else str(error).split("\n")[0]
         raise NotABagError(f"{path} is damaged ({said}): {advice}") from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(path: Path, _time: int, _size: int) -> BagMetadata:
+    """Parse the file once, as long as it does not change: that takes longer than reading some seconds of samples."""
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    information = _item(tree, "rosbag2_bagfile_information", dict)
+    files = _item(information, "relative_file_paths", list)
+    if not files or not all(isinstance(name, str) and PurePosixPath(name).name for name in files):
+        raise ValueError("relative_file_paths is not a list of file names")
+    counts: dict[str, int] = {}
+    types: dict[str, str] = {}
+    for entry in _item(information, "topics_with_message_count", list):
+        topic = _item(entry, "topic_metadata", dict)
+        name = _item(topic, "name", str)
+        counts[name] = counts.get(name, 0) + _item(entry, "message_count", int)
+        types[name] = _item(topic, "type", str)
+    by_message = str(information.get("compression_mode")).lower() == "message"
+    compression = str(information.get("compression_format")) if by_message else ""
+    names = tuple(PurePosixPath(name).name for name in files)
+    return BagMetadata(names, counts, types, compression)
 
 
 def _item(tree: Any, key: str, kind: type) -> Any:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple, NoReturn
 
 from mcap import records
 from mcap.opcode import Opcode
@@ -26,13 +27,23 @@ from drive_id.files.mcap_records import (
     DamageError,
     McapRecords,
     Record,
+    chunk_index,
     chunk_records,
     parsed,
+    plain_chunk,
+    split_records,
 )
 
 RECORDER_LIBRARY = "drive_id recorder"
 """Marks, in the header, files that are written live: one that breaks off behind whole chunks lacks only its end."""
 _LARGEST_BREAK = 1 << 22
+
+
+class PlainChunk(NamedTuple):
+    """Records that stand together in a file, unpacked, and where they begin, byte."""
+
+    data: bytes
+    position: int
 
 
 class McapStorage:
@@ -76,7 +87,7 @@ class McapStorage:
         MessageCountError
             When fewer or more messages are there than the file declares.
         """
-        wanted = {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
+        wanted = self.channels(topics)
         found: Counter[int] = Counter()
         try:
             for channel, log_time, data in self._scan(frozenset(wanted)):
@@ -84,12 +95,55 @@ class McapStorage:
                 yield RawMessage(wanted[channel], log_time, data)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
+        self.check_counts(wanted, found)
+
+    def channels(self, topics: Collection[str]) -> dict[int, str]:
+        """Return the channels of topics."""
+        return {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
+
+    def chunks(self, channels: Collection[int]) -> Iterator[PlainChunk]:
+        """Yield the parts of the file in which there can be messages of the channels; their counts are not checked.
+
+        Raises
+        ------
+        TruncatedBagError
+            When the file is damaged.
+        """
+        try:
+            for record in self._file.data_section(self._break):
+                self._next = record.end
+                if record.opcode == Opcode.CHUNK:
+                    held = self._skippable.get(record.position)
+                    if held is None or not held.isdisjoint(channels):
+                        yield PlainChunk(plain_chunk(record)[1], record.position)
+                elif record.opcode == Opcode.MESSAGE:
+                    yield PlainChunk(RECORD.pack(record.opcode, len(record.body)) + record.body, record.position)
+        except DamageError as damage:
+            raise self._damaged(str(damage)) from damage
+
+    @property
+    def progress(self) -> float:
+        """How much of the file was read last, 0 to 1."""
+        return min(self._next / max(self._file.size, 1), 1.0)
+
+    def refuse(self, chunk: PlainChunk) -> NoReturn:
+        """Raise what is wrong with a damaged chunk."""
+        try:
+            for opcode, body in split_records(chunk.data, chunk.position):
+                if opcode == Opcode.MESSAGE:
+                    list(self._message(body, chunk.position, frozenset()))
+        except DamageError as damage:
+            raise self._damaged(str(damage)) from damage
+        raise self._damaged(f"the chunk at byte {chunk.position} is damaged")
+
+    def check_counts(self, wanted: Mapping[int, str], found: Mapping[int, int]) -> None:
+        """Raise MessageCountError when the messages found on channels are not as many as the file declares."""
         if self._counts is None:
             return
         for key, topic in wanted.items():
-            if found[key] != self._counts[key]:
+            if found.get(key, 0) != self._counts[key]:
                 raise MessageCountError(
-                    f"{self._shown} declares {self._counts[key]} messages on {topic} but holds {found[key]}: "
+                    f"{self._shown} declares {self._counts[key]} messages on {topic} but holds {found.get(key, 0)}: "
                     "copy the file again from its origin, or rebuild it with 'drive-id recover'."
                 )
 
@@ -168,10 +222,10 @@ class McapStorage:
                 index = parsed(records.AttachmentIndex, body, position)
                 self._attachments.append((index.name, index.offset + RECORD.size, index.length - RECORD.size))
             elif opcode == Opcode.CHUNK_INDEX:
-                chunk = parsed(records.ChunkIndex, body, position)
+                chunk = chunk_index(body, position)
                 self._kinds.add(chunk.compression)
-                if chunk.message_index_offsets:
-                    self._skippable[chunk.chunk_start_offset] = frozenset(chunk.message_index_offsets)
+                if chunk.channels:
+                    self._skippable[chunk.position] = chunk.channels
             elif opcode == Opcode.STATISTICS:
                 statistics = parsed(records.Statistics, body, position)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -40,7 +40,9 @@ class SqliteStorage:
                     f"with 'sqlite3 {path.name} \"PRAGMA wal_checkpoint(TRUNCATE)\"'."
                 )
         try:
-            self._database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True)
+            self._database = sqlite3.connect(
+                f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
+            )
         except sqlite3.Error as error:
             raise NotABagError(f"{shown} cannot be opened ({error}): check its permissions.") from error
         try:

@@ -17,7 +17,12 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 ROSBAG1_MAGIC = b"#ROSBAG"
+TRUTH_ATTACHMENT = "ground_truth.npz"
+"""Name of the attachment that holds the truth of a simulation."""
+
 _PIECE = 1 << 20
+_AT_ONCE = 1 << 24
+"""Bytes of memory that may be taken on the word of a file alone."""
 _DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError)
 
 
@@ -142,7 +147,7 @@ def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
     elif kind in ("zstd", "lz4"):
         pieces, total = [], 0
         try:
-            for piece in _pieces(data, kind):
+            for piece in _pieces(data, kind, size):
                 total += len(piece)
                 if total > (1 << 30 if size is None else size):
                     raise ValueError("its compressed data are larger than declared")
@@ -157,8 +162,11 @@ def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
     return plain
 
 
-def _pieces(data: bytes, kind: str) -> Iterator[bytes]:
+def _pieces(data: bytes, kind: str, size: int | None) -> Iterator[bytes]:
     if kind == "zstd":
+        if size is not None and 0 < size <= _AT_ONCE and zstandard.frame_content_size(data) == size:
+            yield zstandard.ZstdDecompressor().decompress(data, allow_extra_data=False)
+            return
         with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
             while piece := reader.read(_PIECE):
                 yield piece

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from drive_id.core.signal import finite_rows
 from drive_id.errors import ConfigurationError, OutputError
-from drive_id.files.bag_storage import reason
+from drive_id.files.bag_storage import TRUTH_ATTACHMENT, reason
 from drive_id.files.block_codec import NANOSECONDS, encode_block
-from drive_id.files.ground_truth import ATTACHMENT, encode_truth
+from drive_id.files.ground_truth import encode_truth
 from drive_id.files.messages import (
     CURRENT_REFERENCE,
     PHASE_CURRENTS,
@@ -126,7 +126,7 @@ def _fill(
     for message in messages:
         writer.write(message.topic, message.data, message.log_time)
     if truth is not None:
-        writer.attach(ATTACHMENT, encode_truth(truth), "application/zip")
+        writer.attach(TRUTH_ATTACHMENT, encode_truth(truth), "application/zip")
 
 
 def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, frame_id: str) -> Iterator[_Message]:

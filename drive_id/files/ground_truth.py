@@ -13,7 +13,6 @@ import numpy as np
 from drive_id.errors import BagError, ConfigurationError, OutputError
 from drive_id.types import GroundTruth
 
-ATTACHMENT = "ground_truth.npz"
 _ARRAYS = ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage")
 _NUMBERS = ("resistance", "i_max", "pole_pairs")
 _ERRORS = (

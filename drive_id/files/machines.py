@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from drive_id.errors import ConfigurationError, OutputError
 from drive_id.files.syre import read_syre
@@ -231,7 +230,8 @@ def _check_orientation(path: Path, arrays: dict[str, FloatArray]) -> None:
         raise ConfigurationError(f"In machine file '{path}' flux does not rise with its own axis' current: {hint}.")
     i_d, i_q = arrays["id"], arrays["iq"]
     zero = (min(max(0.0, i_d[0]), i_d[-1]), min(max(0.0, i_q[0]), i_q[-1]))
-    magnet_d, magnet_q = (RegularGridInterpolator((i_d, i_q), psi)(zero).item() for psi in (psi_d, psi_q))
+    at_zero = [[np.interp(zero[1], i_q, line) for line in psi] for psi in (psi_d, psi_q)]
+    magnet_d, magnet_q = (float(np.interp(zero[0], i_d, line)) for line in at_zero)
     slack = 0.02 * float(np.hypot(psi_d, psi_q).max())
     if magnet_d < -slack or abs(magnet_q) > max(slack, abs(magnet_d)):
         raise ConfigurationError(

@@ -19,9 +19,14 @@ from drive_id.files.bag_storage import MCAP_MAGIC, decompress, file_size, reason
 
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # times, where the chunk begins, its length, length of the offsets
+_OFFSET = struct.Struct("<HQ")  # of a channel's messages
 FOOTER_LENGTH = 20
+_DATA_END = struct.Struct("<BQI")
 _TAIL = RECORD.size + FOOTER_LENGTH + len(MCAP_MAGIC)
 _LARGEST_CHUNK = 1 << 30
+_WINDOW = 1 << 20
 _NOTHING = 0  # no opcode, but what a disk shows of a part that was never written
 PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError)
 
@@ -62,6 +67,8 @@ class McapRecords:
 
     def __init__(self, path: Path, shown: Path) -> None:
         self._shown = shown
+        self._has_crc = True
+        self._window, self._begin = b"", 0
         self.size = file_size(path)
         self.whole = len(MCAP_MAGIC)
         """Where the record that was read last begins, or the one that could not be read."""
@@ -78,14 +85,23 @@ class McapRecords:
         """Read exactly ``length`` bytes, which must lie within the file."""
         if position < 0 or length < 0 or position + length > self.size:
             raise BreakError(f"it breaks off within the record at byte {max(position, 0)}")
+        begin = position - self._begin
+        if begin < 0 or begin + length > len(self._window):
+            self._look_at(position, length)
+            begin = 0
+        return self._window[begin : begin + length]
+
+    def _look_at(self, position: int, length: int) -> None:
+        """Read some of the file ahead, for most records are small."""
         try:
             self._stream.seek(position)
-            data = self._stream.read(length)
+            self._window = b""
+            self._window = self._stream.read(max(length, _WINDOW))
+            self._begin = position
         except OSError as error:
             raise BagError(f"{self._shown} cannot be read ({reason(error)}): check the disk or the network.") from error
-        if len(data) != length:
-            raise BreakError(f"it breaks off at byte {position + len(data)}")
-        return data
+        if len(self._window) < length:
+            raise BreakError(f"it breaks off at byte {position + len(self._window)}")
 
     def record(self, position: int) -> Record:
         """Read the record that begins there."""
@@ -127,7 +143,8 @@ class McapRecords:
                 return
             if record.opcode == Opcode.FOOTER:
                 raise DamageError("the end of its data is missing")
-            crc = zlib.crc32(record.body, zlib.crc32(RECORD.pack(record.opcode, len(record.body)), crc))
+            if self._has_crc:
+                crc = zlib.crc32(record.body, zlib.crc32(RECORD.pack(record.opcode, len(record.body)), crc))
             yield record
             position = record.end
 
@@ -139,6 +156,8 @@ class McapRecords:
         summary_start, _, crc = struct.unpack_from("<QQI", tail, RECORD.size)
         if summary_start > self.summary_end:
             raise DamageError("its footer points behind its end")
+        end = int(summary_start or self.summary_end) - _DATA_END.size
+        self._has_crc = end < 0 or _DATA_END.unpack(self.read(end, _DATA_END.size)) != (Opcode.DATA_END, 4, 0)
         if summary_start and crc:
             covered = self.read(summary_start, self.size - len(MCAP_MAGIC) - 4 - summary_start)
             if zlib.crc32(covered) != crc:
@@ -153,20 +172,57 @@ class McapRecords:
 
 def chunk_records(record: Record) -> tuple[str, Iterator[tuple[int, memoryview]]]:
     """Unpack a chunk: its compression, and its records as pairs of opcode and content."""
-    chunk = parsed(records.Chunk, record.body, record.position)
+    compression, plain = plain_chunk(record)
+    return compression, split_records(plain, record.position)
+
+
+def plain_chunk(record: Record) -> tuple[str, bytes]:
+    """Unpack a chunk: its compression, and its records as they stand in it."""
     try:
-        if chunk.uncompressed_size > _LARGEST_CHUNK:
-            raise ValueError(f"it declares {chunk.uncompressed_size} bytes")
-        plain = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
-        if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
+        _, _, size, crc, length = _CHUNK.unpack_from(record.body)
+        begin = _CHUNK.size + length + 8
+        compression = record.body[_CHUNK.size : begin - 8].decode()
+        (compressed,) = struct.unpack_from("<Q", record.body, begin - 8)
+        if begin + compressed != len(record.body):
+            raise ValueError("length")
+    except (struct.error, ValueError) as error:
+        raise DamageError(f"the record at byte {record.position} is damaged") from error
+    try:
+        if size > _LARGEST_CHUNK:
+            raise ValueError(f"it declares {size} bytes")
+        plain = decompress(record.body[begin:], compression, size)
+        if crc and zlib.crc32(plain) != crc:
             raise ValueError("its checksum is wrong")
     except ValueError as error:
         raise DamageError(f"the chunk at byte {record.position} is damaged ({error})") from error
-    return chunk.compression, _split(memoryview(plain), record.position)
+    return compression, plain
 
 
-def _split(plain: memoryview, position: int) -> Iterator[tuple[int, memoryview]]:
-    inner = 0
+class ChunkIndex(NamedTuple):
+    """What the summary of a file says of a chunk: where it begins, its channels, its compression."""
+
+    position: int
+    channels: frozenset[int]
+    compression: str
+
+
+def chunk_index(body: bytes, position: int) -> ChunkIndex:
+    """Parse an index record of a chunk; there are many of them in a long recording."""
+    try:
+        _, _, start, _, length = _CHUNK_INDEX.unpack_from(body)
+        offsets = body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + length]
+        channels = frozenset(channel for channel, _ in _OFFSET.iter_unpack(offsets))
+        at = _CHUNK_INDEX.size + length + 8
+        (length,) = struct.unpack_from("<I", body, at)
+        struct.unpack_from("<QQ", body, at + 4 + length)
+        return ChunkIndex(start, channels, body[at + 4 : at + 4 + length].decode())
+    except (struct.error, ValueError) as error:
+        raise DamageError(f"the record at byte {position} is damaged") from error
+
+
+def split_records(data: bytes, position: int) -> Iterator[tuple[int, memoryview]]:
+    """Yield the records of a plain chunk at byte ``position`` of the file as pairs of opcode and content."""
+    plain, inner = memoryview(data), 0
     while inner < len(plain):
         if inner + RECORD.size > len(plain):
             raise DamageError(f"the chunk at byte {position} is damaged (it ends within a record)")

@@ -16,7 +16,7 @@ from drive_id.files.bag_storage import RawMessage, TopicInfo
 from drive_id.files.block_codec import decode_block
 from drive_id.files.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.message_types import typestore_for
-from drive_id.files.messages import BLOCK_FIELDS, message_typestore
+from drive_id.files.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.signals import STAMP_UNITS, PhaseSource, ReferenceSource, RotorSource, SignalMap, TimeSource
 from drive_id.types import IntArray
 
@@ -72,14 +72,29 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
         raise MessageTypeError(
             f"{topic.name} is encoded as '{topic.encoding}', not as CDR: record it with ROS 2, or convert the bag."
         )
-    store = typestore_for(topic, signals)
+    columns = block_columns(topic, source, signals)
+    if columns is not None:
+        return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
+    return _field_reader(topic.type_name, source, _value_paths(source), typestore_for(topic, signals))
+
+
+def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
+    """Return which arrays of our own messages the signal is in; ``None`` when it is not to be read from such."""
     paths = _value_paths(source)
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
     usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
     usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
-    if usual and store.fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]:
-        return _block_reader([arrays.index(path) for path in paths], len(arrays), source)
-    return _field_reader(topic.type_name, source, paths, store)
+    if usual and _is_ours(topic, signals):
+        return [arrays.index(path) for path in paths]
+    return None
+
+
+def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
+    """Tell whether a topic's messages have the fields of ours of that name; the very text need not be parsed."""
+    given = (topic.definition_format, topic.definition)
+    if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
+        return True
+    return typestore_for(topic, signals).fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]
 
 
 def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:

@@ -10,7 +10,7 @@ import platform
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from drive_id.errors import OutputError
 
 FORMAT = "drive_id/identification"
 FORMAT_VERSION = 1
-_JSON, _NPZ = "identification.json", "flux_map.npz"
+_JSON, _NPZ, _HARMONICS = "identification.json", "flux_map.npz", "harmonics.npz"
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 
 
@@ -165,8 +165,38 @@ def write_results(
     np.savez_compressed(arrays, **asdict(identification.flux_map))
     tree = results_tree(identification, provenance)
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
-    files = {_NPZ: arrays.getvalue(), **(pictures or {}), _JSON: text.encode()}
+    harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
+    files = {_NPZ: arrays.getvalue(), **harmonics, **(pictures or {}), _JSON: text.encode()}
     replace_folder(directory, files, marker=_JSON, kind=FORMAT, force=force)
+
+
+def _harmonics(identification: Identification) -> bytes:
+    """Return an npz of the harmonics: ``order`` (H,), the axes, and amplitudes (H, D, Q), Wb."""
+    found, arrays = identification.harmonics, io.BytesIO()
+    np.savez_compressed(
+        arrays,
+        order=np.array([harmonic.order for harmonic in found]),
+        i_d=identification.flux_map.i_d,
+        i_q=identification.flux_map.i_q,
+        psi_d_cos=np.array([harmonic.psi_d_cos for harmonic in found]),
+        psi_d_sin=np.array([harmonic.psi_d_sin for harmonic in found]),
+        psi_q_cos=np.array([harmonic.psi_q_cos for harmonic in found]),
+        psi_q_sin=np.array([harmonic.psi_q_sin for harmonic in found]),
+    )
+    return arrays.getvalue()
+
+
+def _curve(identification: Identification) -> dict[str, Any]:
+    deviation, phases = identification.inverter_deviation, identification.phase_voltages
+    return {
+        "convention": "voltage drop of one phase, positive for positive current",
+        "current": identification.inverter_current.tolist(),
+        "voltage": identification.inverter_voltage.tolist(),
+        **({} if deviation is None else {"sigma_voltage": deviation.tolist()}),
+        **(
+            {} if phases is None else dict(zip(("voltage_a", "voltage_b", "voltage_c"), phases.T.tolist(), strict=True))
+        ),
+    }
 
 
 def results_tree(identification: Identification, provenance: Provenance) -> dict[str, Any]:
@@ -183,11 +213,10 @@ def results_tree(identification: Identification, provenance: Provenance) -> dict
         "sigma_resistance": identification.sigma_resistance,
         "voltage_error": identification.voltage_error,
         "sigma_voltage_error": identification.sigma_voltage_error,
-        "inverter_curve": {
-            "convention": "voltage drop of one phase, positive for positive current",
-            "current": identification.inverter_current.tolist(),
-            "voltage": identification.inverter_voltage.tolist(),
-        },
+        "inverter_curve": _curve(identification),
+        "harmonics": [harmonic.order for harmonic in identification.harmonics],
+        "calibrations": [asdict(entry) for entry in identification.calibrations],
+        "statements": list(identification.statements),
         "metrics": {
             "nrmse_d": nrmse_d,
             "nrmse_q": nrmse_q,
@@ -239,8 +268,16 @@ def _versions() -> dict[str, str]:
     return {
         "drive_id": drive_id.__version__,
         "python": platform.python_version(),
-        **{name: version(name) for name in _DEPENDENCIES},
+        **{name: found for name in _DEPENDENCIES if (found := _version(name))},
     }
+
+
+def _version(name: str) -> str:
+    """Return the version of a distribution; empty where it is not installed, as numba may be."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
 
 
 def _is_ours(marker: Path, kind: str) -> bool:

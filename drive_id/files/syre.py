@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from drive_id.errors import ConfigurationError
 
@@ -37,6 +36,8 @@ def read_syre(path: Path) -> dict[str, Any]:
     ConfigurationError
         When the file is not such a file.
     """
+    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
+
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:

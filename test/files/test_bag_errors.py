@@ -29,7 +29,8 @@ from drive_id.errors import (
     StampOrderError,
     TruncatedBagError,
 )
-from drive_id.files.bag_reader import bag_info, read_recording
+from drive_id.files.bag_info import bag_info
+from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_writer import write_recording
 from drive_id.files.block_codec import encode_block
 from drive_id.files.messages import BLOCK_FIELDS, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, message_typestore

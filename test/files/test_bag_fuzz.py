@@ -14,7 +14,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from drive_id.errors import DriveIdError
-from drive_id.files.bag_reader import bag_info, read_recording
+from drive_id.files.bag_info import bag_info
+from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_writer import write_recording
 from drive_id.files.messages import message_typestore
 

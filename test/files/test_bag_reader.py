@@ -19,7 +19,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.errors import ConfigurationError, MissingTopicError, SamplePeriodError
-from drive_id.files.bag_reader import bag_info, read_recording, read_recordings
+from drive_id.files.bag_info import bag_info
+from drive_id.files.bag_reader import read_recording, read_recordings
 from drive_id.files.bag_writer import Topics, write_recording
 from drive_id.files.messages import message_typestore, schema_text
 from drive_id.files.signals import parse_signals

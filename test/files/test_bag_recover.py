@@ -23,7 +23,8 @@ from typer.testing import CliRunner
 
 from drive_id.cli import app
 from drive_id.errors import BagError, EmptyTopicError, NotABagError, OutputError, TruncatedBagError
-from drive_id.files.bag_reader import bag_info, read_recording
+from drive_id.files.bag_info import bag_info
+from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_recover import recover_bag
 from drive_id.files.bag_writer import write_recording
 from drive_id.files.recording_session import RecordingSession

@@ -19,7 +19,8 @@ from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed
 from rosbags.rosbag2 import Reader
 
 from drive_id.errors import ConfigurationError, OutputError
-from drive_id.files.bag_reader import bag_info, read_recording
+from drive_id.files.bag_info import bag_info
+from drive_id.files.bag_reader import read_recording
 from drive_id.files.block_codec import decode_block, encode_block, read_head
 from drive_id.files.recording_names import recording_path
 from drive_id.files.recording_session import RecordingSession

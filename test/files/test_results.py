@@ -75,7 +75,7 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
     assert metrics["nrmse_d"] == fitted.provenance.nrmse[0]
     assert metrics["samples_read"] == 20_000
     assert tree["warnings"] == list(fitted.warnings)
-    assert tree["settings"] == FitSettings().__dict__
+    assert tree["settings"] == FitSettings(method="joint").__dict__
     (file,) = bag.glob("*.mcap")
     assert [entry["file"] for entry in tree["inputs"]] == [str(file)]
     assert len(tree["inputs"][0]["sha256"]) == 64
@@ -101,7 +101,7 @@ def test_what_is_not_finite_becomes_null(fitted, tmp_path, value):
 
 
 def test_without_a_truth_there_is_no_score(fitted):
-    tree = results_tree(fitted.identification, Provenance(inputs={}, settings=FitSettings()))
+    tree = results_tree(fitted.identification, Provenance(inputs={}, settings=FitSettings(method="joint")))
     assert tree["metrics"]["nrmse_d"] is tree["metrics"]["nrmse_q"] is None
     assert tree["machine"] == ""
     assert tree["warnings"] == list(fitted.identification.report.warnings)

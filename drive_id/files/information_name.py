@@ -1,0 +1,19 @@
+"""How an information file is told from a bag, without loading what reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+SUFFIX = ".info"
+_ZIP_MAGIC = b"PK"
+
+
+def is_information(path: Path) -> bool:
+    """Tell whether a path is meant as an information file, readable or not; anything else may be a bag."""
+    try:
+        if not path.is_file():
+            return path.suffix == SUFFIX and not path.exists()
+        with path.open("rb") as file:
+            return path.suffix == SUFFIX or file.read(2) == _ZIP_MAGIC
+    except OSError:
+        return False

@@ -10,6 +10,9 @@ from setuptools import find_packages, setup
 
 NAME = "drive_id"
 
+# For "drive-id fit --dask": a cluster is not everyone's.
+FLEET = ["distributed>=2024.1"]
+
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
     "drive-id = drive_id.cli:main",
@@ -81,7 +84,7 @@ setup(
         "zstandard>=0.22",
     ],
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
-    extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4"]},
+    extras_require={"fleet": FLEET, "test": ["hypothesis>=6.98", "pytest>=7.4", *FLEET]},
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,
 )

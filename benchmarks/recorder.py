@@ -283,7 +283,7 @@ def kills_table(count: int, folder: Path, seed: int) -> Table:
             bench.recorder.wait()
             recording = read_recording(path)
             read = len(recording.samples) * recording.samples.sample_period
-            fit = fit_bags([path], bench.data / "fit", FitSettings())
+            fit = fit_bags([path], bench.data / "fit", FitSettings(method="joint"))
             warned = any("was not completed" in warning for warning in fit.warnings)
             recovery = recover_bag(path)
             recovered = stock_count(recovery.output)

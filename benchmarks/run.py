@@ -1,99 +1,83 @@
-"""Print what the package costs as ratios against the plain dense script, in one run on this machine.
+"""Print what the package costs as ratios against stated baselines, in one run on this machine, and write them down.
 
-Usage: python benchmarks/run.py
+Usage: python benchmarks/run.py [--only fit,process,growth,start,live,fleet] [--hour] [--quick] [--output FILE]
 """
 
 from __future__ import annotations
 
-import sys
-import time
-import tracemalloc
+import argparse
+import tempfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+import fitting
+import processes
+import streams
+from reporting import Section, machine, show, write
 from rich.console import Console
-from rich.table import Table
 
-from drive_id.core import frames
-from drive_id.core.bspline import Axis
-from drive_id.core.flux_models import TensorSpline
-from drive_id.core.inverter import TanhShape
-from drive_id.core.regression import Information
-from drive_id.core.solver import Solution, solve
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
-from drive_id.types import Samples
-from drive_id.workflows import run_experiment
-
-sys.path.insert(0, str(Path(__file__).parent))
-from dense_script import fit as dense_fit
-
-REPEATS = 5
+FLEET = Path(__file__).parent / "fleet.py"
+PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
+LENGTHS = [10.0, 60.0, 600.0]
+HOUR = 3600.0
 
 
-def joint_fit(samples: Samples) -> Solution:
-    """Accumulate and solve method ``joint`` in process, as ``drive-id fit`` does."""
-    i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    low, high = i_dq.min(axis=0), i_dq.max(axis=0)
-    model = TensorSpline(Axis(low[0], high[0], 8), Axis(low[1], high[1], 8))
-    information = Information(model, TanhShape())
-    information.add(samples)
-    return solve(information.total, information.rows, with_inverter=True)
+def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], Section]]:
+    """Return what can be measured, by name."""
+    repeats = 1 if options.quick else options.repeats
+    lengths = (LENGTHS[:2] if options.quick else LENGTHS) + ([HOUR] if options.hour else [])
+    found: dict[str, Callable[[], Section]] = {
+        "fit": lambda: fitting.section(repeats),
+        "process": lambda: processes.against_plain(folder, repeats),
+        "growth": lambda: processes.growth(folder, lengths, repeats),
+        "start": lambda: processes.start_up(folder, repeats),
+        "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
+    }
+    if FLEET.exists():
+        import fleet  # noqa: PLC0415  # needs the extra "fleet"
+
+        found["fleet"] = lambda: fleet.section(folder, repeats, 60.0 if options.quick else fleet.SECONDS)
+    return found
 
 
-def best_time(action: Callable[[], Any], repeats: int) -> float:
-    """Return the shortest of several runs, s."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def peak_memory(action: Callable[[], Any]) -> int:
-    """Return the most memory that Python and numpy held at once beyond what was there before, bytes."""
-    tracemalloc.start()
-    action()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak
+def _command(options: argparse.Namespace) -> str:
+    """Return the command that measures the same again."""
+    flags = [f"--{name}" for name in ("hour", "quick") if getattr(options, name)]
+    flags += [f"--only {options.only}"] if options.only else []
+    return "make bench" + (f' ARGS="{" ".join(flags)}"' if flags else "")
 
 
 def main() -> None:
-    """Compare, check that both find the same, and print the table."""
-    settings = SimulationSettings(inverter="dead_time", current_noise=1e-3)
-    samples = run_experiment(machine_map("ipm"), settings, seconds=10.0).samples
-
-    def ours() -> Solution:
-        return joint_fit(samples)
-
-    def dense() -> tuple[float, float, Any]:
-        return dense_fit(samples.stamp, samples.i_abc, samples.u_abc, samples.angle, samples.speed)
-
-    solution, (resistance, voltage_error, gamma) = ours(), dense()
-    agreement = np.abs(solution.gamma - gamma)[np.abs(gamma) < 1].max() / np.abs(gamma[np.abs(gamma) < 1]).max()
-    time_ours, time_dense = best_time(ours, REPEATS), best_time(dense, 2)
-    memory_ours, memory_dense = peak_memory(ours), peak_memory(dense)
-
-    table = Table(title="Joint fit of 10 s at 10 kHz, in process", title_justify="left")
-    for column in ("", "dense script (baseline)", "drive_id", "ratio"):
-        table.add_column(column, justify="left" if not column else "right")
-    table.add_row("Time", f"{time_dense:.2f} s", f"{time_ours:.3f} s", f"{time_dense / time_ours:.0f} x faster")
-    table.add_row(
-        "Peak extra memory",
-        f"{memory_dense / 1e6:.0f} MB",
-        f"{memory_ours / 1e6:.1f} MB",
-        f"1/{memory_dense / memory_ours:.0f}",
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
+    parser.add_argument("--only", default="", help="names of parts, with commas: fit,process,growth,start,live,fleet")
+    parser.add_argument("--hour", action="store_true", help="also fit an hour at 10 kHz (1.2 GB of disk, minutes)")
+    parser.add_argument("--quick", action="store_true", help="one run of each, short recordings: to see that all works")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of which the best counts")
+    parser.add_argument("--bags", type=Path, help="keep the recordings in this folder, and take those that are there")
+    parser.add_argument(
+        "--output", type=Path, help="page to write; by default docs/performance.md, if all was measured"
     )
-    console = Console()
-    console.print(table)
-    console.print(
-        f"Both find R = {resistance * 1e3:.4f} / {solution.resistance * 1e3:.4f} mohm, u_e = {voltage_error:.4f} / "
-        f"{solution.voltage_error:.4f} V; their flux parameters differ by {agreement:.1e} of the largest."
-    )
+    options = parser.parse_args()
+    console = Console(width=150)
+    data = machine()
+    console.print(*data, sep="\n", highlight=False)
+    keep = options.bags
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+    with nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="drive_id_benchmark_") as folder:
+        available = parts(Path(folder), options)
+        wanted = options.only.split(",") if options.only else list(available)
+        sections = []
+        for name in wanted:
+            sections.append(available[name]())
+            show(sections[-1], console)
+    complete = not options.only and not options.quick
+    page = options.output or (PAGE if complete else None)
+    if page:
+        write(page, data, sections, _command(options))
+        console.print(f"Written to {page}")
 
 
 if __name__ == "__main__":

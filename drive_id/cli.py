@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 import drive_id
 from drive_id.errors import ConfigurationError, DriveIdError
@@ -38,10 +46,27 @@ QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing bu
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by name; may be repeated.")
 ]
+SourcesArgument = Annotated[
+    list[Path],
+    typer.Argument(help="Bags of one drive, or what 'accumulate' made of them.", show_default=False, metavar="BAG..."),
+]
+BagsArgument = Annotated[
+    list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False, metavar="BAG...")
+]
+SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are in the bag.")]
+NamespaceOption = Annotated[str, typer.Option(help="Of the drive, when a bag holds several.")]
+FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings of the fit.")]
+RadiusOption = Annotated[float | None, typer.Option(help="Radius of the current disc, A.")]
+ClusterOption = Annotated[
+    str,
+    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Dask cluster that does the work, or N processes here."),
+]
+SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
 
 
 def main() -> None:
     """Run the command line; bad input ends with exit code 1 and one sentence."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # our matrices are small: more threads only wait
     try:
         app()
     except DriveIdError as error:
@@ -50,8 +75,9 @@ def main() -> None:
         sentence = "".join(character if character.isprintable() else " " for character in str(error))
         err.print(f"drive-id: {sentence}", style="red", markup=False, highlight=False, soft_wrap=True)
         raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        err.print("drive-id: interrupted; no output was left behind.")
+    except KeyboardInterrupt as interrupt:
+        said = str(interrupt) or "no output was left behind."
+        err.print(f"drive-id: interrupted; {said}", markup=False, highlight=False, soft_wrap=True)
         raise SystemExit(130) from None
 
 
@@ -113,13 +139,16 @@ def simulate(
 
 @app.command(epilog="A bag of your own messages: write a signals file, see config/signals_example_stranger.yaml.")
 def fit(
-    bags: Annotated[list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False)],
+    bags: SourcesArgument,
     output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and a picture.")],
     method: Annotated[str | None, typer.Option(help="psm (no inverter model) or joint.  [default: joint]")] = None,
-    signals: Annotated[Path | None, typer.Option(help="YAML file: where the signals are in the bag.")] = None,
-    namespace: Annotated[str, typer.Option(help="Of the drive, when a bag holds several.")] = "",
-    config: Annotated[Path | None, typer.Option(help="YAML file with settings of the fit.")] = None,
+    i_max: RadiusOption = None,
+    signals: SignalsOption = None,
+    namespace: NamespaceOption = "",
+    config: FitConfigOption = None,
     settings: SetOption = None,
+    cluster: ClusterOption = "",
+    skip_bad: SkipFlag = False,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -128,14 +157,17 @@ def fit(
     from drive_id.core.fit_settings import FitSettings
     from drive_id.files.results import results_tree
     from drive_id.files.signals import read_signals
+    from drive_id.merging import stored_settings
     from drive_id.tables import fit_table
     from drive_id.workflows import fit_bags
 
-    chosen = _settings(FitSettings, config, settings, {"method": method})
+    stored = stored_settings(bags, skip_bad=skip_bad)
+    chosen = _settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
     signal_map = read_signals(signals) if signals else None
     with _working(quiet or as_json) as tell:
         result = fit_bags(
-            bags, output, chosen, signals=signal_map, namespace=namespace, force=force, tell=tell
+            bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
+            force=force, tell=tell,
         )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(results_tree(result.identification, result.provenance), allow_nan=False))
@@ -146,17 +178,63 @@ def fit(
         out.print(f"Results in {output}", markup=False, highlight=False, soft_wrap=True)
 
 
+@app.command(
+    epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all"
+)
+def accumulate(
+    bags: BagsArgument,
+    output: Annotated[Path, typer.Option(help="Information file to write, for example X.info.")],
+    i_max: Annotated[
+        float | None, typer.Option(help="Radius of the current disc, A.  [default: that of the recorded references]")
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="To be fitted with, full also with the others.")] = None,
+    signals: SignalsOption = None,
+    namespace: NamespaceOption = "",
+    config: FitConfigOption = None,
+    settings: SetOption = None,
+    cluster: ClusterOption = "",
+    skip_bad: SkipFlag = False,
+    as_json: JsonFlag = False,
+    quiet: QuietFlag = False,
+) -> None:
+    """Keep of bags what a fit needs, in a small file: fitting such files together is fitting the bags together."""
+    from drive_id.core.fit_settings import FitSettings
+    from drive_id.files.information import information_tree
+    from drive_id.files.signals import read_signals
+    from drive_id.workflows import accumulate_bags
+
+    chosen = _settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
+    signal_map = read_signals(signals) if signals else None
+    with _working(quiet or as_json) as tell:
+        result = accumulate_bags(
+            bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad, tell=tell
+        )
+    if as_json:
+        typer.echo(json.dumps({"information": str(output)} | information_tree(result)))
+    elif not quiet:
+        for warning in result.warnings:
+            out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        radius = f"{result.evidence.i_max:.4g} A"
+        out.print(
+            f"{output}: {result.samples} samples, disc of {radius}.", markup=False, highlight=False, soft_wrap=True
+        )
+
+
 @app.command()
 def info(
-    bag: Annotated[Path, typer.Argument(help="Bag (folder or file).", show_default=False)],
+    bag: Annotated[Path, typer.Argument(help="Bag (folder or file), or information file.", show_default=False)],
     as_json: JsonFlag = False,
 ) -> None:
-    """Tell what a bag holds, without reading its messages."""
+    """Tell what a bag holds, without reading its messages, or what an information file does."""
     import dataclasses
 
-    from drive_id.files.bag_reader import bag_info
+    from drive_id.files.bag_info import bag_info
+    from drive_id.files.information_name import is_information
     from drive_id.tables import info_table
 
+    if is_information(bag):
+        _print_information(bag, as_json=as_json)
+        return
     found = bag_info(bag)
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(found)))
@@ -166,6 +244,19 @@ def info(
         out.print("The recording is a simulation and carries its ground truth.")
     if found.problem:
         out.print(f"Warning: {found.problem}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_information(path: Path, *, as_json: bool) -> None:
+    from drive_id.files.information import information_tree, read_information
+    from drive_id.tables import information_table
+
+    stored = read_information(path)
+    if as_json:
+        typer.echo(json.dumps({"path": str(path), "software": stored.software} | information_tree(stored.accumulated)))
+        return
+    out.print(information_table(path, stored))
+    for warning in stored.accumulated.warnings:
+        out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
@@ -190,6 +281,67 @@ def recover(
             f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.",
             markup=False, highlight=False, soft_wrap=True,
         )  # fmt: skip
+
+
+@app.command(
+    name="plan",
+    epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
+)
+def plan_experiment(
+    machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, or a machine file, to take all data from.")] = "",
+    i_max: RadiusOption = None,
+    pole_pairs: Annotated[int | None, typer.Option(help="Of the machine.")] = None,
+    resistance: Annotated[float | None, typer.Option(help="Rough, ohm.")] = None,
+    inductance_d: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
+    inductance_q: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
+    magnet_flux: Annotated[float | None, typer.Option(help="Rough, Wb.")] = None,
+    u_dc: Annotated[float | None, typer.Option(help="DC link, V.")] = None,
+    sample_period: Annotated[float | None, typer.Option(help="s.  [default: 1e-4]")] = None,
+    noise: Annotated[float | None, typer.Option(help="Current noise, fraction of i_max.  [default: 0.001]")] = None,
+    speed_min: Annotated[float | None, typer.Option(help="Lowest, rpm.  [default: 100]")] = None,
+    speed_max: Annotated[float | None, typer.Option(help="Highest, rpm.  [default: 1500]")] = None,
+    reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Turn backwards, too.")] = None,
+    accuracy: Annotated[float | None, typer.Option(help="Of the flux, percent.  [default: 0.05]")] = None,
+    duration: Annotated[float | None, typer.Option(help="s.  [default: what the accuracy needs]")] = None,
+    duration_max: Annotated[float | None, typer.Option(help="s.  [default: 60]")] = None,
+    output: Annotated[Path | None, typer.Option(help="File of ROS parameters to write (YAML).")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file with settings of the plan.")] = None,
+    settings: SetOption = None,
+    as_json: JsonFlag = False,
+    quiet: QuietFlag = False,
+) -> None:
+    """Propose trajectory, speeds and duration for a wanted accuracy, from rough data of the machine."""
+    from drive_id.core.plan import plan
+    from drive_id.core.plan_settings import PlanSettings
+    from drive_id.files.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan
+    from drive_id.tables import plan_tables
+    from drive_id.workflows import rough_settings
+
+    options: dict[str, Any] = {
+        "i_max": i_max, "pole_pairs": pole_pairs, "resistance": resistance, "inductance_d": inductance_d,
+        "inductance_q": inductance_q, "magnet_flux": magnet_flux, "u_dc": u_dc, "sample_period": sample_period,
+        "current_noise": noise, "speed_min": speed_min, "speed_max": speed_max, "reverse": reverse,
+        "accuracy": accuracy, "duration": duration, "duration_max": duration_max,
+    }  # fmt: skip
+    chosen = _settings(PlanSettings, config, settings, options, rough_settings(machine) if machine else None)
+    if output is not None:
+        check_plan_output(output)
+    with _working(quiet or as_json) as tell:
+        found = plan(chosen, tell)
+    text = plan_yaml(found, machine)
+    if output is not None:
+        write_plan(output, text)
+    if as_json:
+        typer.echo(json.dumps(plan_tree(found), allow_nan=False))
+    elif not quiet:
+        for table in plan_tables(found):
+            out.print(table)
+        for sentence in (found.reason(), *found.statements()):
+            out.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        for warning in found.warnings():
+            out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        shown = f"Written to {output}" if output is not None else "\n" + text.rstrip()
+        out.print(shown, markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -219,13 +371,19 @@ def reproduce(
 
 
 def _settings(
-    cls: Callable[..., Settings], config: Path | None, assignments: list[str] | None, options: dict[str, Any]
+    cls: Callable[..., Settings],
+    config: Path | None,
+    assignments: list[str] | None,
+    options: dict[str, Any],
+    base: Settings | None = None,
 ) -> Settings:
-    """Merge a YAML file, --set and named options, the later ones winning."""
+    """Merge settings to start from, a YAML file, --set and named options, the later ones winning."""
+    import dataclasses
+
     import yaml
 
     unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
-    values: dict[str, Any] = {}
+    values: dict[str, Any] = dataclasses.asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
     if config is not None:
         try:
             tree = yaml.safe_load(config.read_text(encoding="utf-8"))
@@ -252,10 +410,22 @@ def _settings(
 @contextmanager
 def _working(silent: bool) -> Iterator[Tell]:
     """Show a progress bar on standard error while the body works."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
     with Progress(*columns, console=err, transient=True, disable=silent or not err.is_terminal) as bar:
         task = bar.add_task("Starting", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
+        doing = ""
+
+        def tell(what: str, share: float) -> None:
+            nonlocal doing
+            name = what.partition(",")[0]
+            if name != doing:  # another task, which takes another time
+                doing = name
+                bar.reset(task)
+            bar.update(task, description=what, completed=share)
+
+        yield tell
 
 
 if __name__ == "__main__":

@@ -25,6 +25,18 @@ class OutputError(DriveIdError):
     code = "output"
 
 
+class InformationError(DriveIdError):
+    """An information file is none, is damaged, or was written by a newer version."""
+
+    code = "information"
+
+
+class FleetError(DriveIdError):
+    """The cluster that was to do the work is not there, or was lost."""
+
+    code = "fleet"
+
+
 class BagError(DriveIdError):
     """Base of the errors of a recording's container: what was found before any sample was looked at."""
 

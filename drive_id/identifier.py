@@ -9,6 +9,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+from drive_id.analysis.painting import paint
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.health import Finding, Health, Level
@@ -202,7 +203,7 @@ def _fit_bags(
         result.identification,
         result.warnings,
         result.provenance.machine,
-        int(result.recording.samples.stamp[-1]),
+        result.recording.last_stamp,
         str(output),
     )
 
@@ -244,10 +245,9 @@ def _fit_live(snapshot: Snapshot, fit: FitSettings, settings: IdentificationSett
 
 
 def _draw(identification: Identification, samples: Samples) -> bytes:
-    from drive_id.analysis.plots import draw_flux_maps, to_png  # noqa: PLC0415  # matplotlib takes half a second
-
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    return to_png(draw_flux_maps(identification, i_dq, f"Live samples, method {identification.method}"))
+    title = f"Live samples, method {identification.method}"
+    return paint(identification.flux_map, identification.i_max, i_dq, title)
 
 
 def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:

@@ -9,7 +9,11 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from drive_id.files.bag_reader import BagInfo
+    from pathlib import Path
+
+    from drive_id.core.plan import Plan
+    from drive_id.files.bag_info import BagInfo
+    from drive_id.files.information import StoredInformation
     from drive_id.types import GroundTruth
     from drive_id.workflows import Fit
 
@@ -40,6 +44,11 @@ def fit_table(fit: Fit) -> Table:
             _number(identification.sigma_voltage_error, "V"),
             _number(_drop_at_i_max(truth), "V") if truth else "",
         )
+    for found in identification.calibrations:
+        applied = "taken out" if found.applied else "not taken out"
+        row(f"{found.name} ({applied})", _number(found.value, found.unit), _number(found.sigma, found.unit))
+    if identification.method == "full":
+        row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
     if fit.provenance.nrmse:
         row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
     row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
@@ -63,6 +72,58 @@ def info_table(info: BagInfo) -> Table:
     table.add_column("Messages", justify="right")
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
+    return table
+
+
+def plan_tables(plan: Plan) -> list[Table]:
+    """Lay out a plan: what to do, what the drive needs for it, and what to expect beside the paper's experiment."""
+    experiment, trajectory = plan.experiment, plan.experiment.trajectory
+    proposal = Table(title="Proposed experiment", title_justify="left")
+    proposal.add_column("Quantity")
+    proposal.add_column("Value")
+    frequencies = f"{trajectory.frequency_d:g} Hz on d, {trajectory.frequency_q:g} Hz on q, {trajectory.form}"
+    proposal.add_row("Lissajous figure", f"{trajectory.i_max:g} A; {frequencies}")
+    proposal.add_row("Mechanical speeds, in turn", ", ".join(f"{speed:g}" for speed in experiment.speeds) + " rpm")
+    proposal.add_row("Duration", f"{experiment.duration:g} s, {experiment.share:g} s at each speed")
+    voltages = ", ".join(f"{voltage:.3g}" for voltage in plan.voltages)
+    proposal.add_row(
+        "Voltage, largest, at each", f"{voltages} V of u_dc / sqrt(3) = {plan.machine.largest_voltage:.4g} V"
+    )
+    proposal.add_row("|di/dt|, largest", f"{trajectory.slope / 1e3:.3g} A/ms")
+    expected = Table(title="Deviations to be expected", title_justify="left")
+    expected.add_column("Quantity")
+    for name in ("Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"):
+        expected.add_column(name, justify="right")
+    names = (
+        "psi_d over the disc, of the largest",
+        "psi_q over the disc, of the largest",
+        "R",
+        "Inverter's curve, of its height",
+        "R, were the maps not reciprocal",
+    )
+    for name, ours, paper in zip(names, plan.prediction.values(), plan.paper_prediction.values(), strict=True):
+        expected.add_row(name, f"{100 * ours:.3f} %", f"{100 * paper:.3f} %", f"{ours / paper:.2f}")
+    return [proposal, expected]
+
+
+def information_table(path: Path, stored: StoredInformation) -> Table:
+    """Lay out what an information file holds."""
+    found = stored.accumulated
+    evidence, information, settings = found.evidence, found.evidence.information, found.evidence.settings
+    duration = evidence.samples * evidence.sample_period
+    seconds = sum(piece.duration for piece in found.validation)
+    table = Table(title=escape(f"{path}: written by drive_id {stored.software}"), title_justify="left")
+    table.add_column("Quantity")
+    table.add_column("Value")
+    table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {evidence.gaps} gaps")
+    table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
+    table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
+    table.add_row("Blocks of time", f"{len(information.blocks)} of {information.block_duration:.4g} s")
+    table.add_row("Kept for the MAD", f"{seconds:.3f} s of {len(found.validation)} recordings")
+    if found.truth:
+        table.add_row("Truth of", escape(found.truth.machine))
+    for file, digest in found.digests.items():
+        table.add_row(escape(file), f"sha256 {digest[:16]}...")
     return table
 
 

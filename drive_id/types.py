@@ -81,8 +81,11 @@ class Samples:
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= n:
             raise DataError("run_starts must begin with 0 and increase strictly within the samples.")
         for name in ("i_abc", "u_abc", "angle", "speed"):
-            finite = np.isfinite(getattr(self, name)).reshape(n, -1).all(axis=1)
-            if not finite.all():
+            values = getattr(self, name)
+            with np.errstate(over="ignore", invalid="ignore"):
+                total = values.sum()  # of finite values it is finite, unless they are absurd
+            if not (np.isfinite(total) or np.isfinite(values).all()):
+                finite = np.isfinite(values).reshape(n, -1).all(axis=1)
                 k = int(np.argmin(finite))
                 raise NonFiniteError(
                     f"{name} holds {n - int(finite.sum())} samples that are NaN or infinite, the first at "

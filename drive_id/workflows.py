@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from drive_id.analysis.painting import Painter
 from drive_id.core import frames
+from drive_id.core.accumulated import Accumulated
+from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identification import Identification
-from drive_id.core.identify import Progress, identify, score, silent
+from drive_id.core.identify import Progress, score, silent
+from drive_id.core.plan_settings import PlanSettings, RoughMachine
 from drive_id.core.trajectories import Lissajous
 from drive_id.errors import ConfigurationError
-from drive_id.files.bag_reader import Recording, read_recordings
 from drive_id.files.bag_writer import write_recording
+from drive_id.files.information import check_information_output, write_information
+from drive_id.files.information_name import is_information
 from drive_id.files.machines import read_machine
 from drive_id.files.results import Provenance, check_absent, check_output, write_results
 from drive_id.files.signals import SignalMap
+from drive_id.fleet import accumulate_on_cluster
+from drive_id.merging import accumulate_sources
 from drive_id.sim.drive import Simulation, simulate
 from drive_id.sim.machine import default_amplitude
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
+from drive_id.streaming import accumulate
 from drive_id.types import MachineMap
 
 PICTURE = "flux_map.png"
@@ -36,12 +45,12 @@ class Fit:
 
     Parameters
     ----------
-    recording : Recording
+    recording : Accumulated
     identification : Identification
     provenance : Provenance
     """
 
-    recording: Recording
+    recording: Accumulated
     identification: Identification
     provenance: Provenance
 
@@ -62,6 +71,12 @@ def load_machine(name_or_file: str) -> MachineMap:
     path = Path(name_or_file)
     is_file = path.suffix in (".npz", ".mat") or os.path.exists(path)  # noqa: PTH110  # never raises, whatever the name
     return read_machine(path) if is_file else machine_map(name_or_file)
+
+
+def rough_settings(name_or_file: str) -> PlanSettings:
+    """Return settings of a plan with the rough data of a machine, see :func:`load_machine`."""
+    machine_map = load_machine(name_or_file)
+    return PlanSettings(**asdict(RoughMachine.from_map(machine_map, default_amplitude(machine_map))))
 
 
 def run_experiment(
@@ -121,6 +136,8 @@ def fit_bags(
     *,
     signals: SignalMap | None = None,
     namespace: str = "",
+    cluster: str = "",
+    skip_bad: bool = False,
     force: bool = False,
     picture: bool = True,
     tell: Progress = silent,
@@ -130,6 +147,7 @@ def fit_bags(
     Parameters
     ----------
     bags : sequence of Path
+        And information files.
     output : Path, optional
         Folder for the result files; none are written without.
     settings : FitSettings
@@ -137,6 +155,10 @@ def fit_bags(
         Where to find the signals in bags that are not ours.
     namespace : str
         Of the drive, when a bag holds several.
+    cluster : str
+        Dask cluster that accumulates them, see :func:`drive_id.fleet.accumulate_on_cluster`; empty: this process.
+    skip_bad : bool
+        Leave out bags that cannot be used, and warn of them.
     force : bool
         Write into a folder that holds other files.
     picture : bool
@@ -154,9 +176,26 @@ def fit_bags(
     """
     if output is not None:
         check_output(output, force=force)
-    tell("Reading", 0.0)
-    recording = read_recordings(bags, signals, namespace=namespace)
-    identification = identify([recording.samples], settings, tell)
+    with Painter(wanted=picture and output is not None) as painter:
+        fit = _fit(_gatherer(bags, cluster, skip_bad=skip_bad, output=output), bags, settings, signals, namespace, tell)
+        if output is not None:
+            tell("Writing", 0.0)
+            pictures = {PICTURE: _draw(painter, fit)} if picture else {}
+            write_results(output, fit.identification, fit.provenance, force=force, pictures=pictures)
+    return fit
+
+
+def _fit(
+    gather: Callable[..., Accumulated],
+    bags: Sequence[Path],
+    settings: FitSettings,
+    signals: SignalMap | None,
+    namespace: str,
+    tell: Progress,
+) -> Fit:
+    recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
+    tell("Solving and validating", 1.0)
+    identification = conclude(recording.evidence, recording.validation)
     truth = recording.truth
     nrmse = score(identification, truth) if truth else None
     strange = ("None of the map lies in the disc of the recorded truth: check the scale of the currents.",)
@@ -167,19 +206,51 @@ def fit_bags(
         nrmse=nrmse,
         warnings=recording.warnings + (strange if nrmse and not np.isfinite(nrmse).all() else ()),
     )
-    fit = Fit(recording, identification, provenance)
-    if output is not None:
-        tell("Writing", 0.0)
-        pictures = {PICTURE: draw_fit(fit)} if picture else {}
-        write_results(output, identification, provenance, force=force, pictures=pictures)
-    return fit
+    return Fit(recording, identification, provenance)
 
 
-def draw_fit(fit: Fit) -> bytes:
+def accumulate_bags(
+    bags: Sequence[Path],
+    output: Path,
+    settings: FitSettings,
+    *,
+    signals: SignalMap | None = None,
+    namespace: str = "",
+    cluster: str = "",
+    skip_bad: bool = False,
+    tell: Progress = silent,
+) -> Accumulated:
+    """Accumulate bags of one drive, each by itself, and write an information file; parameters as of :func:`fit_bags`.
+
+    Raises
+    ------
+    DriveIdError
+        Nothing is written then.
+    """
+    check_information_output(output)
+    gather = _gatherer(bags, cluster, skip_bad=skip_bad, apart=True)
+    accumulated = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
+    tell("Writing", 0.0)
+    write_information(output, accumulated)
+    return accumulated
+
+
+def _gatherer(
+    bags: Sequence[Path], cluster: str, *, skip_bad: bool, apart: bool = False, output: Path | None = None
+) -> Callable[..., Accumulated]:
+    """Return what turns bags into evidence: all of them together, or each by itself, here or on a cluster."""
+    if cluster:
+        return partial(accumulate_on_cluster, cluster=cluster, skip_bad=skip_bad)
+    if apart or skip_bad or any(is_information(bag) for bag in bags):
+        return partial(accumulate_sources, skip_bad=skip_bad)
+    if output is None:
+        return accumulate
+    return partial(accumulate, checkpoint=output.absolute().with_name(f".{output.absolute().name}.checkpoint"))
+
+
+def _draw(painter: Painter, fit: Fit) -> bytes:
     """Draw the identified maps with the trajectory over them, as PNG."""
-    from drive_id.analysis.plots import draw_flux_maps, to_png  # noqa: PLC0415  # matplotlib is slow to import
-
-    samples = fit.recording.samples
-    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    i_dq = np.concatenate([frames.to_dq(part.i_abc, part.angle) for part in fit.recording.validation])
     name = f"{fit.provenance.machine}, " if fit.provenance.machine else ""
-    return to_png(draw_flux_maps(fit.identification, i_dq, f"{name}method {fit.identification.method}"))
+    found = fit.identification
+    return painter.draw(found.flux_map, found.i_max, i_dq, f"{name}method {found.method}")

@@ -66,5 +66,6 @@ echo
 echo "4. The same recording, read without ROS by the command line:"
 drive-id info "$output/bag"
 echo
-echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
-echo "$output/recording_psm, recording_joint and live_joint: look at flux_map.png."
+echo "Without a model of the inverter (psm) its voltage error ends up in the flux map; without one of the rotor's harmonics"
+echo "(joint) these do. Maps and pictures are in $output/live_full, recording_full, recording_joint and recording_psm:"
+echo "look at flux_map.png."

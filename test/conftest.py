@@ -33,4 +33,4 @@ def bag(simulation, tmp_path_factory):
 @pytest.fixture(scope="session")
 def fitted(bag):
     """Its fit, nothing written."""
-    return fit_bags([bag], None, FitSettings())
+    return fit_bags([bag], None, FitSettings(method="joint"))

@@ -625,7 +625,7 @@ def test_info_of_a_recording_that_breaks_off(run, bag, tmp_path):
 
 def test_version_and_help(run):
     assert run("--version").out == f"drive-id {drive_id.__version__}\n"
-    for command in ("simulate", "fit", "info", "reproduce"):
+    for command in ("simulate", "fit", "info", "plan", "reproduce"):
         assert run(command, "--help").code == 0
         assert command in run("--help").out
 
@@ -664,3 +664,37 @@ def test_an_interrupt_ends_without_a_traceback_and_leaves_nothing(tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in said, said
     assert tree(tmp_path) == []
+
+
+# -- plans -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_plan_is_printed_and_written(run):
+    ran = run("plan", "--machine", "spm", "--duration", "4", "--speed-max", "800", "--output", "plan.yaml")
+    assert ran.code == 0, ran.err
+    for said in ("Lissajous figure", "Paper's, 4 s", "u_dc / sqrt(3)", "separate R from a rotation", "plan.yaml"):
+        assert said in ran.out
+    written = yaml.safe_load(Path("plan.yaml").read_text())
+    assert written["/**/trajectory_publisher"]["ros__parameters"]["duration"] == 4.0
+    assert max(written["/**/bench_simulator"]["ros__parameters"]["speeds"]) <= 800.0
+
+
+def test_a_plan_from_rough_data_as_json(run):
+    data = {"i-max": 20, "pole-pairs": 3, "resistance": 0.35, "inductance-d": 2e-3, "inductance-q": 3e-3}
+    data |= {"magnet-flux": 0.09, "u-dc": 325, "duration": 4, "speed-max": 800}
+    options = [word for name, value in data.items() for word in (f"--{name}", value)]
+    ran = run("plan", *options, "--one-direction", "--json")
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)
+    assert min(found["speeds"]) > 0
+    assert found["predicted"]["resistance"] < found["paper"]["predicted"]["resistance"]
+    assert found["settings"]["i_max"] == 20.0
+
+
+def test_plans_that_cannot_be(run):
+    assert_one_sentence(run("plan", "--i-max", "20"), "The plan needs pole_pairs, resistance,")
+    assert_one_sentence(run("plan", "--machine", "none"), "no machine 'none'")
+    assert_one_sentence(run("plan", "--machine", "ipm", "--u-dc", "20"), "reduce i_max or speed_min, or raise u_dc")
+    Path("mine.yaml").write_text("mine: true")
+    assert_one_sentence(run("plan", "--machine", "ipm", "--output", "mine.yaml"), "mine.yaml")
+    assert Path("mine.yaml").read_text() == "mine: true"

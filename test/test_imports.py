@@ -12,7 +12,15 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types"}
-APPLICATION = {"drive_id.identifier", "drive_id.reproduction", "drive_id.tables", "drive_id.workflows"}
+APPLICATION = {
+    "drive_id.fleet",
+    "drive_id.identifier",
+    "drive_id.merging",
+    "drive_id.reproduction",
+    "drive_id.streaming",
+    "drive_id.tables",
+    "drive_id.workflows",
+}
 LIBRARY_ROOMS = {"drive_id.core", "drive_id.sim", "drive_id.files", "drive_id.analysis"}
 ROS = {
     "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch", "launch_ros",
@@ -48,6 +56,10 @@ ROOMS = {
         name: Room.of(NOUNS | LIBRARY_ROOMS | (APPLICATION - {name}) | {"drive_id"}, {"numpy", "rich"})
         for name in APPLICATION
     },
+    "drive_id.cluster": Room.of({"drive_id", "drive_id.errors"}, {"dask", "distributed"}),
+    "drive_id.fleet": Room.of(
+        NOUNS | LIBRARY_ROOMS | {"drive_id.cluster", "drive_id.merging", "drive_id.streaming"}, {"distributed"}
+    ),
     "drive_id.nodes": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"numpy", "yaml", *ROS}),
     "drive_id.cli": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"typer", "rich", "yaml"}),
 }

@@ -160,6 +160,8 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
     from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
+    from drive_id.nodes.middleware import without_type_lookup
+
     domain = 1 + os.getpid() % 101
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -174,8 +176,9 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
     sent.c = array.array("f", [float(k) for k in range(100)])
 
     context = Context()
-    context.init(args=[], domain_id=domain)
-    try:
+    with without_type_lookup(), contextlib.ExitStack() as ending:
+        context.init(args=[], domain_id=domain)
+        ending.callback(context.try_shutdown)
         node = Node("here", context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
@@ -192,5 +195,3 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
             assert received == [sent]
         executor.shutdown()
         node.destroy_node()
-    finally:
-        context.try_shutdown()

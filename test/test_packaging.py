@@ -35,6 +35,9 @@ LIBRARIES = {
     "yaml": ("PyYAML", "python3-yaml"),
     "zstandard": ("zstandard", "mcap-ros2-support"),
 }
+OPTIONAL = {"dask": "fleet", "distributed": "fleet"}
+"""An import on demand: the extra that brings it."""
+
 ROS_PACKAGE = re.compile(
     r"rclpy|\w+_(msgs|srvs|interfaces)"
 )  # not on the index: the dependency in package.xml suffices
@@ -108,6 +111,10 @@ def test_every_import_is_a_declared_dependency(metadata, manifest):
     for name, file in third_party_imports().items():
         if ROS_PACKAGE.fullmatch(name):
             assert name in declared, f"{file} imports {name}: name it in package.xml"
+            continue
+        if name in OPTIONAL:
+            extra = metadata["extras_require"][OPTIONAL[name]]
+            assert set(extra) <= set(metadata["extras_require"]["test"]), f"the tests need what {file} imports"
             continue
         assert name in LIBRARIES, f"{file} imports {name}: name it in setup.py, package.xml and here"
         distribution, key = LIBRARIES[name]

@@ -33,7 +33,7 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     """Ideal but for an inverter of the model's own shape; the pmsyrm saturates more sharply than 8 splines can bend."""
     settings = SimulationSettings(inverter="tanh", inverter_current=1.0, harmonics=0.0)
     simulation = simulate_bag(machine_map(machine), settings, tmp_path / "bag", TRAJECTORY, 2.0)
-    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(), picture=False)
+    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"), picture=False)
     truth, found = simulation.truth, fit.identification
     assert max(fit.provenance.nrmse) < error
     assert found.resistance == pytest.approx(truth.resistance, rel=0.05)
@@ -57,7 +57,7 @@ def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):
 
 def test_the_truth_of_a_simulation_is_never_used_by_the_fit(simulation, fitted, tmp_path):
     write_recording(tmp_path / "bag", simulation.samples)
-    blind = fit_bags([tmp_path / "bag"], None, FitSettings())
+    blind = fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
     assert blind.provenance.nrmse is None
     assert blind.provenance.machine == ""
     assert blind.identification.resistance == fitted.identification.resistance
@@ -72,7 +72,7 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
         samples = replace(simulation.samples, **{name: getattr(simulation.samples, name)[part] for name in names})
         bags.append(tmp_path / f"part_{k}")
         write_recording(bags[-1], samples, simulation.truth)
-    fit = fit_bags(bags, None, FitSettings())
+    fit = fit_bags(bags, None, FitSettings(method="joint"))
     assert fit.identification.report.samples_used == fitted.identification.report.samples_used - 1
     assert fit.identification.resistance == pytest.approx(fitted.identification.resistance, rel=0.01)
     assert fit.provenance.nrmse == pytest.approx(fitted.provenance.nrmse, rel=0.05)
@@ -81,7 +81,7 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
 
 def test_bags_of_two_machines_have_no_common_truth(bag, tmp_path):
     simulate_bag(machine_map("spm"), SHORT, tmp_path / "spm", TRAJECTORY, 1.0)
-    fit = fit_bags([bag, tmp_path / "spm"], None, FitSettings())
+    fit = fit_bags([bag, tmp_path / "spm"], None, FitSettings(method="joint"))
     assert fit.provenance.nrmse is None
 
 
@@ -91,17 +91,17 @@ def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_pa
 
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes").touch()
-    monkeypatch.setattr("drive_id.workflows.read_recordings", fail)
+    monkeypatch.setattr("drive_id.workflows.accumulate", fail)
     monkeypatch.setattr("drive_id.workflows.simulate", fail)
     with pytest.raises(OutputError):
-        fit_bags([bag], tmp_path / "full", FitSettings())
+        fit_bags([bag], tmp_path / "full", FitSettings(method="joint"))
     with pytest.raises(OutputError):
         simulate_bag(machine_map("ipm"), SHORT, tmp_path / "full", TRAJECTORY, 1.0)
 
 
 def test_progress_is_told_in_order(bag, tmp_path):
     told = []
-    fit_bags([bag], tmp_path / "out", FitSettings(), picture=False, tell=lambda what, share: told.append((what, share)))
+    fit_bags([bag], tmp_path / "out", FitSettings(method="joint"), picture=False, tell=lambda what, share: told.append((what, share)))
     assert list(dict.fromkeys(what for what, _ in told)) == [
         "Reading", "Accumulating", "Solving and validating", "Writing",
     ]  # fmt: skip
@@ -120,7 +120,7 @@ def test_warnings_of_reading_stand_before_those_of_the_fit(simulation, tmp_path)
         run_starts=np.array([0, 8000]),
     )
     write_recording(tmp_path / "bag", cut)
-    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(), picture=False)
+    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"), picture=False)
     assert fit.identification.report.gaps == 1
     assert fit.warnings == (*fit.recording.warnings, *fit.identification.report.warnings)
     assert json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"] == list(fit.warnings)
@@ -130,7 +130,7 @@ def test_the_simulator_holds_a_point_and_the_fit_refuses_it(tmp_path):
     held = Lissajous(frequency_d=0.0, frequency_q=0.0)
     simulate_bag(machine_map("ipm"), replace(SHORT, current_noise=1e-3), tmp_path / "bag", held, 0.5)
     with pytest.raises(CoverageError, match="references stay at"):
-        fit_bags([tmp_path / "bag"], None, FitSettings())
+        fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
 
 
 def test_an_experiment_takes_its_radius_from_settings_or_machine():

@@ -12,11 +12,10 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from drive_id.core.identification import Identification
+from drive_id.core.identification import FluxMap, Identification
 from drive_id.core.metrics import true_flux
 from drive_id.types import BoolArray, FloatArray, GroundTruth
 
-_TRAJECTORY_POINTS = 20_000
 _NAMES = {"d": r"$\psi_\mathrm{d}$", "q": r"$\psi_\mathrm{q}$"}
 
 
@@ -29,28 +28,42 @@ def to_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def draw_flux_maps(identification: Identification, i_dq: FloatArray | None = None, title: str = "") -> Figure:
-    """Draw psi_d and psi_q as level lines where there are data, with the trajectory (N, 2), A, over them."""
+def draw_flux_maps(flux_map: FluxMap, i_max: float, i_dq: FloatArray | None = None, title: str = "") -> Figure:
+    """Draw psi_d and psi_q as level lines where there are data in the disc.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    i_max : float
+        Radius of the disc, A.
+    i_dq : (N, 2) float, optional
+        Trajectory to draw over them, A.
+    title : str
+    """
     figure = Figure(figsize=(11.0, 5.0))
     figure.suptitle(title)
     cells = {"left": 0.07, "right": 0.92, "bottom": 0.1, "top": 0.9, "wspace": 0.35}
     for axes, component in zip(figure.subplots(1, 2, gridspec_kw=cells), "dq", strict=True):
-        values, inside = _masked(identification, component)
-        flux_map = identification.flux_map
+        values, inside = _masked(flux_map, i_max, component)
         low, high = float(values[inside].min()), float(values[inside].max())
         levels, lines = _levels(low, high, 20), _levels(low, high, 10)
         filled = axes.contourf(flux_map.i_d, flux_map.i_q, values.T, levels=levels, cmap="viridis")
         if np.any((lines > low) & (lines < high)):  # without any, matplotlib before 3.11 warns
             axes.contour(flux_map.i_d, flux_map.i_q, values.T, levels=lines, colors="black", linewidths=0.5)
         if i_dq is not None:
-            thin = i_dq[:: max(1, len(i_dq) // _TRAJECTORY_POINTS)]
-            axes.plot(thin[:, 0], thin[:, 1], color="white", linewidth=0.25, alpha=0.5)
+            axes.plot(i_dq[:, 0], i_dq[:, 1], color="white", linewidth=0.25, alpha=0.5)
         _label(axes, f"{_NAMES[component]} / Wb")
         _add_colour_bar(axes, filled, lines)
     return figure
 
 
-def draw_comparison(joint: Identification, psm: Identification, truth: GroundTruth, component: str) -> Figure:
+def draw_comparison(
+    joint: Identification,
+    psm: Identification,
+    truth: GroundTruth,
+    component: str,
+    full: Identification | None = None,
+) -> Figure:
     """Draw one flux as the paper's figures do: with (a) and without (b) the inverter, and below their errors.
 
     Parameters
@@ -59,15 +72,20 @@ def draw_comparison(joint: Identification, psm: Identification, truth: GroundTru
     truth : GroundTruth
     component : str
         ``d`` or ``q``.
+    full : Identification, optional
+        By method ``full``, drawn as (c).
     """
-    figure = Figure(figsize=(11.0, 9.0))
-    cells = figure.add_gridspec(2, 2, left=0.07, right=0.91, bottom=0.06, top=0.96, wspace=0.35, hspace=0.15)
-    pairs = (("(a) joint identification", joint), ("(b) without modelling the inverter", psm))
+    pairs = [("(a) joint identification", joint), ("(b) without modelling the inverter", psm)]
+    if full is not None:
+        pairs.append(("(c) full identification", full))
+    figure = Figure(figsize=(5.5 * len(pairs), 9.0))
+    sides = {"left": 0.14 / len(pairs), "right": 1 - 0.18 / len(pairs)}
+    cells = figure.add_gridspec(2, len(pairs), bottom=0.06, top=0.96, wspace=0.35, hspace=0.15, **sides)
     errors = [_error(identification, truth, component) for _, identification in pairs]
     limit = float(np.nanmax(np.abs(errors))) * 1e3
     for column, ((title, identification), error) in enumerate(zip(pairs, errors, strict=True)):
         flux_map = identification.flux_map
-        values, _ = _masked(identification, component)
+        values, _ = _masked(flux_map, identification.i_max, component)
         i_d, i_q = np.meshgrid(flux_map.i_d, flux_map.i_q, indexing="ij")
         surface = figure.add_subplot(cells[0, column], projection="3d")
         surface.plot_surface(i_d, i_q, values, cmap="viridis", linewidth=0.2, edgecolor="black", rstride=2, cstride=2)
@@ -80,10 +98,9 @@ def draw_comparison(joint: Identification, psm: Identification, truth: GroundTru
     return figure
 
 
-def _masked(identification: Identification, component: str) -> tuple[FloatArray, BoolArray]:
-    flux_map = identification.flux_map
+def _masked(flux_map: FluxMap, i_max: float, component: str) -> tuple[FloatArray, BoolArray]:
     radius = np.hypot(flux_map.i_d[:, None], flux_map.i_q)
-    inside = flux_map.inside & (radius <= identification.i_max)
+    inside = flux_map.inside & (radius <= i_max)
     values = flux_map.psi_d if component == "d" else flux_map.psi_q
     return np.where(inside, values, np.nan), inside
 
@@ -91,7 +108,7 @@ def _masked(identification: Identification, component: str) -> tuple[FloatArray,
 def _error(identification: Identification, truth: GroundTruth, component: str) -> FloatArray:
     flux_map = identification.flux_map
     grid = flux_map.grid()
-    values, _ = _masked(identification, component)
+    values, _ = _masked(flux_map, identification.i_max, component)
     return np.asarray(values - true_flux(truth, grid)[..., "dq".index(component)])
 
 

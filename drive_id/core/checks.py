@@ -50,13 +50,23 @@ def _check_jumps(samples: Samples) -> None:
         expected, advance = advances(samples, run)
         deviation[run][1:] = np.abs(np.angle(np.exp(1j * (advance - expected))))
     usual = float(np.quantile(deviation, USUAL_QUANTILE))
-    jumps = np.flatnonzero(deviation > max(_JUMP, _JUMP_FACTOR * usual))
+    jumps = np.flatnonzero(deviation > jump_limit(usual))
     if len(jumps):
         at = (samples.stamp[jumps[0]] - samples.stamp[0]) * 1e-9
-        raise DataError(
-            f"The resolver's angle or speed jumps in {len(jumps)} places, the first at {at:.6f} s by "
-            f"{deviation[jumps[0]]:.2f} rad within one sample: repair or cut out the faulty samples."
-        )
+        raise jump_error(len(jumps), at, deviation[jumps[0]])
+
+
+def jump_limit(usual: float) -> float:
+    """Return the distance, rad, beyond which the angle jumps, from the one that all but a few samples stay below."""
+    return max(_JUMP, _JUMP_FACTOR * usual)
+
+
+def jump_error(count: int, at: float, by: float) -> DataError:
+    """Return the error for jumps of the angle, the first of which is ``by``, rad, ``at`` so many seconds."""
+    return DataError(
+        f"The resolver's angle or speed jumps in {count} places, the first at {at:.6f} s by "
+        f"{by:.2f} rad within one sample: repair or cut out the faulty samples."
+    )
 
 
 def judge_rotation(turned: float, square: float, product: float) -> None:
@@ -141,8 +151,12 @@ def _check_references(recordings: Sequence[Samples]) -> None:
         return
     held = np.ptp(np.concatenate(references), axis=0)
     if not held.any():
-        d, q = references[0][0]
-        raise CoverageError(f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}")
+        raise held_error(*references[0][0])
+
+
+def held_error(d: float, q: float) -> CoverageError:
+    """Return the error for references that stay at one point, A."""
+    return CoverageError(f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}")
 
 
 def advances(samples: Samples, run: slice) -> tuple[FloatArray, FloatArray]:

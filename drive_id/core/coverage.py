@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy import ndimage
+from collections.abc import Mapping
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.accumulator import State, exactly
+from drive_id.core.sample_sums import count_visits
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1
@@ -26,14 +31,25 @@ class Visits:
 
     def add(self, i_dq: FloatArray) -> None:
         """Count samples (N, 2), A, each at its nearest node; those off the grid are left out."""
-        edges = [_edges(self.i_d), _edges(self.i_q)]
-        self.count += np.histogram2d(i_dq[:, 0], i_dq[:, 1], bins=edges)[0].astype(np.int64)
+        count_visits(i_dq, _edges(self.i_d), _edges(self.i_q), self.count)
 
     def copy(self) -> Visits:
         """Return counts that go their own way from here."""
         other = Visits(self.i_d, self.i_q)
         other.count = self.count.copy()
         return other
+
+    def merge(self, other: Visits) -> None:
+        """Add the counts of other samples on the same grid."""
+        self.count += other.count
+
+    def state(self) -> State:
+        """Return the counts."""
+        return {"count": self.count.copy()}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over a state, see :class:`~drive_id.core.accumulator.Accumulator`."""
+        self.count = exactly(state["count"], self.count)
 
     def grid(self) -> FloatArray:
         """Return the currents of all nodes, (D, Q, 2), A."""
@@ -56,8 +72,21 @@ class Visits:
         typical = float(np.median(self.count[self.count > 0])) if self.count.any() else 0.0
         visited = self.count > _STRAY_SHARE * typical  # a few stray samples of noise beyond the rim are no support
         padded = np.pad(visited, ((reach_d, reach_d), (reach_q, reach_q)))
-        closed = ndimage.binary_closing(padded, structure=ball)
-        return np.asarray(closed[reach_d:-reach_d, reach_q:-reach_q])
+        closed = ~_dilated(~_dilated(padded, ball), ball)
+        return closed[reach_d:-reach_d, reach_q:-reach_q]
+
+
+def _dilated(mask: BoolArray, ball: BoolArray) -> BoolArray:
+    """Tell where a ball, symmetric and convex, meets the mask (D, Q), beyond whose edges there is nothing."""
+    reach, count = len(ball) // 2, len(mask)
+    steps = np.arange(mask.shape[1])
+    sums = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
+    out = np.zeros_like(mask)
+    for shift, half in zip(range(-reach, reach + 1), ball.sum(axis=1) // 2, strict=True):
+        first, last = max(shift, 0), min(count, count + shift)
+        near = sums[:, np.minimum(steps + half + 1, len(steps))] > sums[:, np.maximum(steps - half, 0)]
+        out[first - shift : last - shift] |= near[first:last]
+    return out
 
 
 def _edges(axis: FloatArray) -> FloatArray:
@@ -74,3 +103,11 @@ def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: fl
     on_grid = (node_d >= 0)[:, None] & (node_q >= 0)
     covered = inside[np.ix_(np.maximum(node_d, 0), np.maximum(node_q, 0))] & on_grid
     return float(covered[disc].mean())
+
+
+def smoothed(values: FloatArray, mask: BoolArray, reach: int = 2) -> FloatArray:
+    """Return at each node (D, Q) the mean of the values at masked nodes at most ``reach`` nodes away along each axis."""
+    side = 2 * reach + 1
+    padded = [np.pad(np.where(mask, array, 0.0), reach) for array in (values, np.ones_like(values))]
+    sums = [np.lib.stride_tricks.sliding_window_view(array, (side, side)).sum(axis=(2, 3)) for array in padded]
+    return np.asarray(np.divide(sums[0], sums[1], out=np.zeros_like(sums[0]), where=sums[1] > 0))

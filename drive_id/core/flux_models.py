@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from drive_id.core import bspline
 from drive_id.core.bspline import Axis
-from drive_id.core.compiled import compiled
+from drive_id.core.compiled import compiled_or
+from drive_id.core.vectorized import tensor_rows
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
 
@@ -104,7 +105,7 @@ class TensorSpline:
         return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
 
 
-@compiled
+@compiled_or(tensor_rows)
 def _tensor_rows(
     i_dq: FloatArray,
     axes: FloatArray,
@@ -218,8 +219,21 @@ def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> t
     """
     if isinstance(model, TensorSpline):
         return model, gamma
-    sites = np.stack(np.meshgrid(d.sites(), q.sites(), indexing="ij"), axis=-1)
-    psi = model.rows(sites.reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
-    along_d = np.linalg.solve(d.collocation(d.sites()), psi.reshape(d.count, -1)).reshape(psi.shape)
-    coefficients = np.linalg.solve(q.collocation(q.sites()), along_d)
-    return TensorSpline(d, q), np.moveaxis(coefficients, -1, 0).ravel()
+    psi = model.rows(sites(d, q).reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
+    return TensorSpline(d, q), fitted(psi, d, q)
+
+
+def sites(d: Axis, q: Axis, density: int = 1) -> FloatArray:
+    """Return currents, A, equally spaced over both axes, ``density`` for each function: (density d.count, ..., 2)."""
+    points = [np.linspace(axis.low, axis.high, density * axis.count) for axis in (d, q)]
+    return np.stack(np.meshgrid(*points, indexing="ij"), axis=-1)
+
+
+def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
+    """Return the parameters (2 * d.count * q.count,) of the tensor spline nearest to psi_dq (..., 2), Wb, at sites."""
+    matrices = [
+        axis.collocation(np.linspace(axis.low, axis.high, count))
+        for axis, count in zip((d, q), psi.shape[:2], strict=True)
+    ]
+    inverse_d, inverse_q = (np.linalg.pinv(matrix) for matrix in matrices)
+    return np.asarray(np.einsum("ax,xyk,by->kab", inverse_d, psi, inverse_q, optimize=True).ravel())

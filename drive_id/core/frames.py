@@ -6,9 +6,12 @@ invariant), the rotor-frame vector ``x_d + j x_q = e^{-j phi} x_s``, which is th
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.core.compiled import compiled_or
 from drive_id.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -16,6 +19,7 @@ ComplexArray = NDArray[np.complex128]
 PHASE_SHIFTS = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
 """Angle of the axis of phases a, b, c in the stator frame, rad."""
 
+_THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 _SERIES_BELOW = 0.1
 """Half turn, rad, below which the closed form loses digits and the series to the 9th power is exact."""
 
@@ -48,7 +52,28 @@ def space_vector(x_abc: FloatArray) -> ComplexArray:
 
 def to_dq(x_abc: FloatArray, angle: FloatArray) -> FloatArray:
     """Transform phase quantities (N, 3) at electrical angles (N,), rad, to d and q components (N, 2)."""
-    return as_pairs(space_vector(x_abc) * np.exp(-1j * angle))
+    return rotated(x_abc, np.cos(angle), np.sin(angle))
+
+
+def rotated(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray) -> FloatArray:
+    """Transform phase quantities (N, 3) at angles given by cosine and sine (N,) to d and q components (N, 2)."""
+    x_dq = np.empty((len(x_abc), 2))
+    _rotate(x_abc, cosine, sine, x_dq)
+    return x_dq
+
+
+def _rotate_all(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
+    a, b, c = x_abc.T
+    x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+    x_dq[:, 0], x_dq[:, 1] = x * cosine + y * sine, y * cosine - x * sine
+
+
+@compiled_or(_rotate_all)
+def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
+    for k in range(len(x_abc)):
+        a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
+        x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        x_dq[k, 0], x_dq[k, 1] = x * cosine[k] + y * sine[k], y * cosine[k] - x * sine[k]
 
 
 def to_abc(x_dq: FloatArray, angle: FloatArray) -> FloatArray:

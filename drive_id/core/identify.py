@@ -49,7 +49,13 @@ def identify(
     StandstillError, CoverageError, DataError
         When no trustworthy map can come of these samples.
     """
-    settings = settings or FitSettings()
+    evidence = gather(recordings, settings or FitSettings(), tell)
+    tell("Solving and validating", 1.0)
+    return conclude(evidence, recordings)
+
+
+def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress = silent) -> Evidence:
+    """Check recordings and accumulate the evidence of all their samples; see :func:`identify`."""
     if not recordings:
         raise DataError("There are no recordings to identify from: give at least one.")
     checks.check_rotation(recordings)
@@ -59,9 +65,10 @@ def identify(
     total = sum(len(samples) for samples in recordings)
     for samples in recordings:
         share = partial(_tell_share, tell, evidence.samples, total)
+        if settings.conditions:
+            evidence.next_recording()
         evidence.add(samples, share)
-    tell("Solving and validating", 1.0)
-    return conclude(evidence, recordings)
+    return evidence
 
 
 def score(identification: Identification, truth: GroundTruth) -> tuple[float, float]:

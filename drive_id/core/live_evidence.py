@@ -99,8 +99,12 @@ class LiveEvidence:
         self._recent_count = 0
 
     def configure(self, settings: FitSettings) -> bool:
-        """Take other settings, and tell whether the samples had to be forgotten: all but the method shapes the sums."""
-        kept = replace(settings, method=self.settings.method) == self.settings
+        """Take other settings, and tell whether the samples had to be forgotten.
+
+        All but the method shapes the sums; and what is gathered for method full serves the others, but not the reverse.
+        """
+        same = replace(settings, method=self.settings.method) == self.settings
+        kept = same and (settings.method != "full" or self.settings.method == "full")
         self.settings = settings
         if not kept:
             self.reset()

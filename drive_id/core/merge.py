@@ -1,13 +1,15 @@
-"""Several recordings of one drive as one."""
+"""Several recordings of one drive as one, at once or piece by piece."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from drive_id.core.join_report import period_text
 from drive_id.core.sample_period import PERIOD_TOLERANCE
+from drive_id.core.stream_join import Piece
 from drive_id.errors import SamplePeriodError
 from drive_id.types import Samples
 
@@ -36,11 +38,7 @@ def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
     """
     period = parts[0].sample_period
     for number, part in enumerate(parts):
-        if abs(part.sample_period / period - 1.0) > PERIOD_TOLERANCE:
-            raise SamplePeriodError(
-                f"The sample periods of the recordings disagree, {period_text(period)} in the first and "
-                f"{period_text(part.sample_period)} in number {number + 1}: fit them separately."
-            )
+        _check_period(period, part.sample_period, number)
     stamps, starts, moved = [], [], []
     end, count = None, 0
     for number, part in enumerate(parts):
@@ -67,3 +65,58 @@ def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
         i_dq_reference=references,
     )
     return samples, tuple(moved)
+
+
+class SeveralRecordings:
+    """Does to pieces of recordings what :func:`merge` does to all at once.
+
+    Attributes
+    ----------
+    end : int or None
+        Stamp of the last sample so far, ns.
+    moved : list of int
+        See :func:`merge`.
+    """
+
+    def __init__(self) -> None:
+        self.end: int | None = None
+        self.moved: list[int] = []
+        self._period: float | None = None
+        self._number = -1
+        self._shift: int | None = None
+
+    def begin(self) -> None:
+        """Begin a further recording."""
+        self._number += 1
+        self._shift = None
+
+    def placed(self, piece: Piece) -> Piece:
+        """Return the next piece of the recording, in its place behind those before.
+
+        Raises
+        ------
+        SamplePeriodError
+            When the periods of two recordings differ by more than 1 %.
+        """
+        samples = piece.samples
+        if self._period is None:
+            self._period = samples.sample_period
+        _check_period(self._period, samples.sample_period, self._number)
+        if self._shift is None:
+            self._shift = 0
+            if self.end is not None and int(samples.stamp[0]) <= self.end + 2e9 * self._period:
+                self._shift = self.end + _DISTANCE - int(samples.stamp[0])
+                self.moved.append(self._number)
+        if self._shift or samples.sample_period != self._period:
+            samples = replace(samples, stamp=samples.stamp + self._shift, sample_period=self._period)
+            piece = replace(piece, samples=samples)
+        self.end = int(samples.stamp[-1])
+        return piece
+
+
+def _check_period(first: float, period: float, number: int) -> None:
+    if abs(period / first - 1.0) > PERIOD_TOLERANCE:
+        raise SamplePeriodError(
+            f"The sample periods of the recordings disagree, {period_text(first)} in the first and "
+            f"{period_text(period)} in number {number + 1}: fit them separately."
+        )

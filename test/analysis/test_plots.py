@@ -15,8 +15,13 @@ from drive_id.core import frames
 
 @pytest.fixture(scope="module")
 def maps(fitted):
-    samples = fitted.recording.samples
-    return draw_flux_maps(fitted.identification, frames.to_dq(samples.i_abc, samples.angle), "a title")
+    (samples,) = fitted.recording.validation
+    return draw_flux_maps(
+        fitted.identification.flux_map,
+        fitted.identification.i_max,
+        frames.to_dq(samples.i_abc, samples.angle),
+        "a title",
+    )
 
 
 def size(png: bytes) -> tuple[int, int]:
@@ -77,13 +82,13 @@ def test_levels_of_no_range_at_all():
 def test_a_map_without_any_slope_is_drawn_without_a_warning(fitted):
     flux_map = fitted.identification.flux_map
     flat = replace(flux_map, psi_d=np.full_like(flux_map.psi_d, 0.05), psi_q=np.zeros_like(flux_map.psi_q))
-    assert size(to_png(draw_flux_maps(replace(fitted.identification, flux_map=flat))))
+    assert size(to_png(draw_flux_maps(flat, fitted.identification.i_max)))
 
 
 def test_only_what_the_data_support_is_drawn(fitted):
     flux_map = fitted.identification.flux_map
     corner = replace(flux_map, psi_d=np.where(flux_map.inside, flux_map.psi_d, 1e6))
-    figure = draw_flux_maps(replace(fitted.identification, flux_map=corner))
+    figure = draw_flux_maps(corner, fitted.identification.i_max)
     to_png(figure)
     assert max(bar.get_ylim()[1] for axes in figure.axes for bar in axes.child_axes) < 1.0
 

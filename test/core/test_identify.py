@@ -60,7 +60,7 @@ def test_leaving_the_inverter_out_biases_flux_and_resistance(clean):
 
 def test_the_linear_machine_is_found_exactly_by_both_kinds_of_model():
     samples = record(linear_flux, duration=3.0)
-    for settings in (FitSettings(), FitSettings(flux_model="linear"), FitSettings(flux_model="polynomial")):
+    for settings in (FitSettings("joint"), FitSettings("joint", flux_model="linear"), FitSettings("joint", flux_model="polynomial")):
         result = identify([samples], settings)
         assert errors(result, linear_flux).max() < 5e-5  # the trapezoids of the paper
         assert result.resistance == pytest.approx(0.02, rel=1e-3)
@@ -68,8 +68,8 @@ def test_the_linear_machine_is_found_exactly_by_both_kinds_of_model():
 
 
 def test_a_polynomial_model_beats_the_linear_one_on_a_saturating_machine(clean):
-    linear = errors(identify([clean], FitSettings(flux_model="linear")))
-    polynomial = errors(identify([clean], FitSettings(flux_model="polynomial", polynomial_degree=7)))
+    linear = errors(identify([clean], FitSettings("joint", flux_model="linear")))
+    polynomial = errors(identify([clean], FitSettings("joint", flux_model="polynomial", polynomial_degree=7)))
     assert np.all(polynomial < 0.2 * linear)
 
 
@@ -95,8 +95,8 @@ def test_several_recordings_count_as_one(clean):
 
 
 def test_accumulating_within_a_known_disc_needs_no_look_at_the_data_first(clean):
-    offline = identify([clean], FitSettings(i_max=300.0))
-    evidence = Evidence.within(FitSettings(i_max=300.0), 300.0)
+    offline = identify([clean], FitSettings("joint", i_max=300.0))
+    evidence = Evidence.within(FitSettings("joint", i_max=300.0), 300.0)
     step = 777
     for start in range(0, len(clean) - 1, step):
         part = slice(start, start + step + 1)
@@ -115,7 +115,7 @@ def test_deviations_cover_the_scatter_of_repeated_experiments():
 
     They err on the wide side: noise in the regressors also biases each block, the same way in each experiment.
     """
-    settings = FitSettings(splines_d=5, splines_q=5)
+    settings = FitSettings("joint", splines_d=5, splines_q=5)
     recordings = (record(linear_flux, noise=0.6, duration=4.0, seed=seed) for seed in range(10))
     results = [identify([samples], settings) for samples in recordings]
     for name in ("resistance", "voltage_error"):
@@ -131,7 +131,7 @@ def test_deviations_cover_the_scatter_of_repeated_experiments():
 
 def test_leaving_a_block_out_is_what_the_deviations_say(clean):
     """The formula against really solving without the block."""
-    evidence = Evidence.within(FitSettings(splines_d=5, splines_q=5), 300.0)
+    evidence = Evidence.within(FitSettings("joint", splines_d=5, splines_q=5), 300.0)
     evidence.add(clean)
     blocks = evidence.information.blocks
     whole = solve(blocks.sum(axis=0), evidence.information.rows, with_inverter=True)
@@ -154,7 +154,7 @@ def test_half_a_disc_gives_half_a_map():
         **{name: getattr(samples, name)[kept] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")},
         run_starts=breaks,
     )
-    result = identify([half], FitSettings(i_max=300.0))
+    result = identify([half], FitSettings("joint", i_max=300.0))
     assert 0.4 < result.report.coverage < 0.6
     assert errors(result).max() < 5e-3
     grid = result.flux_map.grid()

@@ -18,7 +18,7 @@ from drive_id.core.stream_join import Piece
 from drive_id.core.warm_up import warm_up
 from drive_id.errors import ConfigurationError, DriveIdError, EmptyTopicError
 
-SETTINGS = FitSettings(i_max=300.0)
+SETTINGS = FitSettings("joint", i_max=300.0)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_the_usual_amplitude_is_known_within_two_percent(samples):
 
 
 def test_settings_that_shape_the_sums_forget_the_samples(samples):
-    live = LiveEvidence(FitSettings(), 1.0)
+    live = LiveEvidence(FitSettings(method="joint"), 1.0)
     feed(live, samples, 0, 3000)
     with pytest.raises(ConfigurationError, match="i_max is not set"):
         live.snapshot()
@@ -149,12 +149,13 @@ def test_settings_that_shape_the_sums_forget_the_samples(samples):
 
 @pytest.mark.parametrize("model", ["spline", "polynomial", "linear"])
 def test_warming_up_leaves_nothing_to_compile(model):
-    from drive_id.core import current_simulation, regression
+    from drive_id.core import current_simulation, regression, spline_rows
 
-    warm_up(FitSettings(flux_model=model))
-    before = len(regression._add_rows.signatures), len(current_simulation._simulate.signatures)
+    add_rows = spline_rows.add_spline_rows if model == "spline" else regression._add_rows
+    warm_up(FitSettings("joint", flux_model=model))
+    before = len(add_rows.signatures), len(current_simulation._simulate.signatures)
     assert min(before) >= 1
     live = LiveEvidence(replace(SETTINGS, flux_model=model), 1.0)
     feed(live, record(duration=1.0))
     live.snapshot().identify()
-    assert (len(regression._add_rows.signatures), len(current_simulation._simulate.signatures)) == before
+    assert (len(add_rows.signatures), len(current_simulation._simulate.signatures)) == before

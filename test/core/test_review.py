@@ -104,11 +104,11 @@ def test_nothing_and_too_much_are_refused(good):
     with pytest.raises(DataError, match="equal in all phases"):
         identify([replace(good, u_abc=np.full_like(good.u_abc, 50.0))])
     with pytest.raises(ConfigurationError, match="64 x 64"):
-        FitSettings(splines_d=64, splines_q=64)
+        FitSettings("joint", splines_d=64, splines_q=64)
 
 
 def test_large_models_keep_few_blocks(good):
-    result = identify([good], FitSettings(splines_d=20, splines_q=20))
+    result = identify([good], FitSettings("joint", splines_d=20, splines_q=20))
     assert np.isfinite(result.sigma_resistance)
 
 
@@ -124,11 +124,11 @@ def resting(samples, before):
 
 def test_a_rest_before_the_trajectory_changes_nothing(good):
     """The rest has no inverter: were it used, the voltage error would come out wrong."""
-    plain, rested = identify([good], FitSettings(i_max=300.0)), identify([resting(good, 1.0)], FitSettings(i_max=300.0))
+    plain, rested = identify([good], FitSettings("joint", i_max=300.0)), identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0))
     assert rested.voltage_error == pytest.approx(plain.voltage_error, rel=2e-3)
     assert rested.resistance == pytest.approx(plain.resistance, rel=2e-3)
     assert rested.report.samples_used == pytest.approx(plain.report.samples_used + 200, abs=2)
-    used = identify([resting(good, 1.0)], FitSettings(i_max=300.0, longest_rest=10.0))
+    used = identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0, longest_rest=10.0))
     assert used.report.samples_used > rested.report.samples_used + 9000
     change = abs(rested.voltage_error - plain.voltage_error)
     assert abs(used.voltage_error - plain.voltage_error) > 5 * change
@@ -136,7 +136,7 @@ def test_a_rest_before_the_trajectory_changes_nothing(good):
 
 def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
     samples = resting(good, 0.5)
-    settings = FitSettings(i_max=300.0)
+    settings = FitSettings("joint", i_max=300.0)
     whole, pieces = Evidence.within(settings, 300.0), Evidence.within(settings, 300.0)
     whole.add(samples)
     names = ("stamp", "i_abc", "u_abc", "angle", "speed")

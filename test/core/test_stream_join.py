@@ -146,7 +146,7 @@ def test_live_evidence_is_the_evidence_of_the_whole(data):
     order = np.random.default_rng(data.draw(st.integers(0, 99))).integers(0, 3, 3000)
     end, pieces = stream(signals, data.draw(SIZES), order, batch=data.draw(st.sampled_from([20, 300, 1000])))
     end.check()
-    live, whole = (Evidence.within(FitSettings(), 100.0) for _ in range(2))
+    live, whole = (Evidence.within(FitSettings(method="joint"), 100.0) for _ in range(2))
     for piece in pieces:
         live.add(piece.samples, continues=piece.continues)
     whole.add(join(*signals).samples)

@@ -1,0 +1,92 @@
+"""Instrumental variables for the windows of method ``full``: does noise in the currents leave a bias to take away?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from single_fit import Accumulation, Errors
+
+from drive_id.core import frames
+from drive_id.core.bspline import Axis
+from drive_id.core.flux_models import TensorSpline, fitted, sites
+from drive_id.core.full_model import RESISTANCE, FullModel
+from drive_id.core.full_solver import Choice
+from drive_id.core.harmonic_simulation import simulate_harmonic_current
+from drive_id.core.potential import GradientSpline
+from drive_id.core.windows import Windows
+from drive_id.sim.drive import Simulation
+from drive_id.types import FloatArray, IntArray
+
+_LONGEST_LAG = 40  # samples
+_FINE = 72
+
+
+def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Errors]]:
+    """Yield the name and the errors of each estimator."""
+    data = Accumulation(simulation)
+    windows = Windows.joined(data.information.kept())
+    begin, end = _places(windows, simulation)
+    regressors = _rows(data.model, windows)
+    measured = frames.to_dq(simulation.samples.i_abc, simulation.samples.angle)
+    first = data.estimate(choice)
+    sources = {
+        "instruments: references, lagged to fit": _lagged(simulation.samples.i_dq_reference, measured),
+        "instruments: currents simulated from the first fit": _simulated(data, first, choice),
+        "instruments: true currents": simulation.i_dq_true,
+    }
+    yield "least squares", data.solved(choice, products=regressors.T @ regressors)
+    for name, i_dq in sources.items():
+        rows = _rows(data.model, replace(windows, i_dq=np.stack([i_dq[begin], i_dq[end]], axis=1)))
+        yield name, data.solved(choice, products=rows.T @ regressors)
+    yield "least squares, true currents at the ends of the windows", data.solved(choice, products=rows.T @ rows)
+
+
+def _places(windows: Windows, simulation: Simulation) -> tuple[IntArray, IntArray]:
+    """Return the samples where the windows start and end, (N,) each; the recording has no gaps."""
+    period = simulation.samples.sample_period
+    begin = np.rint(windows.time / period).astype(np.int64)
+    end = begin + np.rint(windows.duration / period).astype(np.int64)
+    assert np.array_equal(simulation.samples.angle[begin], windows.angle[:, 0])
+    assert np.array_equal(simulation.samples.angle[end], windows.angle[:, 1])
+    return begin, end
+
+
+def _rows(model: FullModel, windows: Windows) -> FloatArray:
+    """Return the regression's rows (2 N, size)."""
+    return model.design(windows).reshape(-1, model.size)
+
+
+def _lagged(reference: FloatArray | None, measured: FloatArray) -> FloatArray:
+    """Delay the references (N, 2) by as many samples as fit the measured currents best."""
+    assert reference is not None
+    errors = [
+        np.sum((measured[_LONGEST_LAG:] - reference[_LONGEST_LAG - lag : len(reference) - lag]) ** 2)
+        for lag in range(_LONGEST_LAG)
+    ]
+    lag = int(np.argmin(errors))
+    return np.concatenate([np.repeat(reference[:1], lag, axis=0), reference[: len(reference) - lag]])
+
+
+def _simulated(data: Accumulation, estimate: FloatArray, choice: Choice) -> FloatArray:
+    """Simulate the currents (N, 2) open loop with an estimate (size,)."""
+    model, evidence = data.model, data.evidence
+    d, q = (Axis(axis.low, axis.high, _FINE) for axis in (evidence.d, evidence.q))
+    places = sites(d, q, 2)
+    points = places.reshape(-1, 2)
+
+    def spline(space: GradientSpline, gamma: FloatArray) -> FloatArray:
+        psi = space.rows(points).dot(gamma)
+        return fitted(psi.reshape(places.shape), d, q)
+
+    harmonics = {}
+    for order in choice.orders:
+        a, b = np.split(estimate[model.harmonics[order]], 2)
+        harmonics[order] = spline(model.space(order), a), spline(model.space(order), b)
+    current = np.linspace(-1.2 * evidence.i_max, 1.2 * evidence.i_max, 1001)
+    drop = (model.shapes(current) @ estimate[model.phase_columns()]).mean(axis=1)
+    samples, gamma = data.simulation.samples, spline(model.flux, estimate[model.map])
+    return simulate_harmonic_current(
+        samples, TensorSpline(d, q), gamma, harmonics, float(estimate[RESISTANCE]), (current, drop)
+    )

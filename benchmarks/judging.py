@@ -1,0 +1,95 @@
+"""How far an identified drive is from the truth, under one normalization of resistance and inverter curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.conclusion import conclude
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.identification import Identification
+from drive_id.core.identify import gather, score
+from drive_id.sim.drive import Simulation
+from drive_id.types import FloatArray, GroundTruth
+
+LARGE = 0.5
+"""Share of i_max above which currents are large: there a drop is a + r i + c / i, and r belongs to the resistance."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What came of one fit; all but the MAD dimensionless.
+
+    Parameters
+    ----------
+    nrmse_d, nrmse_q : float
+    resistance : float
+        |R / (R_true + r) - 1|, r being the slope to which the true curve tends.
+    curve : float
+        Root mean square error of the inverter curve over [-i_max, i_max], the true one less r i, relative to ``unit``.
+    mad_d, mad_q : float
+        A; NaN when the simulation diverged.
+    """
+
+    nrmse_d: float
+    nrmse_q: float
+    resistance: float
+    curve: float
+    mad_d: float
+    mad_q: float
+
+
+def judge(found: Identification, truth: GroundTruth, unit: float) -> Figures:
+    """Compare with the truth.
+
+    Parameters
+    ----------
+    found : Identification
+    truth : GroundTruth
+    unit : float
+        To which the curve's error is relative where the true curve is zero, V.
+    """
+    slope, true = normalized_curve(truth, found.inverter_current)
+    resistance = abs(found.resistance / (truth.resistance + slope) - 1)
+    height = float(np.abs(true).max()) or unit
+    curve = float(np.sqrt(np.mean((found.inverter_voltage - true) ** 2))) / height
+    return Figures(*score(found, truth), resistance, curve, found.report.mad_d, found.report.mad_q)
+
+
+def normalized_curve(truth: GroundTruth, current: FloatArray) -> tuple[float, FloatArray]:
+    """Return the slope r, ohm, to which the true inverter curve tends, and the curve less r i (C,), V.
+
+    What a compensating drive adds to its commands is no part of the record: such an inverter seems to be none.
+    """
+    if truth.details.get("inverter_compensation"):
+        return 0.0, np.zeros_like(current)
+    large = truth.inverter_current >= LARGE * truth.i_max
+    i, drop = truth.inverter_current[large], truth.inverter_voltage[large]
+    slope = float(np.linalg.lstsq(np.stack([i, np.ones_like(i), 1 / i], axis=1), drop, rcond=None)[0][0])
+    true = np.interp(current, truth.inverter_current, truth.inverter_voltage) - slope * current
+    return slope, np.asarray(true)
+
+
+def fitted(simulations: Sequence[Simulation], settings: FitSettings, unit: float) -> tuple[Identification, Figures]:
+    """Fit recordings of one drive together and judge the fit on the MAD of the same recordings."""
+    recordings = [simulation.samples for simulation in simulations]
+    found = conclude(gather(recordings, settings), recordings)
+    return found, judge(found, simulations[0].truth, unit)
+
+
+def predicted(seen: Sequence[Simulation], unseen: Simulation, settings: FitSettings) -> tuple[float, float]:
+    """Fit some recordings, and return the MAD of the current simulated for one that the fit has never seen, A."""
+    report = conclude(gather([simulation.samples for simulation in seen], settings), [unseen.samples]).report
+    return report.mad_d, report.mad_q
+
+
+def percent(value: float) -> str:
+    """Write a share with three digits that count."""
+    return f"{100 * value:.3f} %" if abs(value) < 0.1 else f"{100 * value:.1f} %"
+
+
+def amperes(value: float) -> str:
+    """Write a current, or that there is none."""
+    return f"{value:.3g} A" if np.isfinite(value) else "diverged"

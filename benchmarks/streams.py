@@ -1,0 +1,132 @@
+"""Messages and live samples: decoding, accumulation at 100 kHz, and the reply to a request after ten minutes."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from measuring import Cost, in_turns
+from plain_script import read as rosbags_read
+from recordings import experiment, recording
+from reporting import Row, Section, faster, seconds
+from rosbags.typesys.store import Typestore
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.live_evidence import LiveEvidence
+from drive_id.files.bag import open_bag
+from drive_id.files.bag_pieces import bag_pieces
+from drive_id.files.block_codec import decode_block, encode_block
+from drive_id.files.block_stream import BlockStream
+from drive_id.files.messages import (
+    BLOCK_FIELDS,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    RESOLVER,
+    message_typestore,
+)
+from drive_id.files.signals import SignalMap
+from drive_id.types import Samples
+
+TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
+_FAST = 100_000.0  # Hz
+_FAST_BLOCK = 1000
+_I_MAX = 320.0
+_KEPT = 2.0  # s, for the MAD
+
+Message = tuple[int, bytes]
+
+
+def section(folder: Path, repeats: int, minutes: float) -> Section:
+    """Measure."""
+    rows = (_reading(folder, repeats), _decoding(folder, repeats), _accumulation(), _reply(repeats, minutes))
+    return Section("Messages and live samples", "Live: in process, without the transport of ROS.", rows)
+
+
+def _reading(folder: Path, repeats: int) -> Row:
+    bag = recording(folder, 60.0)
+    actions = {"rosbags": lambda: rosbags_read(bag), "ours": lambda: deque(bag_pieces(bag, SignalMap()), maxlen=0)}
+    costs = in_turns(actions, min(repeats, 3))
+    return faster("a bag of 60 s into joined arrays, against rosbags' deserialization", costs["rosbags"], costs["ours"])
+
+
+def _decoding(folder: Path, repeats: int) -> Row:
+    with open_bag(recording(folder, 10.0)) as bag:
+        types = {name: topic.type_name for name, topic in bag.topics.items()}
+        messages = [(types[message.topic], bytes(message.data)) for message in bag.messages(frozenset(types))]
+    store = message_typestore()
+    costs = in_turns(
+        {"rosbags": partial(_deserialize, store, messages), "ours": partial(_decode, messages)}, max(repeats, 5)
+    )
+    each = {name: Cost(cost.elapsed / len(messages), cost.cpu / len(messages)) for name, cost in costs.items()}
+    return faster("one live message of 100 samples into arrays, against rosbags", each["rosbags"], each["ours"])
+
+
+def _deserialize(store: Typestore, messages: list[tuple[str, bytes]]) -> None:
+    for type_name, data in messages:
+        store.deserialize_cdr(data, type_name)
+
+
+def _decode(messages: list[tuple[str, bytes]]) -> None:
+    for type_name, data in messages:
+        decode_block(data, len(BLOCK_FIELDS[type_name]))
+
+
+def _messages(samples: Samples, block: int, times: int = 1) -> Iterator[Message]:
+    """Yield section and data of the messages of a recording, repeated with a break of one message in between."""
+    angle = (samples.angle + np.pi) % (2 * np.pi) - np.pi
+    values = [samples.i_abc, samples.u_abc, np.column_stack([angle, samples.speed])]
+    arrays = [array.astype(np.float32) for array in values]
+    period = samples.sample_period
+    for number in range(times):
+        count = number * (len(samples) + block)
+        for start in range(0, len(samples), block):
+            stamp = round((count + start) * period * 1e9)
+            for place, array in enumerate(arrays):
+                columns = list(array[start : start + block].T)
+                yield place, encode_block(stamp, count + start, period, columns, "drive")
+
+
+def _feed(live: LiveEvidence, messages: Iterator[Message]) -> float:
+    """Take messages as the node does, and return the processor time that took, s."""
+    streams = [BlockStream(f"/{name}", kind) for name, kind in zip("abc", TYPES, strict=True)]
+    spent = 0.0
+    for place, data in messages:
+        begin = time.thread_time()
+        live.add(place, streams[place].decode(data))
+        spent += time.thread_time() - begin
+    return spent
+
+
+def _accumulation() -> Row:
+    samples = experiment(4.0, _FAST)
+    half = replace(samples, **{name: getattr(samples, name)[: len(samples) // 8] for name in _ARRAYS})
+    _feed(LiveEvidence(_settings(), _KEPT), _messages(half, _FAST_BLOCK))  # compiles, fills caches
+    spent = min(_feed(LiveEvidence(_settings(), _KEPT), _messages(samples, _FAST_BLOCK)) for _ in range(3))
+    duration = len(samples) / _FAST
+    return Row(
+        "accumulating 100 kHz live, blocks of 1000", f"{duration:.0f} s of samples", f"{seconds(spent)} of CPU",
+        f"{100 * spent / duration:.1f} % of a core", f"{100 * spent / duration:.1f} %", "≤ 30 %",
+    )  # fmt: skip
+
+
+_ARRAYS = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+
+
+def _reply(repeats: int, minutes: float) -> Row:
+    samples = experiment(60.0)
+    live = LiveEvidence(_settings(), _KEPT)
+    spent = _feed(live, _messages(samples, 100, round(minutes)))
+    cost = in_turns({"reply": lambda: live.snapshot().identify()}, max(repeats, 5))["reply"]
+    return Row(
+        f"identify after {minutes:g} minutes at 10 kHz", f"{100 * spent / (60 * minutes):.1f} % of a core till then",
+        seconds(cost.elapsed), "", seconds(cost.cpu), "≤ 0.3 s",
+    )  # fmt: skip
+
+
+def _settings() -> FitSettings:
+    return FitSettings("joint", i_max=_I_MAX)

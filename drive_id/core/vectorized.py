@@ -1,0 +1,87 @@
+"""Twins in numpy of the kernels that meet every sample, for where there is no numba; the tests hold them against these.
+
+They are chosen by :func:`drive_id.core.compiled.compiled_or` and documented where the kernels are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core import bspline
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+_CHUNK = 1024
+"""Pairs of samples whose rows are formed at a time: they stay in the cache of the processor."""
+
+
+def tensor_rows(
+    i_dq: FloatArray,
+    axes: FloatArray,
+    count_d: int,
+    count_q: int,
+    order_d: int,
+    order_q: int,
+    column: NDArray[np.int32],
+    value: FloatArray,
+) -> None:
+    """Evaluate the tensor-product splines at all currents, see :mod:`drive_id.core.flux_models`."""
+    cells, factors = [], []
+    for x, (low, width), count, order in zip(i_dq.T, axes, (count_d, count_q), (order_d, order_q), strict=True):
+        position = np.maximum(np.nan_to_num((x - low) / width, posinf=np.inf, neginf=-np.inf), 0.0)
+        cell = np.minimum(position, count - 4).astype(np.int64)
+        factor = np.empty((4, len(x)))
+        if order == 0:
+            bspline.weights(np.minimum(position - cell, 1.0), factor)
+        else:
+            bspline.slopes(np.minimum(position - cell, 1.0), width, factor)
+        cells.append(cell[:, None] + np.arange(4))
+        factors.append(factor.T)
+    index = (cells[0][:, :, None] * count_q + cells[1][:, None, :]).reshape(-1, 16)
+    column[:, 0], column[:, 1] = index, index + count_d * count_q
+    value[:] = (factors[0][:, :, None] * factors[1][:, None, :]).reshape(-1, 1, 16)
+
+
+def add_rows(
+    known: FloatArray,
+    half_turn: FloatArray,
+    valid: BoolArray,
+    column: NDArray[np.int32],
+    value: FloatArray,
+    gram: FloatArray,
+) -> None:
+    """Add the cross products of the rows of pairs of samples, see :mod:`drive_id.core.regression`."""
+    size = len(gram)
+    pairs = np.flatnonzero(valid)
+    for start in range(0, len(pairs), _CHUNK):
+        part = pairs[start : start + _CHUNK]
+        turn = half_turn[part, None]
+        rows = np.zeros((len(part), 2, size))
+        rows[:, :, :3] = known[part]
+        for end, sign in ((part, -1.0), (part + 1, 1.0)):
+            d, q = value[end, 0], value[end, 1]
+            entries = np.stack([np.hstack([sign * d, -turn * q]), np.hstack([turn * d, sign * q])], axis=1)
+            columns = 3 + np.hstack([column[end, 0], column[end, 1]])
+            place = np.arange(2 * len(part)).reshape(-1, 2, 1) * size + columns[:, None]
+            rows += np.bincount(place.ravel(), entries.ravel(), rows.size).reshape(rows.shape)
+        flat = rows.reshape(-1, size)
+        gram += flat.T @ flat
+
+
+def count_visits(i_dq: FloatArray, edges_d: FloatArray, edges_q: FloatArray, count: IntArray) -> None:
+    """Count samples in the cells of a grid, see :mod:`drive_id.core.sample_sums`."""
+    count += np.histogram2d(i_dq[:, 0], i_dq[:, 1], bins=[edges_d, edges_q])[0].astype(np.int64)
+
+
+def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
+    """Mark samples after a long rest, see :mod:`drive_id.core.sample_sums`."""
+    step = np.arange(1, len(i_dq) + 1)
+    quiet = np.hypot(i_dq[:, 0], i_dq[:, 1]) < least
+    resting = step - np.maximum.accumulate(np.where(quiet, -rest, step))
+    idle[:] = resting * period > longest
+    return int(resting[-1]) if len(resting) else rest
+
+
+def bend_square(i_dq: FloatArray) -> float:
+    """Return the sum of squared second differences, see :mod:`drive_id.core.sample_sums`."""
+    return float(np.sum(np.diff(i_dq, n=2, axis=0) ** 2))

@@ -1,0 +1,158 @@
+"""Where numba is missing the same numbers come out: kernels run as Python, or by their vectorized twins."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from drive_bags import TRAJECTORY
+
+from drive_id.core import current_simulation, flux_models, regression, sample_sums, vectorized
+from drive_id.core.bspline import Axis
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.flux_models import Polynomial, TensorSpline
+from drive_id.files.bag_writer import write_recording
+from drive_id.sim.machines import machine_map
+from drive_id.sim.settings import SimulationSettings
+from drive_id.workflows import fit_bags, run_experiment
+
+RUN = """
+import json, sys
+sys.modules["numba"] = None
+from drive_id.cli import main
+sys.argv = ["drive-id", *json.loads(sys.argv[1])]
+main()
+"""
+MODEL = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7))
+
+
+def run_without_numba(*arguments: object) -> None:
+    words = json.dumps([str(argument) for argument in arguments])
+    subprocess.run([sys.executable, "-c", RUN, words], timeout=600, check=True)
+
+
+def assert_alike(ours, theirs, where=""):
+    """Compare trees, numbers to a share of 1e-10."""
+    assert type(ours) is type(theirs), where
+    if isinstance(ours, dict):
+        assert ours.keys() == theirs.keys(), where
+        for key in ours:
+            assert_alike(ours[key], theirs[key], f"{where}/{key}")
+    elif isinstance(ours, list):
+        assert len(ours) == len(theirs), where
+        for a, b in zip(ours, theirs, strict=True):
+            assert_alike(a, b, where)
+    elif isinstance(ours, float):
+        assert ours == pytest.approx(theirs, rel=1e-10, abs=1e-14, nan_ok=True), where
+    else:
+        assert ours == theirs, where
+
+
+@pytest.fixture(scope="module")
+def tame_bag(tmp_path_factory):
+    """A machine whose fitted map is nowhere folded: there a simulation would blow rounding up."""
+    path = tmp_path_factory.mktemp("without_numba") / "bag"
+    simulation = run_experiment(machine_map("pmsyrm"), SimulationSettings(current_noise=1e-3), TRAJECTORY, seconds=2.0)
+    write_recording(path, simulation.samples, simulation.truth)
+    return path
+
+
+@pytest.mark.parametrize("method", ["psm", "joint"])
+def test_a_fit_gives_the_same_numbers(tame_bag, tmp_path, method):
+    run_without_numba("fit", tame_bag, "--method", method, "--output", tmp_path / "without", "--quiet")
+    fit_bags([tame_bag], tmp_path / "with", FitSettings(method=method), picture=False)
+    with_it, without = (
+        json.loads((tmp_path / name / "identification.json").read_text()) for name in ("with", "without")
+    )
+    assert_alike(without, with_it)
+    ours, theirs = np.load(tmp_path / "without" / "flux_map.npz"), np.load(tmp_path / "with" / "flux_map.npz")
+    for name in ours.files:
+        largest = np.nanmax(np.abs(theirs[name]))
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=0, atol=1e-9 * largest, err_msg=name)
+
+
+def test_a_simulation_runs(tmp_path):
+    run_without_numba("simulate", "--machine", "spm", "--seconds", "0.01", "--output", tmp_path / "bag", "--quiet")
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+# -- the twins by themselves -----------------------------------------------------------------------------------------
+
+
+def currents(count=500):
+    """Return currents within and beyond the model's range, at its edges and at knots."""
+    random = np.random.default_rng(5).uniform(-14, 14, (count, 2))
+    special = np.array([[-10.0, -9.0], [12.0, 9.0], [-10.0 + 22 / 5, -9.0 + 18 / 4], [np.nan, 0.0], [np.inf, -np.inf]])
+    return np.concatenate([random, special])
+
+
+@pytest.mark.parametrize("order", [(0, 0), (1, 0), (0, 1)])
+def test_spline_rows(order):
+    i_dq = currents()
+    rows = MODEL._rows(i_dq, *order)
+    axes = np.array([[MODEL.d.low, MODEL.d.width], [MODEL.q.low, MODEL.q.width]])
+    column, value = np.empty_like(rows.column), np.empty_like(rows.value)
+    vectorized.tensor_rows(i_dq, axes, MODEL.d.count, MODEL.q.count, *order, column, value)
+    ours = flux_models.BasisRows(column, value).dense(MODEL.parameters)
+    np.testing.assert_allclose(ours, rows.dense(MODEL.parameters), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("model", [MODEL, Polynomial(3, 10.0)])
+def test_cross_products_of_rows(model):
+    random = np.random.default_rng(6)
+    t = np.linspace(0, 20, 3001)
+    rows = model.rows(np.stack([9 * np.cos(t), 8 * np.sin(1.3 * t)], axis=-1))
+    known, half_turn, valid = random.normal(size=(3000, 2, 3)), random.normal(size=3000), random.random(3000) < 0.8
+    grams = [np.ones((3 + model.parameters, 3 + model.parameters)) for _ in range(2)]
+    for add, gram in zip((regression._add_rows, vectorized.add_rows), grams, strict=True):
+        add(known, half_turn, valid, rows.column, rows.value, gram)
+    np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
+
+
+def test_visits():
+    i_dq, edges = currents(), (np.linspace(-10, 12, 9), np.linspace(-9, 9, 8))
+    counts = [np.zeros((8, 7), np.int64) for _ in range(2)]
+    for count_visits, count in zip((sample_sums.count_visits, vectorized.count_visits), counts, strict=True):
+        count_visits(i_dq[:-2], *edges, count)
+    assert counts[0].sum() > 100
+    np.testing.assert_array_equal(*counts)
+
+
+@pytest.mark.parametrize("rest", [0, 3, 50])
+@pytest.mark.parametrize("count", [0, 1, 400])
+def test_rests(rest, count):
+    i_dq = np.where(np.random.default_rng(7).random((count, 1)) < 0.2, 5.0, 0.1) * np.ones(2)
+    marks = [np.zeros(count, np.bool_) for _ in range(2)]
+    ends = [
+        mark_rests(i_dq, 1.0, 0.1, 0.65, rest, idle)
+        for mark_rests, idle in zip((sample_sums.mark_rests, vectorized.mark_rests), marks, strict=True)
+    ]
+    assert ends[0] == ends[1]
+    np.testing.assert_array_equal(*marks)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+def test_bends(count):
+    i_dq = currents(count)[:count]
+    assert vectorized.bend_square(i_dq) == pytest.approx(sample_sums.bend_square(i_dq), rel=1e-12)
+
+
+def test_the_map_that_a_simulation_uses_is_the_spline_continued():
+    """Its kernels have no twins: they run on lists and a dictionary where they are not compiled."""
+    gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
+    compiled = current_simulation._flux_table(MODEL, gamma, (1.0, 2.0))
+    for i in currents(50)[:50]:
+        point = current_simulation._at(complex(*i), compiled)
+        inside = np.clip(i, [-10, -9], [12, 9])
+        psi = MODEL.rows(inside[None]).dot(gamma)[0] + np.array([1.0, 2.0]) * (i - inside)
+        np.testing.assert_allclose([point.psi.real, point.psi.imag], psi, atol=1e-13)
+        by_d, by_q = (rows.dot(gamma)[0] for rows in MODEL.slope_rows(inside[None]))
+        by_d, by_q = (
+            np.array([1.0, 0.0]) if i[0] != inside[0] else by_d,
+            np.array([0.0, 2.0]) if i[1] != inside[1] else by_q,
+        )
+        np.testing.assert_allclose([point.by_d.real, point.by_d.imag], by_d, atol=1e-12)
+        np.testing.assert_allclose([point.by_q.real, point.by_q.imag], by_q, atol=1e-12)

@@ -65,8 +65,10 @@ def section(repeats: int) -> Section:
     """Measure."""
     samples = experiment(10.0)
     actions: dict[str, Callable[[], Any]] = {
-        "dense": lambda: dense(samples), "joint": lambda: joint(samples), "identify": lambda: identify([samples]),
-    }  # fmt: skip
+        "dense": lambda: dense(samples),
+        "joint": lambda: joint(samples),
+        "identify": lambda: identify([samples], FitSettings(method="joint")),
+    }
     if has_full():
         actions["full"] = lambda: identify([samples], FitSettings(method="full"))
     costs = in_turns(actions, repeats)

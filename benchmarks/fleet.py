@@ -66,7 +66,7 @@ def section(folder: Path, repeats: int, duration: float = SECONDS) -> Section:
     whole = replace(faster("`drive-id fit --dask` as a whole", command_1, command_2), cpu_ratio="")
     rows = (faster("accumulating and merging", work_1, work_2, GOAL), whole)
     text = (
-        f"Two local Dask workers against one, {BAGS} bags of {duration:.0f} s at 10 kHz, method `joint`. The CPU time is "
+        f"Two local Dask workers against one, {BAGS} bags of {duration:.0f} s at 10 kHz, method `joint`. CPU time: "
         "that of the busiest worker."
     )
     return Section("Fleet", text, rows)

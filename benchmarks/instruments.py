@@ -1,4 +1,4 @@
-"""Instrumental variables for the windows of method ``full``: does noise in the currents leave a bias to take away?"""
+"""Instrumental variables for the windows of method ``full``: whether noise in the currents leaves them a bias."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from single_fit import Accumulation, Errors
+from single_fit import Accumulation, Errors, solved
 
 from drive_id.core import frames
 from drive_id.core.bspline import Axis
 from drive_id.core.flux_models import TensorSpline, fitted, sites
-from drive_id.core.full_model import RESISTANCE, FullModel
-from drive_id.core.full_solver import Choice
+from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.full_solver import Choice, basis, roughness
 from drive_id.core.harmonic_simulation import simulate_harmonic_current
 from drive_id.core.potential import GradientSpline
-from drive_id.core.windows import Windows
+from drive_id.core.windows import SHIFTS, Windows
 from drive_id.sim.drive import Simulation
 from drive_id.types import FloatArray, IntArray
 
@@ -23,8 +23,8 @@ _LONGEST_LAG = 40  # samples
 _FINE = 72
 
 
-def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Errors]]:
-    """Yield the name and the errors of each estimator."""
+def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Errors, float]]:
+    """Yield the name of each estimator, its errors, and the delay of the voltages that it finds, samples."""
     data = Accumulation(simulation)
     windows = Windows.joined(data.information.kept())
     begin, end = _places(windows, simulation)
@@ -36,11 +36,31 @@ def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Erro
         "instruments: currents simulated from the first fit": _simulated(data, first, choice),
         "instruments: true currents": simulation.i_dq_true,
     }
-    yield "least squares", data.solved(choice, products=regressors.T @ regressors)
+    products = regressors.T @ regressors
+    yield "least squares", data.solved(choice, products=products), _delay(data, choice, products)
     for name, i_dq in sources.items():
         rows = _rows(data.model, replace(windows, i_dq=np.stack([i_dq[begin], i_dq[end]], axis=1)))
-        yield name, data.solved(choice, products=rows.T @ regressors)
-    yield "least squares, true currents at the ends of the windows", data.solved(choice, products=rows.T @ rows)
+        products = rows.T @ regressors
+        yield name, data.solved(choice, products=products), _delay(data, choice, products)
+    products = rows.T @ rows
+    name = "least squares, true currents at the ends of the windows"
+    yield name, data.solved(choice, products=products), _delay(data, choice, products)
+
+
+def _delay(data: Accumulation, choice: Choice, products: FloatArray) -> float:
+    """Estimate a delay of the voltages of up to a sample as one more unknown, its column being its own instrument."""
+    model, t = data.model, basis(data.model, choice)
+    penalty = t.T @ roughness(model, data.total, choice.penalty) @ t
+    voltage, shift = VOLTAGE, SHIFT.start + SHIFTS.index(-1)
+    normal = np.block(
+        [
+            [t.T @ (t.T @ products.T).T + penalty.toarray(), (t.T @ products[:, shift])[:, None]],
+            [(t.T @ products[shift])[None], products[shift, shift]],
+        ]
+    )
+    scale = np.sqrt(np.diag(normal))
+    moment = np.append(t.T @ products[:, voltage], products[shift, voltage]) / scale
+    return float(solved(normal / scale[:, None] / scale, moment)[-1] / scale[-1])
 
 
 def _places(windows: Windows, simulation: Simulation) -> tuple[IntArray, IntArray]:

@@ -21,6 +21,12 @@ Errors = tuple[float, float, float, float]
 """Of psi_d, psi_q, R and the inverter's curve, relative."""
 
 _CURVE_POINTS = 201
+_JITTER = 1e-13
+
+
+def solved(scaled: FloatArray, moment: FloatArray) -> FloatArray:
+    """Solve equations with a diagonal of ones, which instruments make asymmetric; nearly singular ones, too."""
+    return np.asarray(linalg.solve(scaled + _JITTER * np.eye(len(moment)), moment))
 
 
 class Accumulation:
@@ -68,7 +74,7 @@ class Accumulation:
         normal = t.T @ (t.T @ products.T).T + penalty.toarray()
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-24 * np.diag(normal).max()))
         moment = t.T @ products[:, VOLTAGE]
-        x = linalg.solve(normal / scale[:, None] / scale, moment / scale) / scale
+        x = solved(normal / scale[:, None] / scale, moment / scale) / scale
         return np.asarray(t @ x)
 
     def errors(self, estimate: FloatArray) -> Errors:

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from fitting import has_full
 from measuring import Cost, in_turns
 from plain_script import read as rosbags_read
 from recordings import experiment, recording
@@ -43,8 +44,11 @@ Message = tuple[int, bytes]
 
 def section(folder: Path, repeats: int, minutes: float) -> Section:
     """Measure."""
-    rows = (_reading(folder, repeats), _decoding(folder, repeats), _accumulation(), _reply(repeats, minutes))
-    return Section("Messages and live samples", "Live: in process, without the transport of ROS.", rows)
+    rows = [_reading(folder, repeats), _decoding(folder, repeats)]
+    for method in ("joint", "full") if has_full() else ("joint",):
+        settings = FitSettings(method=method, i_max=_I_MAX)
+        rows += [_accumulation(settings), _reply(settings, repeats, minutes)]
+    return Section("Messages and live samples", "Live: in process, without the transport of ROS.", tuple(rows))
 
 
 def _reading(folder: Path, repeats: int) -> Row:
@@ -102,14 +106,15 @@ def _feed(live: LiveEvidence, messages: Iterator[Message]) -> float:
     return spent
 
 
-def _accumulation() -> Row:
+def _accumulation(settings: FitSettings) -> Row:
     samples = experiment(4.0, _FAST)
     half = replace(samples, **{name: getattr(samples, name)[: len(samples) // 8] for name in _ARRAYS})
-    _feed(LiveEvidence(_settings(), _KEPT), _messages(half, _FAST_BLOCK))  # compiles, fills caches
-    spent = min(_feed(LiveEvidence(_settings(), _KEPT), _messages(samples, _FAST_BLOCK)) for _ in range(3))
+    _feed(LiveEvidence(settings, _KEPT), _messages(half, _FAST_BLOCK))  # compiles, fills caches
+    spent = min(_feed(LiveEvidence(settings, _KEPT), _messages(samples, _FAST_BLOCK)) for _ in range(3))
     duration = len(samples) / _FAST
     return Row(
-        "accumulating 100 kHz live, blocks of 1000", f"{duration:.0f} s of samples", f"{seconds(spent)} of CPU",
+        f"`{settings.method}`: accumulating 100 kHz live, blocks of 1000",
+        f"{duration:.0f} s of samples", f"{seconds(spent)} of CPU",
         f"{100 * spent / duration:.1f} % of a core", f"{100 * spent / duration:.1f} %", "≤ 30 %",
     )  # fmt: skip
 
@@ -117,16 +122,13 @@ def _accumulation() -> Row:
 _ARRAYS = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
 
 
-def _reply(repeats: int, minutes: float) -> Row:
+def _reply(settings: FitSettings, repeats: int, minutes: float) -> Row:
     samples = experiment(60.0)
-    live = LiveEvidence(_settings(), _KEPT)
+    live = LiveEvidence(settings, _KEPT)
     spent = _feed(live, _messages(samples, 100, round(minutes)))
-    cost = in_turns({"reply": lambda: live.snapshot().identify()}, max(repeats, 5))["reply"]
+    cost = in_turns({"reply": lambda: live.snapshot().identify()}, repeats)["reply"]
     return Row(
-        f"identify after {minutes:g} minutes at 10 kHz", f"{100 * spent / (60 * minutes):.1f} % of a core till then",
+        f"`{settings.method}`: identify after {minutes:g} minutes at 10 kHz",
+        f"{100 * spent / (60 * minutes):.1f} % of a core till then",
         seconds(cost.elapsed), "", seconds(cost.cpu), "≤ 0.3 s",
     )  # fmt: skip
-
-
-def _settings() -> FitSettings:
-    return FitSettings("joint", i_max=_I_MAX)

@@ -298,7 +298,7 @@ def plan_experiment(
     u_dc: Annotated[float | None, typer.Option(help="DC link, V.")] = None,
     sample_period: Annotated[float | None, typer.Option(help="s.  [default: 1e-4]")] = None,
     noise: Annotated[float | None, typer.Option(help="Current noise, fraction of i_max.  [default: 0.001]")] = None,
-    speed_min: Annotated[float | None, typer.Option(help="Lowest, rpm.  [default: 100]")] = None,
+    speed_min: Annotated[float | None, typer.Option(help="Lowest, rpm.  [default: 250]")] = None,
     speed_max: Annotated[float | None, typer.Option(help="Highest, rpm.  [default: 1500]")] = None,
     reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Turn backwards, too.")] = None,
     accuracy: Annotated[float | None, typer.Option(help="Of the flux, percent.  [default: 0.05]")] = None,

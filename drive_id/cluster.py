@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing import resource_tracker
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import drive_id
@@ -36,6 +36,14 @@ PATIENCE = 60.0
 _LONGEST_GREETING = 1 << 20
 """A Dask server speaks first: the length of its greeting, in 8 bytes, and the greeting."""
 
+_LOCAL_OPTIONS: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "host": "127.0.0.1",
+    "dashboard_address": None,
+    "worker_dashboard_address": None,
+    "scheduler_kwargs": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},  # None alone means port 8787
+    "silence_logs": logging.CRITICAL,
+}
 _LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
 
@@ -94,18 +102,11 @@ def connected(cluster: str, most_workers: int) -> Iterator[Client]:
             _check_workers(client, cluster)
         else:
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id-"))
-            stack.enter_context(dask.config.set({"temporary-directory": scratch}))
-            options = {
-                "n_workers": min(workers, most_workers),
-                "threads_per_worker": 1,
-                "host": "127.0.0.1",
-                "dashboard_address": None,
-                "worker_dashboard_address": None,
-                "local_directory": scratch,
-                "silence_logs": logging.CRITICAL,
-            }
+            quiet = {"temporary-directory": scratch, "distributed.scheduler.http.routes": []}
+            stack.enter_context(dask.config.set(quiet))
             with _undisturbed():
-                local = stack.enter_context(LocalCluster(**options))
+                local = LocalCluster(n_workers=min(workers, most_workers), local_directory=scratch, **_LOCAL_OPTIONS)
+                stack.enter_context(local)
             client = stack.enter_context(Client(local, set_as_default=False))
         yield client
 
@@ -120,7 +121,7 @@ def watch(client: Client, alive: float) -> float:
     """
     if client.status not in ("running", "connecting"):
         raise lost()
-    if client.status == "running" and client.scheduler_info(n_workers=-1)["workers"]:
+    if client.status == "running" and client.scheduler_info()["workers"]:
         return time.monotonic()
     if time.monotonic() - alive > PATIENCE:
         raise lost()

@@ -13,6 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 from threading import Thread
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pytest
 from fleet_cluster import own_cluster
@@ -114,6 +116,11 @@ def test_nothing_is_left_of_processes_of_our_own(tmp_path, monkeypatch):
         pids = client.run(os.getpid)
         assert len(pids) == 2
         assert os.getpid() not in pids.values()
+        dashboard = client.dashboard_link
+        with pytest.raises(HTTPError):
+            urlopen(dashboard)
+        assert "127.0.0.1" in dashboard
+        assert ":8787" not in dashboard
     assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
     assert not list(tmp_path.iterdir())
     assert [logging.getLogger(name).level for name in ("distributed", "distributed.client")] == levels

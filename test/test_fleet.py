@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from drive_id.workflows import accumulate_bags, fit_bags, run_experiment
 
 pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
 
-RADIUS = FitSettings("joint", i_max=300.0)
+JOINT = FitSettings(method="joint")
+RADIUS = replace(JOINT, i_max=300.0)
 
 
 @pytest.fixture(scope="module")

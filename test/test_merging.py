@@ -20,7 +20,8 @@ from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.workflows import accumulate_bags, fit_bags, run_experiment
 
-RADIUS = FitSettings("joint", i_max=300.0)
+JOINT = FitSettings(method="joint")
+RADIUS = replace(JOINT, i_max=300.0)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +75,22 @@ def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
     accumulate_bags([bags[2], bags[0]], tmp_path / "two.info", RADIUS)
     for sources in ([infos[2], infos[0], infos[1]], [bags[0], infos[2], bags[1]], [tmp_path / "two.info", bags[1]]):
         assert_same_fit(fit_bags(sources, None, RADIUS), together)
+
+
+def test_method_full_merges_too(bags, tmp_path):
+    """The folds of its cross validation begin anew with each recording, so deviations differ a little."""
+    settings = replace(RADIUS, method="full")
+    for bag in bags:
+        accumulate_bags([bag], tmp_path / f"{bag.name}.info", settings)
+    apart = fit_bags(sorted(tmp_path.glob("*.info")), None, settings).identification
+    whole = fit_bags(bags, None, settings).identification
+    assert apart.resistance == pytest.approx(whole.resistance, rel=1e-3)
+    assert apart.sigma_resistance == pytest.approx(whole.sigma_resistance, rel=0.2)
+    inside = whole.flux_map.inside
+    np.testing.assert_array_equal(apart.flux_map.inside, inside)
+    for name in ("psi_d", "psi_q"):
+        first, second = (getattr(found.flux_map, name)[inside] for found in (apart, whole))
+        np.testing.assert_allclose(first, second, atol=1e-3 * np.abs(second).max())
 
 
 def test_the_mad_is_that_of_a_piece_of_each_recording(infos, together):

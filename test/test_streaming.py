@@ -82,6 +82,23 @@ def test_a_long_recording_is_accumulated_as_in_memory(bag, method, i_max):
     assert mine.report.mad_d == pytest.approx(expected.report.mad_d, rel=0.3)
 
 
+@pytest.mark.usefixtures("long")
+def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypatch):
+    """After an interrupt, too, but for the few windows that were open."""
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    settings = FitSettings(method="full")
+    found, recording = assert_same_as_in_memory([bag], settings)
+    expected = gather([recording.samples], settings).windows.finished()
+    mine = found.evidence.windows.finished()
+    assert mine.windows == expected.windows
+    for one, other in zip(mine.folds, expected.folds, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
+    with pytest.raises(Interrupted):
+        accumulate([bag], settings, checkpoint=tmp_path / "kept", tell=Stop(7))
+    resumed = accumulate([bag], settings, checkpoint=tmp_path / "kept").evidence.windows.finished()
+    assert 0.98 * expected.windows < resumed.windows <= expected.windows
+
+
 def test_a_short_recording_is_fitted_from_exactly_the_same_numbers(bag):
     found, recording = assert_same_as_in_memory([bag])
     expected = gather([recording.samples], SETTINGS)

@@ -101,7 +101,13 @@ def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_pa
 
 def test_progress_is_told_in_order(bag, tmp_path):
     told = []
-    fit_bags([bag], tmp_path / "out", FitSettings(method="joint"), picture=False, tell=lambda what, share: told.append((what, share)))
+    fit_bags(
+        [bag],
+        tmp_path / "out",
+        FitSettings(method="joint"),
+        picture=False,
+        tell=lambda what, share: told.append((what, share)),
+    )
     assert list(dict.fromkeys(what for what, _ in told)) == [
         "Reading", "Accumulating", "Solving and validating", "Writing",
     ]  # fmt: skip

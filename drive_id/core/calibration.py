@@ -1,4 +1,4 @@
-"""Faults of the sensors, estimated from what they break: the mirror symmetry of a machine and its sixfold periodicity."""
+"""Faults of the sensors, estimated from what they break: a machine's mirror symmetry and its sixfold periodicity."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from drive_id.core import frames
 from drive_id.core.flux_models import BasisRows
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full_fit import FullFit
+from drive_id.core.full_model import CONSTANT, SENSOR_ORDERS
 from drive_id.types import FloatArray, Samples
 
+_SIGNIFICANCE = 3.0
 _LARGEST_ANGLE = np.deg2rad(20.0)
 _LARGEST_ASYMMETRY = 0.01
 """Of the largest flux, left at the best angle: of a machine that is mirror-symmetric there is no more."""
@@ -109,11 +111,12 @@ def _turn_pairs(rows: BasisRows, gamma: FloatArray, angle: float) -> FloatArray:
 
 
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
-    """Estimate offsets and gain mismatch of the current sensors from the harmonics of order 1 and 2.
+    """Estimate offsets and gain mismatch of the current sensors.
 
     With measured currents i = i_true + o + G i_true*, o the offset's space vector and G that of the mismatch, the flux
-    over the measured current gains ``-f'(i) (e^{-j theta} o + e^{-2 j theta} G i*)``, to first order: harmonics whose
-    amplitudes are the incremental inductances times these vectors.
+    over the measured current gains ``-f'(i) e^{-2 j theta} G i*``, to first order, a harmonic of order 2. The resistive
+    drop of the wrong current adds ``-j R / omega`` times the same vector to it, and that of the offset is a constant
+    voltage in the stator frame, ``-(R + r) o`` with the mean slope r of the inverter's curve, if it is symmetrical.
 
     Parameters
     ----------
@@ -128,22 +131,28 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     list of Calibration
         Of the offset and the mismatch, both real and imaginary part; a zero sequence and a common gain do not show.
     """
-    by_d, by_q = (rows.dot(fit.solution.residual[fit.model.map]) for rows in fit.model.flux.slope_rows(i_dq))
-    jacobian = np.stack([by_d, by_q], axis=-1)  # (N, flux, current)
-    conjugate = i_dq * np.array([1.0, -1.0])
-    vectors = {1: np.broadcast_to(np.eye(2), (len(i_dq), 2, 2)), 2: _products_with(conjugate)}
-    out = []
-    for order, name, unit, size in ((1, "current_offset", "A", i_max), (2, "current_gain_mismatch", "1", 1.0)):
-        applied = order in fit.choice.orders
-        value, sigma = np.zeros(2), np.full(2, np.nan)
-        if applied:
-            value, sigma = _vector(fit, order, jacobian, vectors[order], i_dq)
-        what = "offset of the measured currents" if order == 1 else "mismatch of the current gains"
-        for axis, x, dx in zip(("alpha", "beta"), value, sigma, strict=True):
-            said = f"The {axis} part of the {what} is {x:.3g} +- {dx:.2g}{' A' if order == 1 else ''}"
-            sentence = f"{said} ({100 * abs(x) / size:.2f} %)." if applied else f"No {what} stands out from the noise."
-            out.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, sentence))
-    return out
+    resistance = fit.solution.resistance + fit.drop_slope
+    offset = -fit.solution.residual[CONSTANT] / resistance
+    sigma = np.sqrt(np.sum(fit.changes[CONSTANT] ** 2, axis=1)) / abs(resistance)
+    shown = bool(np.any(np.abs(offset) > _SIGNIFICANCE * sigma))
+    out = _entries("current_offset", "A", "offset of the measured currents", (offset, sigma), i_max, applied=shown)
+    order = SENSOR_ORDERS[1]
+    mismatch = np.zeros(2), np.full(2, np.nan)
+    if order in fit.choice.orders:
+        mismatch = _mismatch(fit, order, i_dq)
+    what = "mismatch of the current gains"
+    return out + _entries("current_gain_mismatch", "1", what, mismatch, 1.0, applied=order in fit.choice.orders)
+
+
+def _entries(
+    name: str, unit: str, what: str, found: tuple[FloatArray, FloatArray], size: float, *, applied: bool
+) -> list[Calibration]:
+    entries = []
+    for axis, x, dx in zip(("alpha", "beta"), *found, strict=True):
+        said = f"The {axis} part of the {what} is {x:.3g} +- {dx:.2g}{' A' if unit == 'A' else ''}"
+        sentence = f"{said} ({100 * abs(x) / size:.2f} %)." if applied else f"No {what} stands out from the noise."
+        entries.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, sentence))
+    return entries
 
 
 def _products_with(i_dq: FloatArray) -> FloatArray:
@@ -152,15 +161,18 @@ def _products_with(i_dq: FloatArray) -> FloatArray:
     return np.stack([np.stack([d, -q], axis=-1), np.stack([q, d], axis=-1)], axis=1)
 
 
-def _vector(
-    fit: FullFit, order: int, jacobian: FloatArray, vectors: FloatArray, i_dq: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return real and imaginary part of o or G and their deviations, by least squares on the harmonic's amplitudes."""
+def _mismatch(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return real and imaginary part of G and their deviations, by least squares on the harmonic's amplitudes."""
+    by_d, by_q = (rows.dot(fit.solution.residual[fit.model.map]) for rows in fit.model.flux.slope_rows(i_dq))
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])  # j
+    fast = np.abs(fit.speeds) > 0.1 * np.abs(fit.speeds).max()
+    lag = fit.solution.resistance * float(np.mean(1 / fit.speeds[fast]))
+    jacobian = np.stack([by_d, by_q], axis=-1) + lag * quarter  # (N, flux, current)
+    conjugate = _products_with(i_dq * np.array([1.0, -1.0]))
     space, columns = fit.model.space(order), fit.model.harmonics[order]
     rows = space.rows(i_dq)
-    cosine = np.einsum("nab,nbc->nac", -jacobian, vectors)
-    quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # e^{-j h theta} = cos h theta - j sin h theta
-    sine = np.einsum("nab,bc,ncd->nad", -jacobian, quarter, vectors)
+    cosine = np.einsum("nab,nbc->nac", -jacobian, conjugate)
+    sine = np.einsum("nab,bc,ncd->nad", jacobian, quarter, conjugate)  # e^{-j h theta} = cos h theta - j sin h theta
     regressors = np.concatenate([cosine.reshape(-1, 2), sine.reshape(-1, 2)])
 
     def solved(gamma: FloatArray) -> FloatArray:

@@ -105,8 +105,8 @@ def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: fl
     return float(covered[disc].mean())
 
 
-def smoothed(values: FloatArray, mask: BoolArray, reach: int = 2) -> FloatArray:
-    """Return at each node (D, Q) the mean of the values at masked nodes at most ``reach`` nodes away along each axis."""
+def smoothed(values: FloatArray, mask: BoolArray, reach: int = 5) -> FloatArray:
+    """Return at each node (D, Q) the mean of the values at masked nodes within ``reach`` nodes along each axis."""
     side = 2 * reach + 1
     padded = [np.pad(np.where(mask, array, 0.0), reach) for array in (values, np.ones_like(values))]
     sums = [np.lib.stride_tricks.sliding_window_view(array, (side, side)).sum(axis=(2, 3)) for array in padded]

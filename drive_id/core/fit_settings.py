@@ -17,8 +17,8 @@ class FitSettings:
 
     method: str = setting(
         "full",
-        "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, an "
-        "inverter curve and calibration",
+        "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
+        "an inverter curve and calibration",
         choices=("psm", "joint", "full"),
     )
     flux_model: str = setting(
@@ -46,7 +46,8 @@ class FitSettings:
     )
     maps: str = setting(
         "auto",
-        "full: reciprocal maps are gradients of a co-energy, free maps are not; auto: reciprocal unless the data refuse",
+        "full: reciprocal maps are gradients of a co-energy, free maps are not; auto: reciprocal unless the data "
+        "refuse",
         choices=("auto", "reciprocal", "free"),
     )
     harmonic_orders: tuple[int, ...] = setting(
@@ -104,8 +105,8 @@ class FitSettings:
         for name in ("temperatures", "u_dc"):
             if getattr(self, name) and number >= len(getattr(self, name)):
                 raise ConfigurationError(
-                    f"{name} has {len(getattr(self, name))} entries and there are more recordings: give one for each, in "
-                    "order."
+                    f"{name} has {len(getattr(self, name))} entries and there are more recordings: give one for each, "
+                    "in order."
                 )
         one = slice(number, number + 1)
         reference = self.u_dc_reference or (self.u_dc[0] if self.u_dc else None)

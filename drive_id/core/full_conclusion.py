@@ -219,7 +219,7 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
     consistent = np.sqrt(np.sum((forms.T @ fit.changes) ** 2, axis=1))
-    return drops, np.maximum(consistent, fit.white(forms))
+    return drops, consistent
 
 
 def _mad(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
 from drive_id.core.full_solver import PENALTIES, Choice, FullSolution, Solver
@@ -23,6 +25,7 @@ _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _NYQUIST_SHARE = 0.6
 _LEAST_FREEDOM = 0.05
+_SLOPE_STEP = 0.02
 _LEAST_HEATING = 5.0
 """K between recordings, from which on the magnet's temperature coefficient is estimated."""
 
@@ -36,14 +39,17 @@ class FullFit:
     model : FullModel
     solution : FullSolution
     changes : (size, B) float
-        What leaving each batch's residuals out changes in the estimate, to first order: the covariance of the estimate
-        is ``changes @ changes.T``, a heteroscedasticity and autocorrelation consistent one.
+        What leaving each batch's residuals out changes in the estimate, to first order, and last what the penalties
+        change: ``changes @ changes.T`` is the covariance of the estimate, a heteroscedasticity and autocorrelation
+        consistent one, plus its squared bias by smoothing.
     delay, sigma_delay : float
         Estimated delay of the voltages and its deviation, samples; NaN when it was not asked for.
     advantage : float
         Share of the squared error on data left out that free maps save over reciprocal ones; negative when they cost.
     speeds : (N,) float
         Electrical speeds of windows, rad/s.
+    drop_slope : float
+        Mean slope of the inverter's curve over the currents that flowed, ohm.
     total_voltage : float
         Mean square of the integrated voltages, (Vs)^2.
     """
@@ -55,6 +61,7 @@ class FullFit:
     sigma_delay: float
     advantage: float
     speeds: FloatArray
+    drop_slope: float
     total_voltage: float
 
     @property
@@ -64,8 +71,7 @@ class FullFit:
 
     def deviation(self, form: FloatArray) -> float:
         """Return the standard deviation of a linear function (size,) of the estimate."""
-        consistent = float(np.sqrt(np.sum((form @ self.changes) ** 2)))
-        return max(consistent, float(self.white(form[:, None])[0]))
+        return float(np.sqrt(np.sum((form @ self.changes) ** 2)))
 
     def white(self, forms: FloatArray) -> FloatArray:
         """Return the deviations (K,) of linear functions (size, K) if the residuals were white."""
@@ -121,8 +127,17 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
-    changes = batch_changes(information, solution)
-    return FullFit(model, solution, changes, delay, sigma_delay, advantage, speeds, total_voltage)
+    changes = np.column_stack([batch_changes(information, solution), solver.shrinkage(solution)])
+    slope = _drop_slope(model, solution, kept)
+    return FullFit(model, solution, changes, delay, sigma_delay, advantage, speeds, slope, total_voltage)
+
+
+def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:
+    i_abc = np.concatenate([frames.to_abc(windows.i_dq[:, 0], windows.angle[:, 0]) for windows in kept])
+    heights = solution.residual[model.phase_columns()].mean(axis=1)
+    step = _SLOPE_STEP * model.i_max
+    sides = [(model.shapes(i_abc + sign * step) @ heights).mean() for sign in (1, -1)]
+    return float(sides[0] - sides[1]) / (2 * step)
 
 
 def _reciprocal_or_free(solver: Solver, choice: Choice, settings: FitSettings) -> tuple[Choice, float]:
@@ -170,7 +185,7 @@ def batch_changes(information: WindowInformation, solution: FullSolution) -> Flo
 
 
 def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
-    """Return the scores of each batch, its residuals freed of what the fit took from them by its leverage (CR2)."""
+    """Return the scores of each batch, its residuals as they would be without it in the fit: the jackknife's (CR3)."""
     rows = model.design(segment)
     batch = (segment.time / BATCH).astype(np.int64)
     scores = []
@@ -179,6 +194,6 @@ def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) ->
         forms = np.asarray(solution.basis.T @ part.T)
         half = solution.half_gain(forms)
         values, vectors = np.linalg.eigh(np.eye(len(part)) - half.T @ half)
-        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
+        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.maximum(values, _LEAST_FREEDOM))
         scores.append(forms @ residual)
     return scores

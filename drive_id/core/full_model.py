@@ -125,7 +125,9 @@ class FullModel:
         """
         count, drops = len(windows), self.drops
         out = np.zeros((count, 2, self.size))
-        known = np.concatenate([windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1)
+        known = np.concatenate(
+            [windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1
+        )
         out[:, 0, :2], out[:, 1, :2] = known.real, known.imag
         out[:, 0, CONSTANT.start] = out[:, 1, CONSTANT.start + 1] = windows.duration
         out[:, 0, SHIFT], out[:, 1, SHIFT] = windows.shifted.real, windows.shifted.imag

@@ -177,26 +177,21 @@ class Solver:
         self.total = folds.sum(axis=0)
         self._reduced: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
 
-    def solve(self, choice: Choice, wishes: tuple[FloatArray, FloatArray] | None = None) -> FullSolution:
-        """Fit to all folds.
-
-        Parameters
-        ----------
-        choice : Choice
-        wishes : (size, K) float and (K,) float, optional
-            Linear functions of the estimate and the values that they are to have, weighted like rows of the regression.
-        """
+    def solve(self, choice: Choice) -> FullSolution:
+        """Fit to all folds."""
         t, normal, penalty = self._normal(choice)
         voltage = self._voltage(choice)
-        moment, information = t.T @ (self.total @ voltage), normal.sum(axis=0) + penalty
-        if wishes is not None:
-            forms = np.asarray(t.T @ wishes[0])
-            moment, information = moment + forms @ wishes[1], information + forms @ forms.T
-        factor, scale = _factorize(information)
+        factor, scale = _factorize(normal.sum(axis=0) + penalty)
+        moment = t.T @ (self.total @ voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
         residual = t @ x - voltage
         squares = float(residual @ self.total @ residual)
         return FullSolution(choice, residual, t, factor, scale, squares, float(self.counts.sum()))
+
+    def shrinkage(self, solution: FullSolution) -> FloatArray:
+        """Return what the penalties change in the estimate, to first order, (size,)."""
+        pull = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
+        return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
 
     def left_out(self, choice: Choice) -> FloatArray:
         """Return the sum of squared residuals per row of each fold in the fit to the others, (F,), (Vs)^2."""

@@ -136,7 +136,7 @@ class Identification:
     calibrations : tuple of Calibration
         Faults of the sensors; method ``full``.
     magnet_coefficient : (float, float) or None
-        Change of the magnet's flux per kelvin and its deviation, Wb/K, when recordings of several temperatures were given.
+        Change of the magnet's flux per kelvin and its deviation, Wb/K, when temperatures were given and differ.
     statements : tuple of str
         What fixed the unknowns that single data leave open, where data are missing, and what would help most.
     """

@@ -37,7 +37,9 @@ class PlanSettings:
         minimum=0.1,
         maximum=1e3,
     )
-    speed_min: float = setting(100.0, "Lowest mechanical speed that the load machine holds", unit="rpm", minimum=1.0)
+    speed_min: float = setting(
+        250.0, "Lowest mechanical speed allowed: errors of the voltages count most there", unit="rpm", minimum=1.0
+    )
     speed_max: float = setting(1500.0, "Highest mechanical speed allowed", unit="rpm", minimum=1.0, maximum=1e6)
     reverse: bool = setting(True, "Whether the shaft may turn backwards, too")
     accuracy: float = setting(

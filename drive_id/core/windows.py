@@ -207,8 +207,8 @@ class WindowCutter:
     def _windows(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> Windows:
         period, grain = self._period, _grain(self._period)
         i_s, u_s = frames.space_vector(stretch.i_abc), frames.space_vector(stretch.u_abc)
-        voltage = period * np.cumsum(np.append(0j, u_s[:-1]))
-        current = period / 2 * np.cumsum(np.append(0j, i_s[1:] + i_s[:-1]))
+        voltage: ComplexArray = period * np.cumsum(np.append(0j, u_s[:-1]), dtype=np.complex128)
+        current: ComplexArray = period / 2 * np.cumsum(np.append(0j, i_s[1:] + i_s[:-1]), dtype=np.complex128)
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
         ends = np.stack([begin, end], axis=1)
         i_dq = i_s[ends] * np.exp(-1j * stretch.angle[ends])

@@ -17,6 +17,7 @@ from drive_id.files.results import check_absent
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05
 _SPEED_RESERVE = 1.1
+_LEAD_TIME, _MOST_AHEAD = 0.3, 50_000  # s, set-points
 
 
 def plan_tree(plan: Plan) -> dict[str, Any]:
@@ -69,6 +70,7 @@ def plan_yaml(plan: Plan, machine: str = "") -> str:
         "    repeat: 1",
         f"    slew_rate: {_number(math.ceil(_SLEW_RESERVE * trajectory.slope))}",
         f"    sample_period: {_number(settings.sample_period)}",
+        f"    lead_time: {_number(min(_LEAD_TIME, _MOST_AHEAD * settings.sample_period))}",
         "    # Band of the electrical speed, rad/s.",
         f"    speed_min: {_number(band[0])}",
         f"    speed_max: {_number(band[1])}",

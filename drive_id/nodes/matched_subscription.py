@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -49,6 +50,7 @@ class MatchedSubscription:
         )  # fmt: skip
         self.publishers: list[Publisher] = []
         self._subscription: Any = None
+        self._generation = 0
         self.match()
 
     def match(self) -> None:
@@ -65,7 +67,31 @@ class MatchedSubscription:
         qos = QoSProfile(
             history=base.history, depth=self._depth, reliability=base.reliability, durability=base.durability
         )
-        self._subscription = self._node.create_subscription(self._kind, self._given, self._callback, qos, raw=self._raw)
+        # Without the default event callbacks: they only log what the diagnostics say anyhow, and an events executor
+        # dies of an event of a subscription that is destroyed meanwhile.
+        self._subscription = self._node.create_subscription(
+            self._kind,
+            self._given,
+            self._receiver(),
+            qos,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            raw=self._raw,
+        )
+
+    def _receiver(self) -> Callable[[Any], None]:
+        """Return the callback of a new subscription, deaf as soon as there is a newer one.
+
+        An events executor keeps a destroyed subscription as long as it has events of it, and that one goes on receiving
+        what the new one receives, too.
+        """
+        self._generation += 1
+        generation = self._generation
+
+        def receive(message: Any) -> None:
+            if generation == self._generation:
+                self._callback(message)
+
+        return receive
 
     def drain(self) -> None:
         """Call the callback with every message that has arrived by now, instead of when the executor gets to it.

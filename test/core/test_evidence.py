@@ -114,7 +114,11 @@ def test_a_restored_state_goes_on_as_if_nothing_had_been(recordings):
 
 def test_a_state_of_another_model_is_refused(recordings):
     state = evidence(recordings[0]).state()
-    for settings in (FitSettings("joint", splines_d=9), FitSettings("joint", grid_points=33), FitSettings("joint", flux_model="linear")):
+    for settings in (
+        FitSettings("joint", splines_d=9),
+        FitSettings("joint", grid_points=33),
+        FitSettings("joint", flux_model="linear"),
+    ):
         with pytest.raises(ValueError, match="is needed"):
             evidence(settings=settings).restore(state)
     del state["information/rows"]
@@ -126,7 +130,10 @@ def test_a_state_of_another_model_is_refused(recordings):
     ("other", "said"),
     [
         (lambda: evidence(settings=FitSettings("joint", splines_q=9)), r"splines_q is 8 in one and 9 in the other"),
-        (lambda: evidence(settings=FitSettings("joint", longest_rest=1.0)), r"longest_rest is 0.02 in one and 1.0 in the other"),
+        (
+            lambda: evidence(settings=FitSettings("joint", longest_rest=1.0)),
+            r"longest_rest is 0.02 in one and 1.0 in the other",
+        ),
         (lambda: evidence(i_max=280.0), r"i_max is 300 A in one and 280 A in the other"),
         (
             lambda: Evidence(FitSettings(method="joint"), Axis(-300, 300, 8), Axis(-310, 310, 8), I_MAX),

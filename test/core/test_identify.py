@@ -60,7 +60,11 @@ def test_leaving_the_inverter_out_biases_flux_and_resistance(clean):
 
 def test_the_linear_machine_is_found_exactly_by_both_kinds_of_model():
     samples = record(linear_flux, duration=3.0)
-    for settings in (FitSettings("joint"), FitSettings("joint", flux_model="linear"), FitSettings("joint", flux_model="polynomial")):
+    for settings in (
+        FitSettings("joint"),
+        FitSettings("joint", flux_model="linear"),
+        FitSettings("joint", flux_model="polynomial"),
+    ):
         result = identify([samples], settings)
         assert errors(result, linear_flux).max() < 5e-5  # the trapezoids of the paper
         assert result.resistance == pytest.approx(0.02, rel=1e-3)

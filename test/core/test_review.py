@@ -124,7 +124,10 @@ def resting(samples, before):
 
 def test_a_rest_before_the_trajectory_changes_nothing(good):
     """The rest has no inverter: were it used, the voltage error would come out wrong."""
-    plain, rested = identify([good], FitSettings("joint", i_max=300.0)), identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0))
+    plain, rested = (
+        identify([good], FitSettings("joint", i_max=300.0)),
+        identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0)),
+    )
     assert rested.voltage_error == pytest.approx(plain.voltage_error, rel=2e-3)
     assert rested.resistance == pytest.approx(plain.resistance, rel=2e-3)
     assert rested.report.samples_used == pytest.approx(plain.report.samples_used + 200, abs=2)

@@ -37,6 +37,7 @@ def node(ros, bag):
     shutil.copytree(bag, data / "bag")
     parameters = {
         "data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": I_MAX, "picture": True,
+        "method": "joint",
     }  # fmt: skip
     return ros.start(MODULE, parameters=parameters)
 
@@ -159,6 +160,19 @@ def test_the_method_of_a_request(ros, player, bag):
     assert live.flux_map.resistance == pytest.approx(recorded.flux_map.resistance, rel=1e-9)
     assert live.flux_map.voltage_error == 0
     assert len(live.flux_map.inverter_current) == 0
+
+
+def test_method_full_needs_what_only_it_gathers(ros, player, bag):
+    player.play(messages_of(bag))
+    identify_all(ros, 20_000)
+    live, recorded = identify(ros, method="full"), identify(ros, "bag", method="full")
+    assert (live.success, live.code) == (False, "configuration")
+    assert "accumulated for method joint" in live.message
+    assert recorded.success, recorded.message
+    assert recorded.flux_map.method == "full"
+    offline = fit_bags([bag], None, FitSettings("full", i_max=I_MAX), picture=False).identification
+    assert recorded.flux_map.resistance == pytest.approx(offline.resistance, rel=1e-6)
+    np.testing.assert_allclose(recorded.flux_map.psi_d, offline.flux_map.psi_d.ravel(), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.usefixtures("player")
@@ -410,7 +424,7 @@ def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag
     results = ros.folder / "results_of_other"
     parameters = {
         "data_directory": str(bag.parent), "output_directory": str(results), "splines_d": 32, "splines_q": 32,
-        "i_max": I_MAX,
+        "i_max": I_MAX, "method": "joint",
     }  # fmt: skip
     files = (CONFIG / "identification.yaml",)
     process = ros.start(MODULE, parameters=parameters, files=files, namespace="/other")

@@ -44,6 +44,7 @@ def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     }  # fmt: skip
     ros.start(NODES + "recorder", parameters={"data_directory": str(data)})
     fit = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": I_MAX}
+    fit["method"] = "joint"
     ros.start(NODES + "identification", parameters=fit)
     publisher = ros.start(NODES + "trajectory_publisher", parameters=trajectory)
     simulator = ros.start(NODES + "bench_simulator", parameters=bench)

@@ -65,3 +65,48 @@ def test_nothing_is_lost_when_it_is_made_anew(ros):
     while subscription.reliable:
         subscription.match()
     assert len(got) == 300
+
+
+@pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")  # rclpy of Kilted in itself
+def test_an_events_executor_survives_that_it_is_made_anew(ros):
+    """Messages and an incompatible publisher wait for the executor, and then the subscription goes."""
+    from drive_id_msgs.msg import Resolver
+
+    from drive_id.nodes.matched_subscription import MatchedSubscription
+    from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+
+    executors = pytest.importorskip("rclpy.experimental.events_executor")
+    from rclpy.task import Future
+
+    got, rounds, over = [], [], Future()
+    subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda message: got.append(message.first_sample))
+    publisher = ros.node.create_publisher(Resolver, "resolver", STREAM)
+    ros.wait(publisher.get_subscription_count, "the subscription")
+
+    def tick():
+        if len(rounds) == 20:
+            over.set_result(None)
+            return
+        first = 60 * len(rounds)
+        rounds.append(first)
+        rival = ros.node.create_publisher(Resolver, "resolver", STREAM_BEST_EFFORT)
+        publish(publisher, range(first, first + 50))
+        while subscription.reliable:
+            subscription.match()
+        ros.node.destroy_publisher(rival)
+        while not subscription.reliable:
+            subscription.match()
+        while not publisher.get_subscription_count():
+            pass
+        publish(publisher, range(first + 50, first + 60))
+
+    ros.executor.remove_node(ros.node)
+    executor = executors.EventsExecutor(context=ros.context)
+    executor.add_node(ros.node)
+    timer = ros.node.create_timer(1e-3, tick)
+    executor.spin_until_future_complete(over, DEADLINE)
+    subscription.drain()
+    executor.remove_node(ros.node)
+    ros.node.destroy_timer(timer)
+    assert len(rounds) == 20
+    assert got == list(range(1200))

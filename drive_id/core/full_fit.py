@@ -185,7 +185,7 @@ def batch_changes(information: WindowInformation, solution: FullSolution) -> Flo
 
 
 def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
-    """Return the scores of each batch, its residuals as they would be without it in the fit: the jackknife's (CR3)."""
+    """Return the scores of each batch, its residuals freed of what the fit took from them by its leverage (CR2)."""
     rows = model.design(segment)
     batch = (segment.time / BATCH).astype(np.int64)
     scores = []
@@ -194,6 +194,6 @@ def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) ->
         forms = np.asarray(solution.basis.T @ part.T)
         half = solution.half_gain(forms)
         values, vectors = np.linalg.eigh(np.eye(len(part)) - half.T @ half)
-        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.maximum(values, _LEAST_FREEDOM))
+        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
         scores.append(forms @ residual)
     return scores

@@ -24,6 +24,10 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
 _CURVE_POINTS = 201
+_REGIONS = 3
+"""Neighbourhoods with batches of their own over which deviations are averaged."""
+_STUDENT = 1.21
+"""What Student's 97.5 % quantile exceeds the normal one by, relative and per degree of freedom: (1.96^2 + 1) / 4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +59,18 @@ class TrueFrame:
         return a * cosine + b * sine, b * cosine - a * sine
 
     def deviations(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the deviations of psi_dq (N, 2), Wb: consistent with the residuals' behaviour, and for white ones."""
+        """Return the deviations of psi_dq (N, 2), Wb: consistent with the residuals' behaviour, and for white ones.
+
+        Few passes of the trajectory determine a point, so that its deviation is uncertain, too: it is widened as
+        Student's distribution is, with the effective number of batches that contribute to it and to those it is
+        averaged with as degrees of freedom.
+        """
         model = self.fit.model
         rows = model.flux.rows(rotated(i_dq, -self.angle))
-        consistent = np.sqrt(np.sum(rows.dot(self.fit.changes[model.map]) ** 2, axis=-1))
+        shares = rows.dot(self.fit.changes[model.map]) ** 2
+        total = shares.sum(axis=-1)
+        passes = total**2 / np.maximum(np.sum(shares**2, axis=-1), np.finfo(np.float64).tiny)
+        consistent = np.sqrt(total) * (1 + _STUDENT / (_REGIONS * np.maximum(passes, 2.0)))
         white = np.empty_like(consistent)
         for part in np.array_split(np.arange(len(i_dq)), max(1, len(i_dq) // 512)):
             forms = np.zeros((model.size, 2 * len(part)))

@@ -46,6 +46,7 @@ class Identification(Node):
         self._identifier = Identifier(settings, fit, topics)
         self._frame_id = settings.frame_id
         self._worker: Worker[Reply] = Worker()
+        self._fitting = False  # not the worker's word: its thread may outlive the reply
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         on_change(self, FitSettings, lambda _: None, self._on_settings)
         self._topics = [
@@ -73,7 +74,7 @@ class Identification(Node):
             self.get_logger().info("The live samples were forgotten, because the settings of the fit have changed.")
 
     def _on_identify(self, request: Identify.Request, answer: Answer) -> None:
-        if self._worker.busy:
+        if self._fitting:
             answer(self._response(BUSY))
             return
         try:
@@ -81,7 +82,12 @@ class Identification(Node):
         except DriveIdError as error:
             answer(self._response(failed(error)))
             return
-        self._worker.start(job, lambda reply: answer.from_thread(lambda: self._response(reply)))
+        self._fitting = True
+        self._worker.start(job, lambda reply: answer.from_thread(lambda: self._fitted(reply)))
+
+    def _fitted(self, reply: Reply) -> Identify.Response:
+        self._fitting = False
+        return self._response(reply)
 
     def _response(self, reply: Reply) -> Identify.Response:
         response = fill(Identify.Response(), reply, self._frame_id)
@@ -99,7 +105,7 @@ class Identification(Node):
 
     def _health(self) -> Health:
         what, share = self._worker.progress
-        doing = f"{what}, {100 * share:.0f} %." if self._worker.busy else "Waiting for requests."
+        doing = f"{what}, {100 * share:.0f} %." if self._fitting else "Waiting for requests."
         return self._identifier.health(doing, [topic.publishers for topic in self._topics])
 
 

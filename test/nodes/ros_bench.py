@@ -153,9 +153,25 @@ class RosBench:
         """Send a request when the service is there and return the future."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
+            self._wait_until_known(name.rpartition("/")[0])
         client = self._clients[name]
         self.wait(client.service_is_ready, f"service {name}", timeout)
         return client.call_async(kind.Request(**fields))
+
+    def _wait_until_known(self, node):
+        """Wait until a node, by its full name, knows the client that was just made.
+
+        A request may come to it before the news of its client, and the reply is lost if that takes a tenth of a second.
+        What the node publishes reaches a subscription when the node has learned of it, and so of all that is older.
+        """
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        heard = set()
+        subscription = self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda array: heard.update(status.name for status in array.status), 100
+        )
+        self.wait(lambda: node in heard, f"news of {node}")
+        self.node.destroy_subscription(subscription)
 
     def call(self, kind, name, /, timeout=DEADLINE, **fields):
         """Send a request and return its response."""

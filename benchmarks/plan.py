@@ -1,7 +1,7 @@
 """Compare planned experiments with the paper's of equal duration, on simulated drives whose truth is known.
 
 Usage: python benchmarks/plan.py [--machines ipm,spm,pmsyrm,FILE...] [--seeds 3] [--seconds 10] [--noise 0.001]
-       [--output docs/planning_results.md]
+       [--speed-min 250] [--output FILE]
 
 Each machine is planned for from a linear machine fitted to its map, which is all that the planner gets to know of it.
 Both experiments are simulated with rotor harmonics, a dead-time inverter and current noise, and fitted by method
@@ -23,6 +23,7 @@ from drive_id.core.identification import Identification
 from drive_id.core.identify import identify, score
 from drive_id.core.plan import Plan, plan
 from drive_id.core.plan_candidates import Experiment
+from drive_id.core.plan_settings import PlanSettings
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import FloatArray, GroundTruth
 from drive_id.workflows import load_machine, rough_settings, run_experiment
@@ -63,9 +64,9 @@ def curve_error(found: Identification, truth: GroundTruth) -> float:
     return float(np.sqrt(np.mean((found.inverter_voltage - true) ** 2)) / np.abs(true).max())
 
 
-def compare(machine: str, seeds: int, seconds: float, noise: float) -> Comparison:
+def compare(machine: str, seeds: int, seconds: float, noise: float, slowest: float) -> Comparison:
     """Plan for a machine, and run both experiments."""
-    settings = replace(rough_settings(machine), duration=seconds, current_noise=noise)
+    settings = replace(rough_settings(machine), duration=seconds, current_noise=noise, speed_min=slowest)
     found = plan(settings)
     rms = [
         np.sqrt(np.mean([errors(machine, experiment, noise, seed) ** 2 for seed in range(1, seeds + 1)], axis=0))
@@ -101,13 +102,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of the noise, from 1 on")
     parser.add_argument("--seconds", type=float, default=10.0, help="duration of each experiment")
     parser.add_argument("--noise", type=float, default=1e-3, help="of the currents, as a fraction of i_max")
+    parser.add_argument("--speed-min", type=float, default=PlanSettings.speed_min, help="lowest speed allowed, rpm")
     parser.add_argument("--output", type=Path, help="file for the table (Markdown)")
     options = parser.parse_args()
     console = Console(width=150, highlight=False, markup=False)
     table = [f"| Machine | Experiment | {' | '.join(NAMES)} |", "|---|---|" + "---:|" * len(NAMES)]
     console.print(*table, sep="\n")
     for machine in options.machines.split(","):
-        rows = list(lines(compare(machine, options.seeds, options.seconds, options.noise)))
+        rows = list(lines(compare(machine, options.seeds, options.seconds, options.noise, options.speed_min)))
         console.print(*rows, sep="\n")
         table += rows
     if options.output:

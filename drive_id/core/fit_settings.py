@@ -16,7 +16,7 @@ class FitSettings:
     """What can be chosen about a fit."""
 
     method: str = setting(
-        "full",
+        "joint",
         "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
         "an inverter curve and calibration",
         choices=("psm", "joint", "full"),

@@ -181,9 +181,11 @@ class StreamJoin:
         ------
         EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError
         """
+        claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
+        if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):
+            check_agreement(claims)  # first, for a wrong period shows as stamps out of order, too
         for track in self.tracks:
             track.check()
-        claims = [(f"{track.name} declares", track.period or 0.0) for track in self.tracks]
         measured = [(f"the stamps of {track.name} show", track.measured_period) for track in self.tracks]
         check_agreement([*claims, *((said, period) for said, period in measured if period is not None)])
         if self._fault is not None:

@@ -201,18 +201,22 @@ def test_a_plan_expects_less_deviation_than_the_papers_experiment(pmsyrm):
 
 
 def test_a_planned_experiment_beats_the_papers_in_simulation(pmsyrm):
-    """With rotor harmonics, a dead-time inverter and noise, by method full."""
-    errors = []
-    for experiment in (pmsyrm.experiment, pmsyrm.paper):
-        drive = SimulationSettings(current_noise=1e-3, seed=3, speeds=experiment.speeds)
-        simulation = run_experiment(machine_map("pmsyrm"), drive, experiment.trajectory, experiment.duration)
-        found, truth = identify([simulation.samples], FitSettings(method="full")), simulation.truth
-        curve = np.interp(found.inverter_current, truth.inverter_current, truth.inverter_voltage)
-        errors.append(
-            [*score(found, truth), found.resistance / truth.resistance - 1, np.std(found.inverter_voltage - curve)]
-        )
-    planned, paper = np.abs(errors)
-    assert (planned < paper).all(), errors
+    """With rotor harmonics, a dead-time inverter and noise, by method full; over seeds, as R is one number."""
+    planned, paper = (
+        np.sqrt(np.mean([_errors(experiment, seed) ** 2 for seed in (1, 2, 3)], axis=0))
+        for experiment in (pmsyrm.experiment, pmsyrm.paper)
+    )
+    assert (planned < paper).all(), planned / paper
+
+
+def _errors(experiment: Experiment, seed: int) -> np.ndarray:
+    """Return the errors of psi_d, psi_q, R and the inverter's curve."""
+    drive = SimulationSettings(current_noise=1e-3, seed=seed, speeds=experiment.speeds)
+    simulation = run_experiment(machine_map("pmsyrm"), drive, experiment.trajectory, experiment.duration)
+    found, truth = identify([simulation.samples], FitSettings(method="full")), simulation.truth
+    curve = np.interp(found.inverter_current, truth.inverter_current, truth.inverter_voltage)
+    resistance = found.resistance / truth.resistance - 1
+    return np.array([*score(found, truth), resistance, np.std(found.inverter_voltage - curve)])
 
 
 def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):

@@ -75,10 +75,20 @@ def main() -> None:
         sentence = "".join(character if character.isprintable() else " " for character in str(error))
         err.print(f"drive-id: {sentence}", style="red", markup=False, highlight=False, soft_wrap=True)
         raise SystemExit(1) from None
-    except KeyboardInterrupt as interrupt:
+    except (KeyboardInterrupt, SystemExit) as end:
+        interrupt = _interrupt_behind(end)
+        if interrupt is None:
+            raise
         said = str(interrupt) or "no output was left behind."
         err.print(f"drive-id: interrupted; {said}", markup=False, highlight=False, soft_wrap=True)
         raise SystemExit(130) from None
+
+
+def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
+    """Return the interrupt that typer made a silent exit of."""
+    while end is not None and not isinstance(end, KeyboardInterrupt):
+        end = end.__cause__ or end.__context__
+    return end
 
 
 def _print_version(wanted: bool) -> None:

@@ -41,8 +41,8 @@ echo "Four nodes are started: an interior-magnet machine of 300 A with rotor har
 echo "uncompensated inverter is simulated at 500 rpm; what they say is in $output/log."
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
-start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true method:=full
-start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=1.5
+start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true
+start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=1.0
 
 python "$here/supervisor.py" --recording bag --truth "$output/truth.npz" --output "$output" &
 supervisor=$!
@@ -66,6 +66,5 @@ echo
 echo "4. The same recording, read without ROS by the command line:"
 drive-id info "$output/bag"
 echo
-echo "Without a model of the inverter (psm) its voltage error ends up in the flux map; without one of the rotor's harmonics"
-echo "(joint) these do. Maps and pictures are in $output/live_full, recording_full, recording_joint and recording_psm:"
-echo "look at flux_map.png."
+echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
+echo "$output/recording_psm, recording_joint and live_joint: look at flux_map.png."

@@ -152,8 +152,7 @@ def run_experiment(supervisor: Supervisor, recording: str) -> tuple[Any, dict[st
     print(f"2. {stopped.message}")
     results = {}
     for title, bags, method in (
-        ("live, full", [], "full"),  # at once, for the sums are there already
-        ("recording, full", [started.uri], "full"),
+        ("live, joint", [], "joint"),  # at once, for the sums are there already
         ("recording, joint", [started.uri], "joint"),
         ("recording, psm", [started.uri], "psm"),
     ):

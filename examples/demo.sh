@@ -42,7 +42,7 @@ echo "uncompensated inverter is simulated at 500 rpm; what they say is in $outpu
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
 start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true
-start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=1.0
+start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0
 
 python "$here/supervisor.py" --recording bag --truth "$output/truth.npz" --output "$output" &
 supervisor=$!

@@ -57,7 +57,8 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
     tree = strict_json(written / "identification.json")
     assert set(tree) == {
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
-        "sigma_voltage_error", "inverter_curve", "metrics", "warnings", "settings", "inputs", "versions",
+        "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
+        "settings", "inputs", "versions",
     }  # fmt: skip
     assert (tree["format"], tree["format_version"]) == ("drive_id/identification", 1)
     assert (tree["method"], tree["machine"]) == ("joint", "ipm")

@@ -76,7 +76,7 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
     assert metrics["nrmse_d"] == fitted.provenance.nrmse[0]
     assert metrics["samples_read"] == 20_000
     assert tree["warnings"] == list(fitted.warnings)
-    assert tree["settings"] == FitSettings(method="joint").__dict__
+    assert tree["settings"] == json.loads(json.dumps(FitSettings(method="joint").__dict__))
     (file,) = bag.glob("*.mcap")
     assert [entry["file"] for entry in tree["inputs"]] == [str(file)]
     assert len(tree["inputs"][0]["sha256"]) == 64

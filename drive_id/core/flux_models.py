@@ -7,7 +7,7 @@ The regression asks a model only for the rows of B; the paper's remark on other 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from drive_id.core.compiled import compiled_or
 from drive_id.core.vectorized import tensor_rows
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 ColumnArray = NDArray[np.int32]
 
@@ -39,7 +42,17 @@ class BasisRows:
 
     def dot(self, gamma: FloatArray) -> FloatArray:
         """Return B gamma: (N, 2) for parameters (P,), (N, 2, M) for parameters (P, M)."""
-        return np.asarray(np.einsum("nak,nak...->na...", self.value, gamma[self.column]))
+        if gamma.ndim == 1:
+            return np.asarray(np.einsum("nak,nak->na", self.value, gamma[self.column]))
+        return np.asarray((self.sparse(len(gamma)) @ gamma).reshape(*self.column.shape[:2], -1))
+
+    def sparse(self, parameters: int) -> sparse.csr_array:
+        """Return the matrices as a sparse one, (2 N, parameters), rows of one current next to each other."""
+        from scipy import sparse  # noqa: PLC0415  # takes longer to load than a fit without it
+
+        ends = np.arange(0, self.column.size + 1, self.column.shape[2])
+        shape = (len(ends) - 1, parameters)
+        return sparse.csr_array((self.value.ravel(), self.column.ravel(), ends), shape=shape)
 
     def dense(self, parameters: int) -> FloatArray:
         """Return the matrices as (N, 2, parameters)."""

@@ -112,15 +112,16 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     delay, sigma_delay = (np.nan, np.nan)
     if not settings.calibrate_delay:
         choice = replace(choice, delay=settings.voltage_delay)
-    elif choice.reciprocal:
-        delay, sigma_delay = solver.delay(choice)
-        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
-            choice = replace(choice, delay=delay)
-    choice, advantage = _reciprocal_or_free(solver, solver.smoothest(choice), settings)
     solution = solver.solve(choice)
-    significant = _significant_orders(model, solution)
-    if significant != choice.orders:
-        solution = solver.solve(replace(choice, orders=significant))
+    if settings.calibrate_delay and choice.reciprocal:
+        delay, sigma_delay = solver.delay(solution)
+        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
+            solution = solver.solve(replace(choice, delay=delay))
+    choice = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution)))
+    advantage = np.nan
+    if settings.maps == "auto":
+        choice, advantage = _reciprocal_or_free(solver, choice, orders, settings)
+    solution = solver.solve(choice)
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
     kept = information.kept()
@@ -140,16 +141,16 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     return float(sides[0] - sides[1]) / (2 * step)
 
 
-def _reciprocal_or_free(solver: Solver, choice: Choice, settings: FitSettings) -> tuple[Choice, float]:
+def _reciprocal_or_free(
+    solver: Solver, choice: Choice, orders: tuple[int, ...], settings: FitSettings
+) -> tuple[Choice, float]:
     """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
-    if settings.maps != "auto":
-        return choice, np.nan
-    delay = 0.0 if settings.calibrate_delay else choice.delay
-    free = replace(choice, reciprocal=False, delay=delay)
-    reciprocal_error, free_error = solver.left_out(choice), solver.left_out(free)
+    free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
+    (reciprocal_error,), (free_error,) = solver.left_out(choice), solver.left_out(free)
     advantage = 1.0 - float(free_error.sum() / reciprocal_error.sum())
     if advantage > _FREE_GAIN and np.sum(free_error < reciprocal_error) >= len(free_error) - 1:
-        return solver.smoothest(free), advantage
+        everything = solver.solve(replace(free, orders=orders))
+        return solver.smoothest(replace(free, orders=_significant_orders(solver.model, everything))), advantage
     return choice, advantage
 
 
@@ -186,14 +187,14 @@ def batch_changes(information: WindowInformation, solution: FullSolution) -> Flo
 
 def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
     """Return the scores of each batch, its residuals freed of what the fit took from them by its leverage (CR2)."""
-    rows = model.design(segment)
     batch = (segment.time / BATCH).astype(np.int64)
     scores = []
     for number in np.unique(batch):
-        part = rows[batch == number].reshape(-1, model.size)
-        forms = np.asarray(solution.basis.T @ part.T)
-        half = solution.half_gain(forms)
-        values, vectors = np.linalg.eigh(np.eye(len(part)) - half.T @ half)
-        residual = vectors @ (vectors.T @ (part @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
+        rows = model.design(segment.part(np.flatnonzero(batch == number))).reshape(-1, model.size)
+        forms = np.asarray(solution.basis.T @ rows.T)
+        met = np.flatnonzero(forms.any(axis=1))
+        leverage = forms[met].T @ solution.white_covariance[np.ix_(met, met)] @ forms[met]
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - leverage)
+        residual = vectors @ (vectors.T @ (rows @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
         scores.append(forms @ residual)
     return scores

@@ -18,6 +18,7 @@ import numpy as np
 
 from drive_id.core.inverter import CapacitiveShapes
 from drive_id.core.potential import GradientSpline
+from drive_id.core.window_kernels import add_end
 from drive_id.core.windows import SHIFTS, Windows
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -143,25 +144,19 @@ class FullModel:
 
     def _add_end(self, out: FloatArray, i_dq: FloatArray, angle: FloatArray, sign: float) -> None:
         """Add the flux at one end of all windows."""
-        cosine, sine = sign * np.cos(angle)[:, None], sign * np.sin(angle)[:, None]
-        window = np.arange(len(angle))[:, None]
+        turn = sign * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         for space, parts in self._parts(angle).items():
             rows = space.rows(i_dq)
-            d, q = rows.value[:, 0], rows.value[:, 1]
-            turned = ((0, 0, cosine * d), (0, 1, -sine * q), (1, 0, sine * d), (1, 1, cosine * q))
-            for start, factor in parts:
-                for row, component, value in turned:
-                    columns = rows.column[:, component] + start
-                    out[window, row, columns] += value if factor is None else factor * value
+            start, factor = np.array([start for start, _ in parts]), np.array([factor for _, factor in parts])
+            add_end(rows.column, rows.value, turn, start, factor, out)
 
-    def _parts(self, angle: FloatArray) -> dict[GradientSpline, list[tuple[int, FloatArray | None]]]:
-        """Return for each space the first columns of the maps in it and their factors (N, 1)."""
-        parts: dict[GradientSpline, list[tuple[int, FloatArray | None]]] = {self.flux: [(self.map.start, None)]}
+    def _parts(self, angle: FloatArray) -> dict[GradientSpline, list[tuple[int, FloatArray]]]:
+        """Return for each space the first columns of the maps in it and their factors (N,)."""
+        parts: dict[GradientSpline, list[tuple[int, FloatArray]]] = {self.flux: [(self.map.start, np.ones(len(angle)))]}
         for order in self.all_orders:
             space, start = self.space(order), self.harmonics[order].start
-            phase = order * angle[:, None]
-            parts.setdefault(space, []).append((start, np.cos(phase)))
-            parts[space].append((start + space.parameters, np.sin(phase)))
+            parts.setdefault(space, []).append((start, np.cos(order * angle)))
+            parts[space].append((start + space.parameters, np.sin(order * angle)))
         return parts
 
     def phase_columns(self) -> IntArray:

@@ -6,14 +6,16 @@ in use, one inverter curve or one per phase. None needs a second pass over the s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
 
 from drive_id.core.full_model import CONSTANT, MAGNET, RESISTANCE, SENSOR_ORDERS, SHIFT, VOLTAGE, FullModel
 from drive_id.core.windows import SHIFTS
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Weights of the map's roughness to try, relative to the mean information of a coefficient."""
@@ -97,11 +99,18 @@ class FullSolution:
 
     def gain(self, scores: FloatArray) -> FloatArray:
         """Return what scores (M, K), gradients of the sum of squares, change in the unknowns, (M, K)."""
-        return np.asarray(linalg.cho_solve((self.factor, True), scores / self.scale[:, None]) / self.scale[:, None])
+        scaled = scores / self.scale[:, None]
+        return np.asarray(linalg.cho_solve((self.factor, True), scaled, check_finite=False) / self.scale[:, None])
 
     def half_gain(self, queries: FloatArray) -> FloatArray:
         """Return Q (M, K) with Q'Q the covariance of ``queries' x``, (M, K) linear forms, for white unit residuals."""
-        return np.asarray(linalg.solve_triangular(self.factor, queries / self.scale[:, None], lower=True))
+        scaled = queries / self.scale[:, None]
+        return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
+
+    @cached_property
+    def white_covariance(self) -> FloatArray:
+        """Covariance (M, M) of the unknowns for white unit residuals."""
+        return self.gain(np.eye(len(self.scale)))
 
 
 def delay_shares(delay: float) -> FloatArray:
@@ -153,9 +162,11 @@ def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr
     for columns in model.harmonics.values():
         ridge[columns] = _HARMONIC_RIDGE * unit
     ridge[model.drops] = _DROP_RIDGE * float(diagonal[model.drops].mean())
-    out = sparse.lil_array((model.size, model.size))
-    out[model.map, model.map] = penalty * unit * model.flux.roughness(2)
-    return sparse.csr_array(sparse.csr_array(out) + sparse.diags_array(ridge))
+    before, after = model.map.start, model.size - model.map.stop
+    rough = sparse.block_diag(
+        [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness(2), sparse.csr_array((after, after))]
+    )
+    return sparse.csr_array(rough + sparse.diags_array(ridge))
 
 
 class Solver:
@@ -175,13 +186,12 @@ class Solver:
         self.folds = folds
         self.counts = counts
         self.total = folds.sum(axis=0)
-        self._reduced: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
 
     def solve(self, choice: Choice) -> FullSolution:
         """Fit to all folds."""
-        t, normal, penalty = self._normal(choice)
+        t = basis(self.model, choice)
         voltage = self._voltage(choice)
-        factor, scale = _factorize(normal.sum(axis=0) + penalty)
+        factor, scale = _factorize(_congruent(t, self.total) + self._penalty(t, choice.penalty))
         moment = t.T @ (self.total @ voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
         residual = t @ x - voltage
@@ -193,34 +203,54 @@ class Solver:
         pull = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
         return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
 
-    def left_out(self, choice: Choice) -> FloatArray:
-        """Return the sum of squared residuals per row of each fold in the fit to the others, (F,), (Vs)^2."""
-        t, normal, penalty = self._normal(choice)
-        voltage = self._voltage(choice)
-        everything, squares = normal.sum(axis=0) + penalty, np.zeros(len(self.folds))
+    def left_out(self, choice: Choice, penalties: Sequence[float] = ()) -> FloatArray:
+        """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
+
+        Parameters
+        ----------
+        choice : Choice
+        penalties : sequence of float
+            To try in place of the choice's own.
+
+        Returns
+        -------
+        (P, F) float
+
+        Notes
+        -----
+        The penalty is one of the map alone: all else is eliminated once per fold,
+        ``S = A_mm - A_mn A_nn^-1 A_nm``, and ``S + lambda P`` is solved for each penalty lambda.
+        """
+        t, voltage = basis(self.model, choice), self._voltage(choice)
+        tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
+        normal, moment = _congruent(t, self.total), t.T @ (self.total @ voltage)
+        in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
+        errors = np.zeros((len(tried), len(self.folds)))
         for number, fold in enumerate(self.folds):
-            factor, scale = _factorize(everything - normal[number])
-            moment = t.T @ ((self.total - fold) @ voltage)
-            residual = t @ (linalg.cho_solve((factor, True), moment / scale) / scale) - voltage
-            squares[number] = residual @ fold @ residual
-        return np.asarray(squares / np.maximum(self.counts, 1.0))
+            own, own_moment = _congruent(t, fold), t.T @ (fold @ voltage)
+            estimates = _penalized(normal - own, moment - own_moment, tried, in_map)
+            for k, x in enumerate(estimates):
+                errors[k, number] = x @ (own @ x - 2 * own_moment) + voltage @ fold @ voltage
+        return np.asarray(np.maximum(errors, 0.0) / np.maximum(self.counts, 1.0))
 
     def smoothest(self, choice: Choice) -> Choice:
         """Return the choice with the penalty that predicts the folds best."""
-        errors = [self.left_out(replace(choice, penalty=penalty)).mean() for penalty in PENALTIES]
+        errors = self.left_out(choice, PENALTIES).mean(axis=1)
         return replace(choice, penalty=PENALTIES[int(np.argmin(errors))])
 
-    def delay(self, choice: Choice) -> tuple[float, float]:
+    def delay(self, solution: FullSolution) -> tuple[float, float]:
         """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.
 
         A delay turns the flux of a constant speed by omega delta: only the reciprocity of the maps, or several speeds,
         tell it from a flux.
+
+        Parameters
+        ----------
+        solution : FullSolution
+            Of all else, without a delay.
         """
-        t, normal, penalty = self._normal(choice)
-        factor, scale = _factorize(normal.sum(axis=0) + penalty)
         columns = np.r_[VOLTAGE, SHIFT]
-        moments = t.T @ self.total[:, columns]
-        half = linalg.solve_triangular(factor, moments / scale[:, None], lower=True)
+        half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
         left = self.total[np.ix_(columns, columns)] - half.T @ half
         best, least, bend = 0.0, np.inf, 1.0
         for low in range(-2, 2):
@@ -240,26 +270,49 @@ class Solver:
         voltage[SHIFT] = -delay_shares(choice.delay)
         return voltage
 
-    def _normal(self, choice: Choice) -> tuple[sparse.csr_array, FloatArray, FloatArray]:
-        """Return T, the normal matrices of the folds, and the penalty."""
-        structure = replace(choice, penalty=0.0, delay=0.0)
-        if structure not in self._reduced:
-            t = basis(self.model, choice)
-            self._reduced = {structure: (t, np.array([t.T @ (t.T @ fold).T for fold in self.folds]))}
-        t, normal = self._reduced[structure]
-        return t, normal, np.asarray((t.T @ roughness(self.model, self.total, choice.penalty) @ t).toarray())
+    def _penalty(self, t: sparse.csr_array, penalty: float) -> FloatArray:
+        return np.asarray((t.T @ roughness(self.model, self.total, penalty) @ t).toarray())
+
+
+def _congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
+    """Return T' A T of a symmetric A."""
+    return np.asarray(t.T @ np.ascontiguousarray((t.T @ matrix).T))
+
+
+def _penalized(
+    normal: FloatArray, moment: FloatArray, penalties: Sequence[FloatArray], in_map: BoolArray
+) -> list[FloatArray]:
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ in the map's unknowns only."""
+    inner, outer = np.flatnonzero(in_map), np.flatnonzero(~in_map)
+    factor, scale = _factorize((normal + penalties[0])[np.ix_(outer, outer)])
+
+    def halved(right: FloatArray) -> FloatArray:
+        return np.asarray(linalg.solve_triangular(factor, (right.T / scale).T, lower=True, check_finite=False))
+
+    across, known = halved(normal[np.ix_(outer, inner)]), halved(moment[outer])
+    schur, reduced = normal[np.ix_(inner, inner)] - across.T @ across, moment[inner] - across.T @ known
+    estimates = []
+    for penalty in penalties:
+        inner_factor, inner_scale = _factorize(schur + penalty[np.ix_(inner, inner)])
+        x = np.empty(len(moment))
+        x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale) / inner_scale
+        rest = known - across @ x[inner]
+        x[outer] = linalg.solve_triangular(factor, rest, lower=True, trans="T", check_finite=False) / scale
+        estimates.append(x)
+    return estimates
 
 
 def _factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the Cholesky factor of the matrix scaled to a diagonal of ones, and the scale."""
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
-    scaled = normal / scale[:, None] / scale
+    scaled = normal / scale[:, None]
+    scaled /= scale
     jitter = _JITTER
     while True:
         scaled[np.diag_indices_from(scaled)] += jitter
         try:
-            return np.asarray(linalg.cholesky(scaled, lower=True)), scale
+            return np.asarray(linalg.cholesky(scaled, lower=True, check_finite=False)), scale
         except linalg.LinAlgError:
             if jitter > 1e-6:
                 raise

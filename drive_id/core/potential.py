@@ -16,6 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from drive_id.core.flux_models import BasisRows
+from drive_id.core.window_kernels import spline_values, tensor_products
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -60,7 +61,7 @@ class SplineBasis:
         return np.concatenate([ends[0], self.edges, ends[1]])
 
     def values(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Evaluate by the Cox-de Boor recursion.
+        """Evaluate the functions.
 
         Parameters
         ----------
@@ -72,15 +73,8 @@ class SplineBasis:
         (N,) int, (N, degree + 1) float
             First function that is not zero, and the values of it and its successors.
         """
-        x = np.clip(x, self.edges[0], self.edges[-1])
-        cell = np.clip(np.searchsorted(self.edges, x, side="right") - 1, 0, len(self.edges) - 2)
-        knot, w = cell + self.degree, np.ones((len(x), 1))
-        for order in range(1, self.degree + 1):
-            left, right = self.knots[knot[:, None] + np.arange(1 - order, 1)], self._after(knot, order)
-            share = w / (right - left)
-            w = np.zeros((len(x), order + 1))
-            w[:, :-1] = (right - x[:, None]) * share
-            w[:, 1:] += (x[:, None] - left) * share
+        cell, w = np.empty(len(x), np.int64), np.empty((len(x), self.degree + 1))
+        spline_values(np.ascontiguousarray(x), self.knots, self.degree, cell, w)
         return cell, w
 
     def slopes(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -201,21 +195,11 @@ class GradientSpline:
         d_high: tuple[IntArray, FloatArray],
         q_low: tuple[IntArray, FloatArray],
     ) -> BasisRows:
-        psi_d = _products(d_low, q_high, self._high_q.count)
-        psi_q = _products(d_high, q_low, self._low_q.count)
-        column = np.stack([psi_d[0], psi_q[0] + self._count_d], axis=1)
-        return BasisRows(column.astype(np.int32), np.stack([psi_d[1], psi_q[1]], axis=1))
-
-
-def _products(
-    d: tuple[IntArray, FloatArray], q: tuple[IntArray, FloatArray], count_q: int
-) -> tuple[IntArray, FloatArray]:
-    """Return columns and values (N, K) of the tensor products."""
-    column_d = d[0][:, None] + np.arange(d[1].shape[1])
-    column_q = q[0][:, None] + np.arange(q[1].shape[1])
-    column = column_d[:, :, None] * count_q + column_q[:, None, :]
-    value = d[1][:, :, None] * q[1][:, None, :]
-    return column.reshape(len(column), -1), value.reshape(len(column), -1)
+        functions = d_low[1].shape[1] * q_high[1].shape[1]
+        column, value = np.empty((len(d_low[0]), 2, functions), np.int32), np.empty((len(d_low[0]), 2, functions))
+        tensor_products(*d_low, *q_high, self._high_q.count, 0, column[:, 0], value[:, 0])
+        tensor_products(*d_high, *q_low, self._low_q.count, self._count_d, column[:, 1], value[:, 1])
+        return BasisRows(column, value)
 
 
 def _differences(count_d: int, count_q: int, order: int) -> sparse.coo_array:

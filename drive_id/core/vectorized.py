@@ -85,3 +85,56 @@ def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, re
 def bend_square(i_dq: FloatArray) -> float:
     """Return the sum of squared second differences, see :mod:`drive_id.core.sample_sums`."""
     return float(np.sum(np.diff(i_dq, n=2, axis=0) ** 2))
+
+
+def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
+    """Evaluate B-splines by the Cox-de Boor recursion, see :mod:`drive_id.core.window_kernels`."""
+    edges = knots[degree : len(knots) - degree]
+    x = np.clip(x, edges[0], edges[-1])
+    cell[:] = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    knot, w[:, 0] = cell + degree, 1.0
+    for order in range(1, degree + 1):
+        left, right = knots[knot[:, None] + np.arange(1 - order, 1)], knots[knot[:, None] + np.arange(1, order + 1)]
+        share = w[:, :order] / (right - left)
+        w[:, :order] = (right - x[:, None]) * share
+        w[:, order] = 0.0
+        w[:, 1 : order + 1] += (x[:, None] - left) * share
+
+
+def tensor_products(
+    cell_d: IntArray,
+    w_d: FloatArray,
+    cell_q: IntArray,
+    w_q: FloatArray,
+    count_q: int,
+    offset: int,
+    column: NDArray[np.int32],
+    value: FloatArray,
+) -> None:
+    """Multiply splines of two axes, see :mod:`drive_id.core.window_kernels`."""
+    first = (cell_d[:, None] + np.arange(w_d.shape[1])) * count_q + offset
+    second = cell_q[:, None] + np.arange(w_q.shape[1])
+    column[:] = (first[:, :, None] + second[:, None, :]).reshape(len(column), -1)
+    value[:] = (w_d[:, :, None] * w_q[:, None, :]).reshape(len(value), -1)
+
+
+def add_end(
+    column: NDArray[np.int32],
+    value: FloatArray,
+    turn: FloatArray,
+    start: IntArray,
+    factor: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add the flux at one end of windows, see :mod:`drive_id.core.window_kernels`."""
+    window = np.arange(len(column))[:, None]
+    d, q = value[:, 0], value[:, 1]
+    for first, share in zip(start, factor, strict=True):
+        cosine, sine = (turn * share[:, None]).T[:, :, None]
+        for row, component, term in ((0, 0, cosine * d), (0, 1, -sine * q), (1, 0, sine * d), (1, 1, cosine * q)):
+            out[window, row, first + column[:, component]] += term
+
+
+def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
+    """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.window_kernels`."""
+    total[np.ix_(chosen, chosen)] += np.tril(block)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyrk
 
 from drive_id.core.accumulator import State
 from drive_id.core.full_model import FullModel
+from drive_id.core.window_kernels import add_products
 from drive_id.core.windows import WindowCutter, Windows
 from drive_id.types import FloatArray, Samples
 
@@ -21,6 +22,10 @@ SEGMENT = 0.25
 """s of data in a row that go to the same fold."""
 MOST_KEPT = 24_000
 """Windows that are kept themselves, in whole segments evenly over time, to study the residuals."""
+
+_BLOCK = 256
+_CHUNK = 64
+"""Windows whose products are formed at a time: the fewer, the fewer columns they touch."""
 
 
 class WindowInformation:
@@ -130,8 +135,7 @@ class WindowInformation:
     @property
     def folds(self) -> FloatArray:
         """Z'Z of each fold, (FOLDS, size, size), symmetric."""
-        lower = self._matrices()
-        return np.array([np.tril(fold) + np.tril(fold, -1).T for fold in lower])
+        return np.array([mirrored(fold) for fold in self._matrices()])
 
     @property
     def counts(self) -> FloatArray:
@@ -165,9 +169,10 @@ class WindowInformation:
         if windows is None or not len(windows):
             return
         fold = self._segment % FOLDS
-        rows = self.model.design(windows).reshape(-1, self.model.size)
-        matrices = self._matrices()
-        matrices[fold] = dsyrk(1.0, rows.T, beta=1.0, c=matrices[fold], lower=1, overwrite_c=1)
+        matrix = self._matrices()[fold]
+        for start in range(0, len(windows), _CHUNK):
+            part = windows.part(slice(start, start + _CHUNK))
+            add_products(self.model.design(part).reshape(-1, self.model.size), matrix)
         self._counts[fold] += len(windows)
         self.windows += len(windows)
         if self._segment % self._every == 0:
@@ -179,3 +184,15 @@ class WindowInformation:
         while len(self._kept) > 1 and sum(len(windows) for windows in self._kept.values()) > MOST_KEPT:
             self._every *= 2
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
+
+
+def mirrored(lower: FloatArray) -> FloatArray:
+    """Return the symmetric matrix with this lower triangle; by blocks, as a transposed copy would miss the cache."""
+    out = lower.copy()
+    edges = [*range(0, len(out), _BLOCK), len(out)]
+    for k, (start, end) in enumerate(pairwise(edges)):
+        corner = out[start:end, start:end]
+        corner[...] = np.tril(corner) + np.tril(corner, -1).T
+        for left, right in pairwise(edges[: k + 1]):
+            out[left:right, start:end] = out[start:end, left:right].T
+    return out

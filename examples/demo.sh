@@ -67,4 +67,4 @@ echo "4. The same recording, read without ROS by the command line:"
 drive-id info "$output/bag"
 echo
 echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
-echo "$output/recording_psm, recording_joint and live_joint: look at flux_map.png."
+echo "$output/recording_psm, recording_full, live_full and live_joint: look at flux_map.png."

@@ -153,7 +153,8 @@ def run_experiment(supervisor: Supervisor, recording: str) -> tuple[Any, dict[st
     results = {}
     for title, bags, method in (
         ("live, joint", [], "joint"),  # at once, for the sums are there already
-        ("recording, joint", [started.uri], "joint"),
+        ("live, full", [], "full"),
+        ("recording, full", [started.uri], "full"),
         ("recording, psm", [started.uri], "psm"),
     ):
         begin = time.monotonic()

@@ -8,7 +8,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
-_MOST_ORDERS = 8
+MOST_ORDERS = 8
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class FitSettings:
     """What can be chosen about a fit."""
 
     method: str = setting(
-        "joint",
+        "full",
         "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
         "an inverter curve and calibration",
         choices=("psm", "joint", "full"),
@@ -55,6 +55,9 @@ class FitSettings:
         "full: electrical orders of the rotor-position harmonics to look for",
         minimum=3,
         maximum=96,
+    )
+    search_orders: bool = setting(
+        True, "full: whether to look for harmonics of other orders in what the fit leaves, and to fit them, too"
     )
     per_phase_inverter: bool = setting(False, "full: whether each phase has an inverter curve of its own")
     passive_maps: bool = setting(False, "full: whether to enforce a positive definite inductance matrix")
@@ -119,9 +122,9 @@ class FitSettings:
                 f"There are {len(self.temperatures)} temperatures and {len(self.u_dc)} DC-link voltages: give both for "
                 "each recording."
             )
-        if len(set(self.harmonic_orders)) != len(self.harmonic_orders) or len(self.harmonic_orders) > _MOST_ORDERS:
+        if len(set(self.harmonic_orders)) != len(self.harmonic_orders) or len(self.harmonic_orders) > MOST_ORDERS:
             raise ConfigurationError(
-                f"harmonic_orders is {self.harmonic_orders}: give at most {_MOST_ORDERS} orders, each once."
+                f"harmonic_orders is {self.harmonic_orders}: give at most {MOST_ORDERS} orders, each once."
             )
         if self.splines_d * self.splines_q > _MOST_FUNCTIONS:
             raise ConfigurationError(

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
 from drive_id.core.full_solver import PENALTIES, Choice, FullSolution, Solver
+from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
 from drive_id.core.passivity import enforce_passivity, passive_points
 from drive_id.core.window_information import WindowInformation
 from drive_id.core.windows import Windows
@@ -23,9 +24,10 @@ _FREE_GAIN = 0.05
 _DELAY_SIGNIFICANCE = 5.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
-_NYQUIST_SHARE = 0.6
+_NYQUIST_SHARE = 0.9
 _LEAST_FREEDOM = 0.05
 _SLOPE_STEP = 0.02
+_SEARCHES = 2
 _LEAST_HEATING = 5.0
 """K between recordings, from which on the magnet's temperature coefficient is estimated."""
 
@@ -101,6 +103,32 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     turn : float
         Root mean square of the angle turned per sample, rad.
     """
+    solver, solution, found, advantage = _chosen(information, settings, turn)
+    if settings.search_orders:
+        highest = min(HIGHEST_ORDER, int(_NYQUIST_SHARE * np.pi / max(turn, 1e-3)) - 1)
+        known, searches = information.model.all_orders, 0
+        while (
+            new := unexpected_orders(information.model, solution.residual, information.kept(), known, highest)
+        ) and searches < _SEARCHES:
+            kept = tuple(order for order in solution.choice.orders if order not in SENSOR_ORDERS)
+            information = information.with_orders((*kept, *new)[:MOST_ORDERS])
+            known, searches = (*known, *new), searches + 1
+            solver, solution, found, advantage = _chosen(information, settings, turn)
+    if settings.passive_maps:
+        solution = enforce_passivity(solver, solution)
+    model, kept_windows = information.model, information.kept()
+    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept_windows]
+    speeds = np.concatenate(turns)
+    total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
+    changes = np.column_stack([batch_changes(information, solution), solver.shrinkage(solution)])
+    slope = _drop_slope(model, solution, kept_windows)
+    return FullFit(model, solution, changes, *found, advantage, speeds, slope, total_voltage)
+
+
+def _chosen(
+    information: WindowInformation, settings: FitSettings, turn: float
+) -> tuple[Solver, FullSolution, tuple[float, float], float]:
+    """Choose delay, harmonics, smoothness and reciprocity; return the fit, the delay found, the advantage of free maps."""
     model = information.model
     solver = Solver(model, information.folds, information.counts)
     orders = tuple(order for order in model.all_orders if (order + 1) * turn < _NYQUIST_SHARE * np.pi)
@@ -109,28 +137,19 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     heating = np.concatenate([windows.heating for windows in information.kept()])
     choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
-    delay, sigma_delay = (np.nan, np.nan)
+    found = np.nan, np.nan
     if not settings.calibrate_delay:
         choice = replace(choice, delay=settings.voltage_delay)
     solution = solver.solve(choice)
     if settings.calibrate_delay and choice.reciprocal:
-        delay, sigma_delay = solver.delay(solution)
-        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
+        found = delay, sigma = solver.delay(solution)
+        if abs(delay) > _DELAY_SIGNIFICANCE * sigma and abs(delay) * turn > _LEAST_DELAY_ANGLE:
             solution = solver.solve(replace(choice, delay=delay))
-    choice = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution)))
+    choice, error = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution)))
     advantage = np.nan
     if settings.maps == "auto":
-        choice, advantage = _reciprocal_or_free(solver, choice, orders, settings)
-    solution = solver.solve(choice)
-    if settings.passive_maps:
-        solution = enforce_passivity(solver, solution)
-    kept = information.kept()
-    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
-    speeds = np.concatenate(turns)
-    total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
-    changes = np.column_stack([batch_changes(information, solution), solver.shrinkage(solution)])
-    slope = _drop_slope(model, solution, kept)
-    return FullFit(model, solution, changes, delay, sigma_delay, advantage, speeds, slope, total_voltage)
+        choice, advantage = _reciprocal_or_free(solver, choice, error, orders, settings)
+    return solver, solver.solve(choice), found, advantage
 
 
 def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:
@@ -142,15 +161,15 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
 
 
 def _reciprocal_or_free(
-    solver: Solver, choice: Choice, orders: tuple[int, ...], settings: FitSettings
+    solver: Solver, choice: Choice, error: FloatArray, orders: tuple[int, ...], settings: FitSettings
 ) -> tuple[Choice, float]:
     """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
     free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
-    (reciprocal_error,), (free_error,) = solver.left_out(choice), solver.left_out(free)
-    advantage = 1.0 - float(free_error.sum() / reciprocal_error.sum())
-    if advantage > _FREE_GAIN and np.sum(free_error < reciprocal_error) >= len(free_error) - 1:
+    (free_error,) = solver.left_out(free)
+    advantage = 1.0 - float(free_error.sum() / error.sum())
+    if advantage > _FREE_GAIN and np.sum(free_error < error) >= len(error) - 1:
         everything = solver.solve(replace(free, orders=orders))
-        return solver.smoothest(replace(free, orders=_significant_orders(solver.model, everything))), advantage
+        return solver.smoothest(replace(free, orders=_significant_orders(solver.model, everything)))[0], advantage
     return choice, advantage
 
 

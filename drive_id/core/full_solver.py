@@ -233,10 +233,11 @@ class Solver:
                 errors[k, number] = x @ (own @ x - 2 * own_moment) + voltage @ fold @ voltage
         return np.asarray(np.maximum(errors, 0.0) / np.maximum(self.counts, 1.0))
 
-    def smoothest(self, choice: Choice) -> Choice:
-        """Return the choice with the penalty that predicts the folds best."""
-        errors = self.left_out(choice, PENALTIES).mean(axis=1)
-        return replace(choice, penalty=PENALTIES[int(np.argmin(errors))])
+    def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
+        """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""
+        errors = self.left_out(choice, PENALTIES)
+        best = int(np.argmin(errors.mean(axis=1)))
+        return replace(choice, penalty=PENALTIES[best]), errors[best]
 
     def delay(self, solution: FullSolution) -> tuple[float, float]:
         """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.

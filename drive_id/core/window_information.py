@@ -80,6 +80,16 @@ class WindowInformation:
         other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
         return other
 
+    def with_orders(self, orders: tuple[int, ...]) -> WindowInformation:
+        """Return the information of the windows that were kept about a model with other harmonics."""
+        model = self.model
+        other = WindowInformation(FullModel(model.low, model.high, model.i_max, orders))
+        for number in sorted(self._kept):
+            other._segment, other._pending = number, [self._kept[number]]  # noqa: SLF001  # of its own class
+            other._flush()  # noqa: SLF001
+        other.outside = self.outside
+        return other
+
     def merge(self, other: WindowInformation) -> None:
         """Add what another one of equal model has gathered of other recordings; that one stays as it is."""
         theirs = other.finished()

@@ -22,8 +22,8 @@ from single_fit import Accumulation, Errors
 
 from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_basis import PENALTIES, Choice
 from drive_id.core.full_model import SENSOR_ORDERS
-from drive_id.core.full_solver import PENALTIES, Choice
 from drive_id.sim.drive import Simulation
 from drive_id.sim.settings import SimulationSettings
 from drive_id.workflows import load_machine, run_experiment

@@ -11,8 +11,8 @@ from single_fit import Accumulation, Errors, solved
 from drive_id.core import frames
 from drive_id.core.bspline import Axis
 from drive_id.core.flux_models import TensorSpline, fitted, sites
+from drive_id.core.full_basis import Choice, basis, roughness
 from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
-from drive_id.core.full_solver import Choice, basis, roughness
 from drive_id.core.harmonic_simulation import simulate_harmonic_current
 from drive_id.core.potential import GradientSpline
 from drive_id.core.windows import SHIFTS, Windows

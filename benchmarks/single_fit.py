@@ -9,8 +9,8 @@ from judging import normalized_curve
 from scipy import linalg, sparse
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_basis import Choice, basis, roughness
 from drive_id.core.full_model import RESISTANCE, VOLTAGE, FullModel
-from drive_id.core.full_solver import Choice, basis, roughness
 from drive_id.core.identify import gather
 from drive_id.core.metrics import nrmse, true_flux
 from drive_id.core.window_information import WindowInformation

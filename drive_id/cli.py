@@ -151,7 +151,9 @@ def simulate(
 def fit(
     bags: SourcesArgument,
     output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and a picture.")],
-    method: Annotated[str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  [default: full]")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  [default: full]")
+    ] = None,
     i_max: RadiusOption = None,
     signals: SignalsOption = None,
     namespace: NamespaceOption = "",

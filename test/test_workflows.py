@@ -47,7 +47,7 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
 
 def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):
     """But for the rounding to float32."""
-    direct = identify([simulation.samples])
+    direct = identify([simulation.samples], FitSettings("joint"))
     inside = direct.flux_map.inside & fitted.identification.flux_map.inside
     assert fitted.identification.resistance == pytest.approx(direct.resistance, rel=1e-3)
     np.testing.assert_allclose(

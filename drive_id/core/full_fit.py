@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
+from drive_id.core.full_basis import Choice
+from drive_id.core.full_choice import Chosen, choose, highest_order
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
-from drive_id.core.full_solver import PENALTIES, Choice, FullSolution, Solver
+from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
 from drive_id.core.passivity import enforce_passivity, passive_points
 from drive_id.core.window_information import WindowInformation
@@ -20,16 +22,9 @@ from drive_id.types import BoolArray, FloatArray
 BATCH = 0.05
 """s; residuals of windows that start within as much are taken as dependent, those further apart as not."""
 
-_FREE_GAIN = 0.05
-_DELAY_SIGNIFICANCE = 5.0
-_LEAST_DELAY_ANGLE = 2e-3
-_ORDER_SIGNIFICANCE = 2.0
-_NYQUIST_SHARE = 0.9
 _LEAST_FREEDOM = 0.05
 _SLOPE_STEP = 0.02
 _SEARCHES = 2
-_LEAST_HEATING = 5.0
-"""K between recordings, from which on the magnet's temperature coefficient is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,53 +98,37 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     turn : float
         Root mean square of the angle turned per sample, rad.
     """
-    solver, solution, found, advantage = _chosen(information, settings, turn)
+    chosen = choose(information, settings, turn)
     if settings.search_orders:
-        highest = min(HIGHEST_ORDER, int(_NYQUIST_SHARE * np.pi / max(turn, 1e-3)) - 1)
-        known, searches = information.model.all_orders, 0
-        while (
-            new := unexpected_orders(information.model, solution.residual, information.kept(), known, highest)
-        ) and searches < _SEARCHES:
-            kept = tuple(order for order in solution.choice.orders if order not in SENSOR_ORDERS)
-            information = information.with_orders((*kept, *new)[:MOST_ORDERS])
-            known, searches = (*known, *new), searches + 1
-            solver, solution, found, advantage = _chosen(information, settings, turn)
+        information, chosen = _with_unexpected_orders(information, chosen, settings, turn)
+    solver, solution = chosen.solver, chosen.solution
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
-    model, kept_windows = information.model, information.kept()
-    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept_windows]
+    model, kept = information.model, information.kept()
+    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
     changes = np.column_stack([batch_changes(information, solution), solver.shrinkage(solution)])
-    slope = _drop_slope(model, solution, kept_windows)
-    return FullFit(model, solution, changes, *found, advantage, speeds, slope, total_voltage)
+    slope = _drop_slope(model, solution, kept)
+    return FullFit(
+        model, solution, changes, chosen.delay, chosen.sigma_delay, chosen.advantage, speeds, slope, total_voltage
+    )
 
 
-def _chosen(
-    information: WindowInformation, settings: FitSettings, turn: float
-) -> tuple[Solver, FullSolution, tuple[float, float], float]:
-    """Choose delay, harmonics, smoothness and reciprocity; return the fit, the delay found, the advantage of free maps."""
-    model = information.model
-    solver = Solver(model, information.folds, information.counts)
-    orders = tuple(order for order in model.all_orders if (order + 1) * turn < _NYQUIST_SHARE * np.pi)
-    if not settings.calibrate_currents:
-        orders = tuple(order for order in orders if order not in SENSOR_ORDERS)
-    heating = np.concatenate([windows.heating for windows in information.kept()])
-    choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
-    choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
-    found = np.nan, np.nan
-    if not settings.calibrate_delay:
-        choice = replace(choice, delay=settings.voltage_delay)
-    solution = solver.solve(choice)
-    if settings.calibrate_delay and choice.reciprocal:
-        found = delay, sigma = solver.delay(solution)
-        if abs(delay) > _DELAY_SIGNIFICANCE * sigma and abs(delay) * turn > _LEAST_DELAY_ANGLE:
-            solution = solver.solve(replace(choice, delay=delay))
-    choice, error = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution)))
-    advantage = np.nan
-    if settings.maps == "auto":
-        choice, advantage = _reciprocal_or_free(solver, choice, error, orders, settings)
-    return solver, solver.solve(choice), found, advantage
+def _with_unexpected_orders(
+    information: WindowInformation, chosen: Chosen, settings: FitSettings, turn: float
+) -> tuple[WindowInformation, Chosen]:
+    """Fit harmonics, too, that stand out from what is left, as long as there are any."""
+    known, highest = information.model.all_orders, min(HIGHEST_ORDER, highest_order(turn))
+    for _ in range(_SEARCHES):
+        new = unexpected_orders(information.model, chosen.solution.residual, information.kept(), known, highest)
+        if not new:
+            break
+        kept = tuple(order for order in chosen.solution.choice.orders if order not in SENSOR_ORDERS)
+        information = information.with_orders((*kept, *new)[:MOST_ORDERS])
+        known = (*known, *new)
+        chosen = choose(information, settings, turn)
+    return information, chosen
 
 
 def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:
@@ -158,42 +137,6 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     step = _SLOPE_STEP * model.i_max
     sides = [(model.shapes(i_abc + sign * step) @ heights).mean() for sign in (1, -1)]
     return float(sides[0] - sides[1]) / (2 * step)
-
-
-def _reciprocal_or_free(
-    solver: Solver, choice: Choice, error: FloatArray, orders: tuple[int, ...], settings: FitSettings
-) -> tuple[Choice, float]:
-    """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
-    free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
-    (free_error,) = solver.left_out(free)
-    advantage = 1.0 - float(free_error.sum() / error.sum())
-    if advantage > _FREE_GAIN and np.sum(free_error < error) >= len(error) - 1:
-        everything = solver.solve(replace(free, orders=orders))
-        return solver.smoothest(replace(free, orders=_significant_orders(solver.model, everything)))[0], advantage
-    return choice, advantage
-
-
-def _significant_orders(model: FullModel, solution: FullSolution) -> tuple[int, ...]:
-    """Return the harmonics whose amplitudes differ from zero by more than the noise explains.
-
-    The mean square of the amplitudes' estimates over their variances is 1 for a harmonic that is not there.
-    """
-    chosen = []
-    for order in solution.choice.orders:
-        columns = np.arange(model.harmonics[order].start, model.harmonics[order].stop)
-        unknowns = np.flatnonzero(np.asarray(abs(solution.basis[columns]).sum(axis=0)).ravel())
-        forms = np.zeros((solution.basis.shape[1], len(unknowns)))
-        forms[unknowns, np.arange(len(unknowns))] = 1.0
-        half = solution.half_gain(forms)
-        covariance = solution.residual_rms**2 * (half.T @ half)
-        estimate = np.linalg.lstsq(solution.basis[columns][:, unknowns].toarray(), solution.residual[columns])[0]
-        scale = np.sqrt(np.diag(covariance))
-        values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
-        usable = values > 1e-9 * values[-1]
-        square = (vectors[:, usable].T @ (estimate / scale)) ** 2 / values[usable]
-        if np.mean(square) > _ORDER_SIGNIFICANCE:
-            chosen.append(order)
-    return tuple(chosen)
 
 
 def batch_changes(information: WindowInformation, solution: FullSolution) -> FloatArray:

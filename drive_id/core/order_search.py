@@ -49,7 +49,7 @@ def explained_shares(model: FullModel, residual: FloatArray, kept: Sequence[Wind
         moment, gram = regressors.conj().T @ error, regressors.conj().T @ regressors
         found = np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
         shares[order] = float((moment.conj() @ found).real)
-    return shares / max(float(np.sum(np.abs(error) ** 2)), np.finfo(np.float64).tiny)
+    return np.asarray(shares / max(float(np.sum(np.abs(error) ** 2)), np.finfo(np.float64).tiny))
 
 
 def unexpected_orders(

@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from drive_id.core import frames
+from drive_id.core.full_basis import Choice, roughness
 from drive_id.core.full_model import FLUX_DEGREE, RESISTANCE, FullModel
-from drive_id.core.full_solver import Choice, FullSolution, Solver, roughness
+from drive_id.core.full_solver import FullSolution, Solver
 from drive_id.core.plan_settings import RoughMachine
 from drive_id.core.potential import GradientSpline
 from drive_id.core.trajectories import Trajectory

@@ -85,8 +85,8 @@ class WindowInformation:
         model = self.model
         other = WindowInformation(FullModel(model.low, model.high, model.i_max, orders))
         for number in sorted(self._kept):
-            other._segment, other._pending = number, [self._kept[number]]  # noqa: SLF001  # of its own class
-            other._flush()  # noqa: SLF001
+            other._segment, other._pending = number, [self._kept[number]]  # of its own class
+            other._flush()
         other.outside = self.outside
         return other
 
@@ -198,7 +198,7 @@ class WindowInformation:
 
 def mirrored(lower: FloatArray) -> FloatArray:
     """Return the symmetric matrix with this lower triangle; by blocks, as a transposed copy would miss the cache."""
-    out = lower.copy()
+    out = np.array(lower)
     edges = [*range(0, len(out), _BLOCK), len(out)]
     for k, (start, end) in enumerate(pairwise(edges)):
         corner = out[start:end, start:end]

@@ -21,6 +21,7 @@ SETTLING_TIME = 0.05
 
 _TRUTH_NODES = 81
 
+_INTERRUPTIBLE = 20_000  # samples
 _FLUX_TOLERANCE = 3e-8
 """What the bend of the inverter's drop may cost in one integration step, relative to the largest flux."""
 
@@ -196,15 +197,25 @@ class Drive:
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
         out = parameters.Block(*(np.empty(shape) for shape in shapes))
         revolution = 2 * math.pi * self.machine.pole_pairs
-        failed = kernels.run(
-            self._plant, self._controller, self._sensors, self._state, revolution, reference, speed, noise, out
-        )
-        if failed >= 0:
-            raise ConfigurationError(
-                f"The simulation broke off at {self.time + failed * s.sample_period:.4f} s, where no current belongs "
-                f"to the flux on the map of machine '{self.machine.name}': check the map, or reduce i_max or "
-                "current_bandwidth."
+        for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
+            stop = min(start + _INTERRUPTIBLE, n)
+            failed = kernels.run(
+                self._plant,
+                self._controller,
+                self._sensors,
+                self._state,
+                revolution,
+                reference[start:stop],
+                speed[start : stop + 1],
+                parameters.Noise(*(part[start:stop] for part in noise)),
+                parameters.Block(*(part[start:stop] for part in out)),
             )
+            if failed >= 0:
+                raise ConfigurationError(
+                    f"The simulation broke off at {self.time + (start + failed) * s.sample_period:.4f} s, where no "
+                    f"current belongs to the flux on the map of machine '{self.machine.name}': check the map, or "
+                    "reduce i_max or current_bandwidth."
+                )
         return out
 
 

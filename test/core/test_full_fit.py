@@ -12,8 +12,8 @@ from synthetic import saturating_flux
 from drive_id.core import frames
 from drive_id.core.calibration import Calibration, corrected, rotated
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_basis import delay_shares
 from drive_id.core.full_fit import fit_full
-from drive_id.core.full_solver import delay_shares
 from drive_id.core.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
 

@@ -28,7 +28,7 @@ def windows(simulation):
     return gather([simulation.samples], FitSettings("full")).windows.finished()
 
 
-def with_harmonic(model, kept, orders, amplitude):
+def with_harmonic(model, orders, amplitude):
     """Return parameters that put e^{j theta} cos(h theta) times a constant into the residuals."""
     residual = np.zeros(model.size)
     for order in orders:
@@ -39,7 +39,7 @@ def with_harmonic(model, kept, orders, amplitude):
 
 def test_a_share_is_that_of_the_residual(windows):
     """A residual of one harmonic alone is explained by that one, and by no other."""
-    residual = with_harmonic(windows.model, windows.kept(), [12], 0.01)
+    residual = with_harmonic(windows.model, [12], 0.01)
     shares = explained_shares(windows.model, residual, windows.kept(), 24)
     assert shares[11] == pytest.approx(1.0, abs=1e-9)
     assert np.delete(shares, 11).max() < 0.1
@@ -49,7 +49,7 @@ def test_a_share_is_that_of_the_residual(windows):
 
 def test_the_strongest_comes_first(windows):
     model = windows.model
-    residual = with_harmonic(model, windows.kept(), [6], 0.01) + with_harmonic(model, windows.kept(), [18], 0.02)
+    residual = with_harmonic(model, [6], 0.01) + with_harmonic(model, [18], 0.02)
     assert unexpected_orders(model, residual, windows.kept(), (), 30) == (18, 6)
 
 

@@ -11,8 +11,9 @@ import pytest
 from drive_id.core import plan as plan_module
 from drive_id.core import plan_information
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_basis import Choice
 from drive_id.core.full_model import RESISTANCE
-from drive_id.core.full_solver import Choice, Solver
+from drive_id.core.full_solver import Solver
 from drive_id.core.identify import identify, score
 from drive_id.core.plan import plan
 from drive_id.core.plan_candidates import (

@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline
 from synthetic import record
 
 from drive_id.core import window_information
+from drive_id.core.full_basis import basis
 from drive_id.core.full_model import MAGNET, SHIFT, VOLTAGE, FullModel
-from drive_id.core.full_solver import basis
 from drive_id.core.window_information import WindowInformation
 from drive_id.core.windows import WindowCutter, Windows
 from drive_id.types import Samples
@@ -149,7 +149,7 @@ def test_windows_beyond_the_range_are_counted_and_left_out(samples):
 
 
 def test_a_basis_selects_the_unknowns(model):
-    from drive_id.core.full_solver import Choice
+    from drive_id.core.full_basis import Choice
 
     everything = Choice(reciprocal=False, orders=model.all_orders, per_phase=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))

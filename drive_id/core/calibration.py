@@ -140,8 +140,8 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     mismatch = np.zeros(2), np.full(2, np.nan)
     if order in fit.choice.orders:
         mismatch = _mismatch(fit, order, i_dq)
-    what = "mismatch of the current gains"
-    return out + _entries("current_gain_mismatch", "1", what, mismatch, 1.0, applied=order in fit.choice.orders)
+    shown = bool(np.any(np.abs(mismatch[0]) > _SIGNIFICANCE * mismatch[1]))
+    return out + _entries("current_gain_mismatch", "1", "mismatch of the current gains", mismatch, 1.0, applied=shown)
 
 
 def _entries(

@@ -114,12 +114,11 @@ class Evidence:
             When temperatures or DC-link voltages are set, but none for this recording.
         """
         self.information.next_recording()
-        if self.settings.conditions:
-            one = self.settings.of_recording(self._recordings)
-            heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
-            drop_scale = one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
-            if self.windows is not None:
-                self.windows.next_recording(heating, drop_scale)
+        one = self.settings.of_recording(self._recordings)
+        heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
+        drop_scale = one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
+        if self.windows is not None:
+            self.windows.next_recording(heating, drop_scale)
         self._recordings += 1
 
     def _idle(self, samples: Samples, i_dq: FloatArray, *, continues: bool) -> BoolArray:

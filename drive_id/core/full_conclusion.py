@@ -24,6 +24,8 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
 _CURVE_POINTS = 201
+_MIRRORED = 1500
+"""Points to find the resolver's offset with."""
 _REGIONS = 3
 """Neighbourhoods with batches of their own over which deviations are averaged."""
 _STUDENT = 1.21
@@ -71,14 +73,7 @@ class TrueFrame:
         total = shares.sum(axis=-1)
         passes = total**2 / np.maximum(np.sum(shares**2, axis=-1), np.finfo(np.float64).tiny)
         consistent = np.sqrt(total) * (1 + _STUDENT / (_REGIONS * np.maximum(passes, 2.0)))
-        white = np.empty_like(consistent)
-        for part in np.array_split(np.arange(len(i_dq)), max(1, len(i_dq) // 512)):
-            forms = np.zeros((model.size, 2 * len(part)))
-            for flux in range(2):
-                at = model.map.start + rows.column[part, flux]
-                forms[at, 2 * np.arange(len(part))[:, None] + flux] = rows.value[part, flux]
-            white[part] = self.fit.white(forms).reshape(-1, 2)
-        return consistent, white
+        return consistent, self.fit.white(rows)
 
 
 def conclude_full(
@@ -176,7 +171,8 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
     if settings.calibrate_angle:
         axis = evidence.visits.i_q
         mirror = np.abs(axis[:, None] + axis).argmin(axis=0)
-        found.append(calibration.calibrate_angle(fit, grid[disc & disc[:, mirror]]))
+        mirrored = grid[disc & disc[:, mirror]]
+        found.append(calibration.calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
     if settings.calibrate_currents:
         found += calibration.calibrate_currents(fit, i_dq, evidence.i_max)
     return found

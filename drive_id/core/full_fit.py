@@ -9,6 +9,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
+from drive_id.core.flux_models import BasisRows
 from drive_id.core.full_basis import Choice
 from drive_id.core.full_choice import Chosen, choose, highest_order
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
@@ -22,7 +23,7 @@ from drive_id.types import BoolArray, FloatArray
 BATCH = 0.05
 """s; residuals of windows that start within as much are taken as dependent, those further apart as not."""
 
-_LEAST_FREEDOM = 0.05
+_SERIES = 16
 _SLOPE_STEP = 0.02
 _SEARCHES = 2
 
@@ -70,10 +71,13 @@ class FullFit:
         """Return the standard deviation of a linear function (size,) of the estimate."""
         return float(np.sqrt(np.sum((form @ self.changes) ** 2)))
 
-    def white(self, forms: FloatArray) -> FloatArray:
-        """Return the deviations (K,) of linear functions (size, K) if the residuals were white."""
-        half = self.solution.half_gain(np.asarray(self.solution.basis.T @ forms))
-        return np.asarray(self.solution.residual_rms * np.sqrt(np.sum(half**2, axis=0)))
+    def white(self, rows: BasisRows) -> FloatArray:
+        """Return the deviations (N, 2) of fluxes B gamma, Wb, if the residuals were white."""
+        t = self.solution.basis[self.model.map]
+        covariance = np.asarray(t @ (t @ self.solution.white_covariance).T)
+        met = covariance[rows.column[..., None], rows.column[..., None, :]]  # (N, 2, K, K)
+        variance = np.einsum("nak,nakl,nal->na", rows.value, met, rows.value)
+        return np.asarray(self.solution.residual_rms * np.sqrt(np.maximum(variance, 0.0)))
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
@@ -148,15 +152,23 @@ def batch_changes(information: WindowInformation, solution: FullSolution) -> Flo
 
 
 def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
-    """Return the scores of each batch, its residuals freed of what the fit took from them by its leverage (CR2)."""
-    batch = (segment.time / BATCH).astype(np.int64)
+    """Return the scores Z'e of each batch, e being residuals freed of what the fit took from them by its leverage.
+
+    That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the binomial series, which bounds what residuals of
+    full leverage are multiplied by.
+    """
+    batch = ((segment.time + 1e-9) / BATCH).astype(np.int64)  # rounding must not matter
     scores = []
     for number in np.unique(batch):
         rows = model.design(segment.part(np.flatnonzero(batch == number))).reshape(-1, model.size)
         forms = np.asarray(solution.basis.T @ rows.T)
         met = np.flatnonzero(forms.any(axis=1))
-        leverage = forms[met].T @ solution.white_covariance[np.ix_(met, met)] @ forms[met]
-        values, vectors = np.linalg.eigh(np.eye(len(rows)) - leverage)
-        residual = vectors @ (vectors.T @ (rows @ solution.residual) / np.sqrt(np.maximum(values, _LEAST_FREEDOM)))
-        scores.append(forms @ residual)
+        forms, covariance = forms[met], solution.white_covariance[np.ix_(met, met)]
+        score = forms @ (rows @ solution.residual)
+        total = score.copy()
+        for k in range(1, _SERIES):
+            score = (k - 0.5) / k * (forms @ (forms.T @ (covariance @ score)))
+            total += score
+        scores.append(np.zeros(len(solution.scale)))
+        scores[-1][met] = total
     return scores

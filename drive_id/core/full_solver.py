@@ -6,7 +6,7 @@ in use, one inverter curve or one per phase. None needs a second pass over the s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -97,7 +97,7 @@ class Solver:
         t = basis(self.model, choice)
         voltage = self._voltage(choice)
         factor, scale = _factorize(_congruent(t, self.total) + self._penalty(t, choice.penalty))
-        moment = t.T @ (self.total @ voltage)
+        moment = t.T @ _times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
         residual = t @ x - voltage
         squares = float(residual @ self.total @ residual)
@@ -108,8 +108,8 @@ class Solver:
         pull = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
         return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
 
-    def left_out(self, choice: Choice, penalties: Sequence[float] = ()) -> FloatArray:
-        """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
+    def left_out(self, choice: Choice, penalties: Sequence[float] = ()) -> Iterator[FloatArray]:
+        """Yield for each fold the sum of its squared residuals per row in the fit to the others, (Vs)^2.
 
         Parameters
         ----------
@@ -117,9 +117,9 @@ class Solver:
         penalties : sequence of float
             To try in place of the choice's own.
 
-        Returns
-        -------
-        (P, F) float
+        Yields
+        ------
+        (P,) float
 
         Notes
         -----
@@ -128,21 +128,20 @@ class Solver:
         """
         t, voltage = basis(self.model, choice), self._voltage(choice)
         tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
-        normal, moment = _congruent(t, self.total), t.T @ (self.total @ voltage)
+        normal, moment = _congruent(t, self.total), t.T @ _times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
-        errors = np.zeros((len(tried), len(self.folds)))
-        for number, fold in enumerate(self.folds):
-            own, own_moment = _congruent(t, fold), t.T @ (fold @ voltage)
+        for fold, count in zip(self.folds, self.counts, strict=True):
+            own, product = _congruent(t, fold), _times(fold, voltage)
+            own_moment, square = t.T @ product, voltage @ product
             estimates = _penalized(normal - own, moment - own_moment, tried, in_map)
-            for k, x in enumerate(estimates):
-                errors[k, number] = x @ (own @ x - 2 * own_moment) + voltage @ fold @ voltage
-        return np.asarray(np.maximum(errors, 0.0) / np.maximum(self.counts, 1.0))
+            errors = [x @ (own @ x - 2 * own_moment) + square for x in estimates]
+            yield np.maximum(errors, 0.0) / max(count, 1.0)
 
     def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
         """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""
-        errors = self.left_out(choice, PENALTIES)
-        best = int(np.argmin(errors.mean(axis=1)))
-        return replace(choice, penalty=PENALTIES[best]), errors[best]
+        errors = np.array(list(self.left_out(choice, PENALTIES)))
+        best = int(np.argmin(errors.mean(axis=0)))
+        return replace(choice, penalty=PENALTIES[best]), errors[:, best]
 
     def delay(self, solution: FullSolution) -> tuple[float, float]:
         """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.
@@ -183,6 +182,12 @@ class Solver:
 def _congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
     """Return T' A T of a symmetric A."""
     return np.asarray(t.T @ np.ascontiguousarray((t.T @ matrix).T))
+
+
+def _times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
+    """Return A v of a v with few entries."""
+    entries = np.flatnonzero(voltage)
+    return np.asarray(matrix[:, entries] @ voltage[entries])
 
 
 def _penalized(

@@ -24,6 +24,7 @@ MOST_KEPT = 24_000
 """Windows that are kept themselves, in whole segments evenly over time, to study the residuals."""
 
 _BLOCK = 256
+_ROUNDING = 1e-9  # s
 _CHUNK = 64
 """Windows whose products are formed at a time: the fewer, the fewer columns they touch."""
 
@@ -48,7 +49,8 @@ class WindowInformation:
         self._folds: list[FloatArray] = []
         self._counts = np.zeros(FOLDS, np.int64)
         self._pending: list[Windows] = []
-        self._segment = 0
+        self._segment = 0  # of the windows that are pending
+        self._last = -1  # segment that has windows
         self._kept: dict[int, Windows] = {}
         self._every = 1
 
@@ -56,6 +58,8 @@ class WindowInformation:
         """Tell that another recording begins, and under which conditions, see :class:`Windows`."""
         for windows in self._cutter.finish():
             self._take(windows)
+        self._flush()
+        self._cutter.restart(SEGMENT * self._next_start())
         self._cutter.set_conditions(heating, drop_scale)
 
     def add(self, samples: Samples, *, continues: bool = False) -> None:
@@ -96,14 +100,15 @@ class WindowInformation:
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
-        offset = self._segment + 1 if self.windows else 0
-        pairs = zip(self._matrices(), theirs._matrices(), strict=True)  # noqa: SLF001  # of its own class
-        self._folds = [np.asfortranarray(mine + matrix) for mine, matrix in pairs]
-        self._counts = self._counts + theirs._counts  # noqa: SLF001
+        self._every = max(self._every, theirs._every)  # noqa: SLF001  # of its own class
+        offset = self._next_start()
+        for number, matrix in enumerate(theirs._matrices()):  # noqa: SLF001
+            self._matrices()[(number + offset) % FOLDS] += matrix
+        self._counts = self._counts + np.roll(theirs._counts, offset)  # noqa: SLF001
         self._kept |= {offset + number: windows for number, windows in theirs._kept.items()}  # noqa: SLF001
-        self._segment = offset + theirs._segment  # noqa: SLF001
-        self._cutter.skip(SEGMENT * (theirs._segment + 1))  # noqa: SLF001
-        self._every = max(self._every, theirs._every)  # noqa: SLF001
+        if theirs.windows:
+            self._last = offset + theirs._last  # noqa: SLF001
+        self._cutter.restart(SEGMENT * self._next_start())
         self.windows += theirs.windows
         self.outside += theirs.outside
         self._thin()
@@ -121,7 +126,7 @@ class WindowInformation:
         if done.windows > int(out["length"].sum()):
             rows, columns = np.tril_indices(self.model.size)
             out["folds"] = np.array([fold[rows, columns] for fold in done._matrices()])  # noqa: SLF001
-            out["counts"], out["last"] = done._counts, np.array(done._segment)  # noqa: SLF001
+            out["counts"], out["last"] = done._counts, np.array(done._last)  # noqa: SLF001
         return out
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -138,14 +143,18 @@ class WindowInformation:
             rows, columns = np.tril_indices(self.model.size)
             for fold, packed in zip(self._matrices(), state["folds"], strict=True):
                 fold[rows, columns] = packed
-            self._counts, self._segment = np.array(state["counts"]), int(state["last"])
+            self._counts, self._last = np.array(state["counts"]), int(state["last"])
             self.windows = int(self._counts.sum())
-        self._cutter.skip(SEGMENT * (self._segment + 1))
+        self._cutter.restart(SEGMENT * self._next_start())
 
     @property
     def folds(self) -> FloatArray:
         """Z'Z of each fold, (FOLDS, size, size), symmetric."""
-        return np.array([mirrored(fold) for fold in self._matrices()])
+        out = np.empty((FOLDS, self.model.size, self.model.size))
+        for matrix, fold in zip(out, self._matrices(), strict=True):
+            matrix[...] = fold.T  # rows of C's order are columns of Fortran's: the upper triangle
+            mirror_upper(matrix)
+        return out
 
     @property
     def counts(self) -> FloatArray:
@@ -156,6 +165,10 @@ class WindowInformation:
         """Return the segments that were kept, in order of time."""
         return [self._kept[number] for number in sorted(self._kept)]
 
+    def _next_start(self) -> int:
+        """Return the segment in which another recording begins: whether it is merged or added makes no difference."""
+        return -(-(self._last + 1) // self._every) * self._every
+
     def _matrices(self) -> list[FloatArray]:
         if not self._folds:
             self._folds = [np.zeros((self.model.size, self.model.size), order="F") for _ in range(FOLDS)]
@@ -165,7 +178,7 @@ class WindowInformation:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable).sum())
-        segment = (windows.time / SEGMENT).astype(np.int64)
+        segment = ((windows.time + _ROUNDING) / SEGMENT).astype(np.int64)
         for number in np.unique(segment):
             if number != self._segment:
                 self._flush()
@@ -185,6 +198,7 @@ class WindowInformation:
             add_products(self.model.design(part).reshape(-1, self.model.size), matrix)
         self._counts[fold] += len(windows)
         self.windows += len(windows)
+        self._last = self._segment
         if self._segment % self._every == 0:
             earlier = self._kept.get(self._segment)
             self._kept[self._segment] = windows if earlier is None else Windows.joined([earlier, windows])
@@ -196,13 +210,11 @@ class WindowInformation:
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
 
 
-def mirrored(lower: FloatArray) -> FloatArray:
-    """Return the symmetric matrix with this lower triangle; by blocks, as a transposed copy would miss the cache."""
-    out = np.array(lower)
-    edges = [*range(0, len(out), _BLOCK), len(out)]
+def mirror_upper(matrix: FloatArray) -> None:
+    """Make a matrix symmetric by its upper triangle; by blocks, as a transposed copy would miss the cache."""
+    edges = [*range(0, len(matrix), _BLOCK), len(matrix)]
     for k, (start, end) in enumerate(pairwise(edges)):
-        corner = out[start:end, start:end]
-        corner[...] = np.tril(corner) + np.tril(corner, -1).T
+        corner = matrix[start:end, start:end]
+        corner[...] = np.triu(corner) + np.triu(corner, 1).T
         for left, right in pairwise(edges[: k + 1]):
-            out[left:right, start:end] = out[start:end, left:right].T
-    return out
+            matrix[start:end, left:right] = matrix[left:right, start:end].T

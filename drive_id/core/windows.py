@@ -136,9 +136,9 @@ class WindowCutter:
         """Tell how hot the machine is, K, and how high the DC link, relative to the reference, in what comes now."""
         self._heating, self._drop_scale = heating, drop_scale
 
-    def skip(self, time: float) -> None:
-        """Count further data, s, that were cut by another one."""
-        self._time += time
+    def restart(self, time: float) -> None:
+        """Count from another time on, s, after :meth:`finish`."""
+        self._time = time
 
     def cut(self, samples: Samples, *, continues: bool = False) -> Iterator[Windows]:
         """Yield windows of further samples, some of them not before :meth:`finish`.

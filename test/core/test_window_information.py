@@ -32,6 +32,7 @@ def samples():
 def gathered(model, *recordings):
     information = WindowInformation(model)
     for samples in recordings:
+        information.next_recording()
         information.add(samples)
     return information.finished()
 
@@ -108,13 +109,19 @@ def test_a_snapshot_leaves_the_stream_alone(model, samples):
 
 
 def test_merging_is_accumulating_together(model, samples):
-    other = record(duration=1.0, speed=-300.0, seed=1)
+    """Folds and segments, too, in which the deviations are taken."""
+    other = record(duration=1.1, speed=-300.0, seed=1)
     merged = gathered(model, samples)
     merged.merge(gathered(model, other))
-    together = gathered(model, samples, other)
-    np.testing.assert_allclose(merged.folds.sum(axis=0), together.folds.sum(axis=0), rtol=1e-9, atol=1e-9)
+    merged.merge(gathered(model, samples))
+    together = gathered(model, samples, other, samples)
+    np.testing.assert_allclose(merged.folds, together.folds, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(merged.counts, together.counts)
     assert merged.windows == together.windows
-    assert len(merged.kept()) == pytest.approx(len(together.kept()), abs=1)
+    for one, two in zip(merged.kept(), together.kept(), strict=True):
+        shift = (two.time - one.time) / 0.25
+        np.testing.assert_allclose(shift, np.rint(shift), atol=1e-9)
+        np.testing.assert_array_equal(one.i_dq, two.i_dq)
 
 
 @pytest.mark.parametrize("most", [window_information.MOST_KEPT, 700])

@@ -5,28 +5,33 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 import drive_id
-from drive_id.errors import ConfigurationError, DriveIdError
-from drive_id.settings import from_mapping
-
-if TYPE_CHECKING:
-    from drive_id.core.identify import Progress as Tell
+from drive_id.command_line import (
+    BagsArgument,
+    ClusterOption,
+    FitConfigOption,
+    JsonFlag,
+    NamespaceOption,
+    QuietFlag,
+    RadiusOption,
+    SetOption,
+    SignalsOption,
+    SkipFlag,
+    SourcesArgument,
+    err,
+    merged_settings,
+    out,
+    say,
+    warn,
+    working,
+)
+from drive_id.errors import DriveIdError
+from drive_id.plan_command import plan_experiment
 
 app = typer.Typer(
     name="drive-id",
@@ -37,31 +42,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-out = Console()
-err = Console(stderr=True)
-
-Settings = TypeVar("Settings")
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, nothing else.")]
-QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by name; may be repeated.")
-]
-SourcesArgument = Annotated[
-    list[Path],
-    typer.Argument(help="Bags of one drive, or what 'accumulate' made of them.", show_default=False, metavar="BAG..."),
-]
-BagsArgument = Annotated[
-    list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False, metavar="BAG...")
-]
-SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are in the bag.")]
-NamespaceOption = Annotated[str, typer.Option(help="Of the drive, when a bag holds several.")]
-FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings of the fit.")]
-RadiusOption = Annotated[float | None, typer.Option(help="Radius of the current disc, A.")]
-ClusterOption = Annotated[
-    str,
-    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Dask cluster that does the work, or N processes here."),
-]
-SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
 
 
 def main() -> None:
@@ -73,14 +53,14 @@ def main() -> None:
         if "--json" in sys.argv:
             typer.echo(json.dumps({"error": {"code": error.code, "message": str(error)}}))
         sentence = "".join(character if character.isprintable() else " " for character in str(error))
-        err.print(f"drive-id: {sentence}", style="red", markup=False, highlight=False, soft_wrap=True)
+        say(f"drive-id: {sentence}", to=err, style="red")
         raise SystemExit(1) from None
     except (KeyboardInterrupt, SystemExit) as end:
         interrupt = _interrupt_behind(end)
         if interrupt is None:
             raise
         said = str(interrupt) or "no output was left behind."
-        err.print(f"drive-id: interrupted; {said}", markup=False, highlight=False, soft_wrap=True)
+        say(f"drive-id: interrupted; {said}", to=err)
         raise SystemExit(130) from None
 
 
@@ -132,19 +112,16 @@ def simulate(
     options: dict[str, Any] = {"inverter": inverter, "current_noise": noise, "harmonics": harmonics, "seed": seed}
     if speed:
         options["speeds"] = tuple(speed)
-    chosen = _settings(SimulationSettings, config, settings, options)
+    chosen = merged_settings(SimulationSettings, config, settings, options)
     trajectory = Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
-    with _working(quiet or as_json) as tell:
+    with working(quiet or as_json) as tell:
         tell("Simulating", 0.0)
         simulation = simulate_bag(load_machine(machine), chosen, output, trajectory, seconds)
     truth = simulation.truth
     if as_json:
         typer.echo(json.dumps({"bag": str(output), "machine": truth.machine, "samples": len(simulation.samples)}))
     elif not quiet:
-        out.print(
-            f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.",
-            markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+        say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
 
 
 @app.command(epilog="A bag of your own messages: write a signals file, see config/signals_example_stranger.yaml.")
@@ -174,9 +151,9 @@ def fit(
     from drive_id.workflows import fit_bags
 
     stored = stored_settings(bags, skip_bad=skip_bad)
-    chosen = _settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
+    chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
     signal_map = read_signals(signals) if signals else None
-    with _working(quiet or as_json) as tell:
+    with working(quiet or as_json) as tell:
         result = fit_bags(
             bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
             force=force, tell=tell,
@@ -186,8 +163,8 @@ def fit(
     elif not quiet:
         out.print(fit_table(result))
         for warning in result.warnings:
-            out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
-        out.print(f"Results in {output}", markup=False, highlight=False, soft_wrap=True)
+            warn(warning)
+        say(f"Results in {output}")
 
 
 @app.command(
@@ -215,9 +192,9 @@ def accumulate(
     from drive_id.files.signals import read_signals
     from drive_id.workflows import accumulate_bags
 
-    chosen = _settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
+    chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
     signal_map = read_signals(signals) if signals else None
-    with _working(quiet or as_json) as tell:
+    with working(quiet or as_json) as tell:
         result = accumulate_bags(
             bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad, tell=tell
         )
@@ -225,11 +202,9 @@ def accumulate(
         typer.echo(json.dumps({"information": str(output)} | information_tree(result)))
     elif not quiet:
         for warning in result.warnings:
-            out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+            warn(warning)
         radius = f"{result.evidence.i_max:.4g} A"
-        out.print(
-            f"{output}: {result.samples} samples, disc of {radius}.", markup=False, highlight=False, soft_wrap=True
-        )
+        say(f"{output}: {result.samples} samples, disc of {radius}.")
 
 
 @app.command()
@@ -253,9 +228,9 @@ def info(
         return
     out.print(info_table(found))
     if found.ground_truth:
-        out.print("The recording is a simulation and carries its ground truth.")
+        say("The recording is a simulation and carries its ground truth.")
     if found.problem:
-        out.print(f"Warning: {found.problem}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        warn(found.problem)
 
 
 def _print_information(path: Path, *, as_json: bool) -> None:
@@ -268,7 +243,7 @@ def _print_information(path: Path, *, as_json: bool) -> None:
         return
     out.print(information_table(path, stored))
     for warning in stored.accumulated.warnings:
-        out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        warn(warning)
 
 
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
@@ -288,72 +263,14 @@ def recover(
         typer.echo(json.dumps(dataclasses.asdict(recovery) | {"output": str(recovery.output)}))
     elif not quiet:
         for warning in recovery.damage or ("The recording is whole: nothing had to be recovered.",):
-            out.print(warning, style="yellow", markup=False, highlight=False, soft_wrap=True)
-        out.print(
-            f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.",
-            markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+            say(warning, style="yellow")
+        say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
 
-@app.command(
+app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
-)
-def plan_experiment(
-    machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, or a machine file, to take all data from.")] = "",
-    i_max: RadiusOption = None,
-    pole_pairs: Annotated[int | None, typer.Option(help="Of the machine.")] = None,
-    resistance: Annotated[float | None, typer.Option(help="Rough, ohm.")] = None,
-    inductance_d: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
-    inductance_q: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
-    magnet_flux: Annotated[float | None, typer.Option(help="Rough, Wb.")] = None,
-    u_dc: Annotated[float | None, typer.Option(help="DC link, V.")] = None,
-    sample_period: Annotated[float | None, typer.Option(help="s.  [default: 1e-4]")] = None,
-    noise: Annotated[float | None, typer.Option(help="Current noise, fraction of i_max.  [default: 0.001]")] = None,
-    speed_min: Annotated[float | None, typer.Option(help="Lowest, rpm.  [default: 250]")] = None,
-    speed_max: Annotated[float | None, typer.Option(help="Highest, rpm.  [default: 1500]")] = None,
-    reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Turn backwards, too.")] = None,
-    accuracy: Annotated[float | None, typer.Option(help="Of the flux, percent.  [default: 0.05]")] = None,
-    duration: Annotated[float | None, typer.Option(help="s.  [default: what the accuracy needs]")] = None,
-    duration_max: Annotated[float | None, typer.Option(help="s.  [default: 60]")] = None,
-    output: Annotated[Path | None, typer.Option(help="File of ROS parameters to write (YAML).")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with settings of the plan.")] = None,
-    settings: SetOption = None,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
-) -> None:
-    """Propose trajectory, speeds and duration for a wanted accuracy, from rough data of the machine."""
-    from drive_id.core.plan import plan
-    from drive_id.core.plan_settings import PlanSettings
-    from drive_id.files.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan
-    from drive_id.tables import plan_tables
-    from drive_id.workflows import rough_settings
-
-    options: dict[str, Any] = {
-        "i_max": i_max, "pole_pairs": pole_pairs, "resistance": resistance, "inductance_d": inductance_d,
-        "inductance_q": inductance_q, "magnet_flux": magnet_flux, "u_dc": u_dc, "sample_period": sample_period,
-        "current_noise": noise, "speed_min": speed_min, "speed_max": speed_max, "reverse": reverse,
-        "accuracy": accuracy, "duration": duration, "duration_max": duration_max,
-    }  # fmt: skip
-    chosen = _settings(PlanSettings, config, settings, options, rough_settings(machine) if machine else None)
-    if output is not None:
-        check_plan_output(output)
-    with _working(quiet or as_json) as tell:
-        found = plan(chosen, tell)
-    text = plan_yaml(found, machine)
-    if output is not None:
-        write_plan(output, text)
-    if as_json:
-        typer.echo(json.dumps(plan_tree(found), allow_nan=False))
-    elif not quiet:
-        for table in plan_tables(found):
-            out.print(table)
-        for sentence in (found.reason(), *found.statements()):
-            out.print(sentence, markup=False, highlight=False, soft_wrap=True)
-        for warning in found.warnings():
-            out.print(f"Warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
-        shown = f"Written to {output}" if output is not None else "\n" + text.rstrip()
-        out.print(shown, markup=False, highlight=False, soft_wrap=True)
+)(plan_experiment)
 
 
 @app.command()
@@ -369,7 +286,7 @@ def reproduce(
 
     if output is not None:
         check_reproduction_output(output, force=force)
-    with _working(quiet or as_json) as tell:
+    with working(quiet or as_json) as tell:
         results = run(tell)
         if output is not None:
             write_reproduction(output, results, force=force)
@@ -380,64 +297,6 @@ def reproduce(
             out.print(table)
         for sentence in results.claims():
             out.print(sentence, highlight=False, soft_wrap=True)
-
-
-def _settings(
-    cls: Callable[..., Settings],
-    config: Path | None,
-    assignments: list[str] | None,
-    options: dict[str, Any],
-    base: Settings | None = None,
-) -> Settings:
-    """Merge settings to start from, a YAML file, --set and named options, the later ones winning."""
-    import dataclasses
-
-    import yaml
-
-    unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
-    values: dict[str, Any] = dataclasses.asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
-    if config is not None:
-        try:
-            tree = yaml.safe_load(config.read_text(encoding="utf-8"))
-        except unreadable as error:
-            reason = getattr(error, "problem", None) or getattr(error, "strerror", None) or "it is no YAML"
-            raise ConfigurationError(f"The settings file {config} cannot be read ({reason}): check it.") from error
-        if not isinstance(tree, dict | None):
-            raise ConfigurationError(f"The settings file {config} is not a list of 'name: value' lines: rewrite it so.")
-        values |= tree or {}
-    for assignment in assignments or []:
-        name, sign, text = assignment.partition("=")
-        if not sign:
-            raise ConfigurationError(f"--set {assignment} is not of the form NAME=VALUE: write it so.")
-        try:
-            values[name.strip()] = yaml.safe_load(text)
-        except unreadable as error:
-            raise ConfigurationError(f"The value in --set {assignment:.200} is not valid YAML: quote it.") from error
-    chosen = {name: value for name, value in options.items() if value is not None}
-    where = [str(config)] if config else []
-    where += ["the options"] if assignments or chosen or not config else []
-    return from_mapping(cls, values | chosen, " and ".join(where))  # type: ignore[arg-type]  # a dataclass
-
-
-@contextmanager
-def _working(silent: bool) -> Iterator[Tell]:
-    """Show a progress bar on standard error while the body works."""
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    )  # fmt: skip
-    with Progress(*columns, console=err, transient=True, disable=silent or not err.is_terminal) as bar:
-        task = bar.add_task("Starting", total=1.0)
-        doing = ""
-
-        def tell(what: str, share: float) -> None:
-            nonlocal doing
-            name = what.partition(",")[0]
-            if name != doing:  # another task, which takes another time
-                doing = name
-                bar.reset(task)
-            bar.update(task, description=what, completed=share)
-
-        yield tell
 
 
 if __name__ == "__main__":

@@ -61,7 +61,11 @@ ROOMS = {
         NOUNS | LIBRARY_ROOMS | {"drive_id.cluster", "drive_id.merging", "drive_id.streaming"}, {"distributed"}
     ),
     "drive_id.nodes": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"numpy", "yaml", *ROS}),
-    "drive_id.cli": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"typer", "rich", "yaml"}),
+    "drive_id.cli": Room.of(
+        NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id", "drive_id.command_line", "drive_id.plan_command"}, {"typer"}
+    ),
+    "drive_id.plan_command": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id.command_line"}, {"typer"}),
+    "drive_id.command_line": Room.of(NOUNS | LIBRARY_ROOMS, {"typer", "rich", "yaml"}),
 }
 
 

@@ -107,6 +107,7 @@ def machine() -> list[str]:
     return [
         f"- Processor: {models[0] if models else platform.machine()}, {os.cpu_count()} cores; {memory / 1e9:.0f} GB",
         f"- Python {platform.python_version()}, {packages}",
+        f"- Threads of BLAS in each process: {os.environ.get('OPENBLAS_NUM_THREADS', 'as many as processors')}",
         f"- Load when the run began: {os.getloadavg()[0]:.1f} processes",
     ]
 

@@ -6,10 +6,13 @@ Usage: python benchmarks/run.py [--only fit,process,growth,start,live,fleet] [--
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
 import fitting
 import processes

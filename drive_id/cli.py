@@ -1,7 +1,5 @@
 """The command line ``drive-id``: thin, and quick to start because the numerics are loaded only when needed."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -143,21 +141,24 @@ def fit(
     quiet: QuietFlag = False,
 ) -> None:
     """Identify flux maps, resistance and inverter voltage error from recorded bags."""
-    from drive_id.core.fit_settings import FitSettings
-    from drive_id.files.results import results_tree
-    from drive_id.files.signals import read_signals
-    from drive_id.merging import stored_settings
-    from drive_id.tables import fit_table
-    from drive_id.workflows import fit_bags
+    from drive_id.analysis.painting import Painter
 
-    stored = stored_settings(bags, skip_bad=skip_bad)
-    chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
-    signal_map = read_signals(signals) if signals else None
-    with working(quiet or as_json) as tell:
-        result = fit_bags(
-            bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
-            force=force, tell=tell,
-        )  # fmt: skip
+    with Painter() as painter:  # before anything else: it loads at the same time
+        from drive_id.core.fit_settings import FitSettings
+        from drive_id.files.results import results_tree
+        from drive_id.files.signals import read_signals
+        from drive_id.merging import stored_settings
+        from drive_id.tables import fit_table
+        from drive_id.workflows import fit_bags
+
+        stored = stored_settings(bags, skip_bad=skip_bad)
+        chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
+        signal_map = read_signals(signals) if signals else None
+        with working(quiet or as_json) as tell:
+            result = fit_bags(
+                bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
+                force=force, painter=painter, tell=tell,
+            )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(results_tree(result.identification, result.provenance), allow_nan=False))
     elif not quiet:

@@ -1,7 +1,5 @@
 """The command ``drive-id plan``, which has many options."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any

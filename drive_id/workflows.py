@@ -140,6 +140,7 @@ def fit_bags(
     skip_bad: bool = False,
     force: bool = False,
     picture: bool = True,
+    painter: Painter | None = None,
     tell: Progress = silent,
 ) -> Fit:
     """Fit one or several bags of one drive and write the results.
@@ -163,6 +164,8 @@ def fit_bags(
         Write into a folder that holds other files.
     picture : bool
         Draw the maps beside the result files.
+    painter : Painter, optional
+        To draw it: one that was started early is ready when it is needed.
     tell : callable, optional
 
     Returns
@@ -176,11 +179,11 @@ def fit_bags(
     """
     if output is not None:
         check_output(output, force=force)
-    with Painter(wanted=picture and output is not None) as painter:
+    with painter or Painter(wanted=picture and output is not None) as at_work:
         fit = _fit(_gatherer(bags, cluster, skip_bad=skip_bad, output=output), bags, settings, signals, namespace, tell)
         if output is not None:
             tell("Writing", 0.0)
-            pictures = {PICTURE: _draw(painter, fit)} if picture else {}
+            pictures = {PICTURE: _draw(at_work, fit)} if picture else {}
             write_results(output, fit.identification, fit.provenance, force=force, pictures=pictures)
     return fit
 

@@ -10,9 +10,11 @@ import pickle
 import subprocess
 import sys
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
-from drive_id.core.identification import FluxMap
-from drive_id.types import FloatArray
+if TYPE_CHECKING:  # so that the other process starts before this one loads numpy
+    from drive_id.core.identification import FluxMap
+    from drive_id.types import FloatArray
 
 _PROGRAM = "import sys; sys.path[:] = filter(None, sys.path); from drive_id.analysis.painting import serve; serve()"
 _MOST_POINTS = 20_000

@@ -86,13 +86,13 @@ def _reciprocal_or_free(
 ) -> tuple[Choice, float]:
     """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
     free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
-    free_error: list[float] = []
-    for (one,) in solver.left_out(free):
-        free_error.append(float(one))
-        if np.sum(free_error > error[: len(free_error)]) > 1:  # enough to know
-            break
-    advantage = 1.0 - sum(free_error) / float(error[: len(free_error)].sum())
-    if len(free_error) == len(error) and advantage > _FREE_GAIN:
+    first, rest = [0, 1], list(range(2, len(error)))
+    free_error = solver.left_out(free, folds=first)[:, 0]
+    if not np.any(free_error < error[first]):  # enough to know
+        return choice, 1.0 - float(free_error.sum() / error[first].sum())
+    free_error = np.append(free_error, solver.left_out(free, folds=rest)[:, 0])
+    advantage = 1.0 - float(free_error.sum() / error.sum())
+    if advantage > _FREE_GAIN and np.sum(free_error < error) >= len(error) - 1:
         orders, i_dq = harmonics
         everything = solver.solve(replace(free, orders=orders))
         significant = _significant_orders(solver.model, everything, i_dq)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from drive_id.types import BoolArray, FloatArray
 BATCH = 0.05
 """s; residuals of windows that start within as much are taken as dependent, those further apart as not."""
 
-_SERIES = 16
+_SERIES, _CONVERGED = 16, 1e-3
 _SLOPE_STEP = 0.02
 _SEARCHES = 2
 
@@ -158,17 +159,22 @@ def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) ->
     full leverage are multiplied by.
     """
     batch = ((segment.time + 1e-9) / BATCH).astype(np.int64)  # rounding must not matter
+    edges = [0, *(1 + np.flatnonzero(np.diff(batch))), len(batch)]
+    rows = model.design(segment)
+    residuals = rows @ solution.residual
+    all_forms = solution.transposed_basis @ np.ascontiguousarray(rows.reshape(-1, model.size).T)
     scores = []
-    for number in np.unique(batch):
-        rows = model.design(segment.part(np.flatnonzero(batch == number))).reshape(-1, model.size)
-        forms = np.asarray(solution.basis.T @ rows.T)
+    for start, end in pairwise(edges):
+        forms = all_forms[:, 2 * start : 2 * end]
         met = np.flatnonzero(forms.any(axis=1))
         forms, covariance = forms[met], solution.white_covariance[np.ix_(met, met)]
-        score = forms @ (rows @ solution.residual)
+        scale, score = solution.scale[met], forms @ residuals[start:end].ravel()
         total = score.copy()
         for k in range(1, _SERIES):
             score = (k - 0.5) / k * (forms @ (forms.T @ (covariance @ score)))
             total += score
+            if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
+                break
         scores.append(np.zeros(len(solution.scale)))
         scores[-1][met] = total
     return scores

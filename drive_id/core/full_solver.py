@@ -6,7 +6,7 @@ in use, one inverter curve or one per phase. None needs a second pass over the s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -69,6 +69,11 @@ class FullSolution:
         return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
 
     @cached_property
+    def transposed_basis(self) -> sparse.csr_array:
+        """T' (M, size)."""
+        return sparse.csr_array(self.basis.T)
+
+    @cached_property
     def white_covariance(self) -> FloatArray:
         """Covariance (M, M) of the unknowns for white unit residuals."""
         return self.gain(np.eye(len(self.scale)))
@@ -108,18 +113,22 @@ class Solver:
         pull = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
         return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
 
-    def left_out(self, choice: Choice, penalties: Sequence[float] = ()) -> Iterator[FloatArray]:
-        """Yield for each fold the sum of its squared residuals per row in the fit to the others, (Vs)^2.
+    def left_out(
+        self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | None = None
+    ) -> FloatArray:
+        """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
 
         Parameters
         ----------
         choice : Choice
         penalties : sequence of float
             To try in place of the choice's own.
+        folds : sequence of int
+            Those to leave out, one at a time; default: each.
 
-        Yields
-        ------
-        (P,) float
+        Returns
+        -------
+        (F, P) float
 
         Notes
         -----
@@ -130,16 +139,21 @@ class Solver:
         tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
         normal, moment = _congruent(t, self.total), t.T @ _times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
-        for fold, count in zip(self.folds, self.counts, strict=True):
+
+        def errors(number: int) -> list[float]:
+            fold = self.folds[number]
             own, product = _congruent(t, fold), _times(fold, voltage)
             own_moment, square = t.T @ product, voltage @ product
             estimates = _penalized(normal - own, moment - own_moment, tried, in_map)
-            errors = [x @ (own @ x - 2 * own_moment) + square for x in estimates]
-            yield np.maximum(errors, 0.0) / max(count, 1.0)
+            return [
+                max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
+            ]
+
+        return np.array([errors(number) for number in (range(len(self.folds)) if folds is None else folds)])
 
     def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
         """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""
-        errors = np.array(list(self.left_out(choice, PENALTIES)))
+        errors = self.left_out(choice, PENALTIES)
         best = int(np.argmin(errors.mean(axis=0)))
         return replace(choice, penalty=PENALTIES[best]), errors[:, best]
 
@@ -181,7 +195,8 @@ class Solver:
 
 def _congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
     """Return T' A T of a symmetric A."""
-    return np.asarray(t.T @ np.ascontiguousarray((t.T @ matrix).T))
+    transposed = sparse.csr_array(t.T)
+    return np.asarray(transposed @ np.ascontiguousarray((transposed @ matrix).T))
 
 
 def _times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:

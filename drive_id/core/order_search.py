@@ -11,7 +11,7 @@ from drive_id.core.windows import Windows
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
-_MOST_WINDOWS = 2500
+_MOST_WINDOWS = 1500
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
 

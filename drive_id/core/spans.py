@@ -8,7 +8,7 @@ from drive_id.core.live_evidence import concatenate
 from drive_id.core.stream_join import Piece
 from drive_id.types import Samples
 
-SPAN = 1 << 15
+SPAN = 1 << 14
 """Samples of one part."""
 SPANS = 8
 """Most parts: a recording of up to ``SPAN x SPANS`` samples is kept whole."""

@@ -47,6 +47,7 @@ class WindowInformation:
         self.outside = 0
         self._cutter = WindowCutter(model.shapes)
         self._folds: list[FloatArray] = []
+        self._shared: set[int] = set()  # folds that another one holds, too
         self._counts = np.zeros(FOLDS, np.int64)
         self._pending: list[Windows] = []
         self._segment = 0  # of the windows that are pending
@@ -79,7 +80,8 @@ class WindowInformation:
         """Return information that goes its own way from here."""
         other = copy.copy(self)
         other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
-        other._folds = [fold.copy(order="F") for fold in self._folds]  # noqa: SLF001
+        other._folds, other._shared = list(self._folds), set(range(len(self._folds)))  # noqa: SLF001
+        self._shared = set(other._shared)  # noqa: SLF001  # whoever adds to a fold first copies it
         other._counts = self._counts.copy()  # noqa: SLF001
         other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
         return other
@@ -103,7 +105,7 @@ class WindowInformation:
         self._every = max(self._every, theirs._every)  # noqa: SLF001  # of its own class
         offset = self._next_start()
         for number, matrix in enumerate(theirs._matrices()):  # noqa: SLF001
-            self._matrices()[(number + offset) % FOLDS] += matrix
+            self._own((number + offset) % FOLDS)[...] += matrix
         self._counts = self._counts + np.roll(theirs._counts, offset)  # noqa: SLF001
         self._kept |= {offset + number: windows for number, windows in theirs._kept.items()}  # noqa: SLF001
         if theirs.windows:
@@ -174,6 +176,14 @@ class WindowInformation:
             self._folds = [np.zeros((self.model.size, self.model.size), order="F") for _ in range(FOLDS)]
         return self._folds
 
+    def _own(self, fold: int) -> FloatArray:
+        """Return a fold that may be written to."""
+        matrices = self._matrices()
+        if fold in self._shared:
+            matrices[fold] = matrices[fold].copy(order="F")
+            self._shared.discard(fold)
+        return matrices[fold]
+
     def _take(self, windows: Windows) -> None:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
@@ -192,7 +202,7 @@ class WindowInformation:
         if windows is None or not len(windows):
             return
         fold = self._segment % FOLDS
-        matrix = self._matrices()[fold]
+        matrix = self._own(fold)
         for start in range(0, len(windows), _CHUNK):
             part = windows.part(slice(start, start + _CHUNK))
             add_products(self.model.design(part).reshape(-1, self.model.size), matrix)

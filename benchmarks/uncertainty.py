@@ -24,7 +24,13 @@ from drive_id.workflows import run_experiment
 
 BAND = 1.96
 WITHIN = 0.97
-DRIVES = {"ipm, 500 rpm, dead time": ("ipm", SimulationSettings(current_noise=2e-3))}
+DRIVES = {
+    "ipm, 500 rpm, dead time": ("ipm", SimulationSettings(current_noise=2e-3)),
+    "spm, 1000 rpm, tanh": ("spm", SimulationSettings(current_noise=2e-3, speeds=(1000.0,), inverter="tanh")),
+    "pmsyrm, -300 rpm, dead time and devices": (
+        "pmsyrm", SimulationSettings(current_noise=2e-3, speeds=(-300.0,), inverter="two_stage")
+    ),
+}  # fmt: skip
 SECONDS = 4.0
 DOCUMENT = Path(__file__).parent.parent / "docs" / "coverage.md"
 

@@ -175,6 +175,26 @@ def test_method_full_needs_what_only_it_gathers(ros, player, bag):
     np.testing.assert_allclose(recorded.flux_map.psi_d, offline.flux_map.psi_d.ravel(), rtol=1e-6, atol=1e-9)
 
 
+def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
+    name = "/desk/identification/identify"
+    folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "desk")}
+    process = ros.start(MODULE, parameters=folders | {"i_max": I_MAX}, namespace="/desk")
+    player = Player(ros, namespace="/desk")
+    player.wait_for_listeners()
+    player.play(messages_of(bag))
+    live, recorded = identify_all(ros, 20_000, name), identify(ros, bag.name, name=name)
+    assert (live.success, recorded.success) == (True, True), (live.message, recorded.message)
+    assert live.flux_map.method == recorded.flux_map.method == "full"
+    offline = fit_bags([bag], None, FitSettings(i_max=I_MAX), picture=False).identification
+    for reply in (live, recorded):
+        assert_close(reply, offline, tolerance=1e-6)
+        assert (Path(reply.output) / "harmonics.npz").exists()
+    for method in ("joint", "psm"):
+        assert identify(ros, method=method, name=name).flux_map.method == method
+    player.close()
+    assert process.end() == ""
+
+
 @pytest.mark.usefixtures("player")
 def test_bad_requests_are_answered_and_the_node_goes_on(ros, node):
     outside = ros.folder / "outside"

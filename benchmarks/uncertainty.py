@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from judging import normalized_curve
 
 from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
@@ -48,10 +49,10 @@ def scores(machine: str, settings: SimulationSettings, seed: int) -> tuple[np.nd
     true = true_flux(truth, grid[chosen])
     d = (flux_map.psi_d[chosen] - true[:, 0]) / flux_map.sigma_d[chosen]
     q = (flux_map.psi_q[chosen] - true[:, 1]) / flux_map.sigma_q[chosen]
-    resistance = np.array([(found.resistance - truth.resistance) / found.sigma_resistance])
     current = found.inverter_current
+    slope, drop = normalized_curve(truth, current)
+    resistance = np.array([(found.resistance - truth.resistance - slope) / found.sigma_resistance])
     large = np.abs(current) > 0.1 * truth.i_max
-    drop = np.interp(current, truth.inverter_current, truth.inverter_voltage)
     curve = (found.inverter_voltage - drop)[large] / found.inverter_deviation[large]
     return d, q, resistance, curve
 

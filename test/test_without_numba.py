@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
 
-from drive_id.core import current_simulation, flux_models, regression, sample_sums, vectorized
+from drive_id.core import current_simulation, flux_models, row_products, sample_sums, vectorized
 from drive_id.core.bspline import Axis
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.flux_models import Polynomial, TensorSpline
@@ -107,7 +107,7 @@ def test_cross_products_of_rows(model):
     rows = model.rows(np.stack([9 * np.cos(t), 8 * np.sin(1.3 * t)], axis=-1))
     known, half_turn, valid = random.normal(size=(3000, 2, 3)), random.normal(size=3000), random.random(3000) < 0.8
     grams = [np.ones((3 + model.parameters, 3 + model.parameters)) for _ in range(2)]
-    for add, gram in zip((regression._add_rows, vectorized.add_rows), grams, strict=True):
+    for add, gram in zip((row_products.add_rows, vectorized.add_rows), grams, strict=True):
         add(known, half_turn, valid, rows.column, rows.value, gram)
     np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
 

@@ -14,8 +14,8 @@ from drive_id.core.extension import extend
 from drive_id.core.flux_models import TensorSpline, as_tensor_spline
 from drive_id.core.identification import FitReport, FluxMap, Identification
 from drive_id.core.metrics import mean_absolute_deviation
-from drive_id.core.regression import VOLTAGE
 from drive_id.core.review import review
+from drive_id.core.sample_integrals import VOLTAGE
 from drive_id.core.solver import Deviations, Solution, deviations, sigma, solve
 from drive_id.errors import CoverageError, DataError
 from drive_id.types import BoolArray, FloatArray, Samples

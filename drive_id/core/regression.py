@@ -9,106 +9,25 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core import frames
 from drive_id.core.accumulator import State
-from drive_id.core.compiled import COMPILING, compiled, compiled_or
-from drive_id.core.flux_models import BasisRows, ColumnArray, FluxModel, TensorSpline
+from drive_id.core.compiled import COMPILING
+from drive_id.core.flux_models import FluxModel, TensorSpline
 from drive_id.core.inverter import TanhShape
+from drive_id.core.row_products import add_rows
+from drive_id.core.sample_integrals import FLUX, SampleIntegrals, sample_integrals
 from drive_id.core.spline_rows import add_spline_rows
 from drive_id.core.time_blocks import TimeBlocks
-from drive_id.core.vectorized import add_rows
 from drive_id.types import BoolArray, FloatArray, Samples
 
 CHUNK = 8192
 """Samples worked on at a time: bounds the memory whatever the length of the recording."""
 
 _BLOCK_MEMORY = 2e8
-
-RESISTANCE, VOLTAGE_ERROR, VOLTAGE, FLUX = 0, 1, 2, 3
-"""Columns of Z; the flux parameters stand from FLUX on."""
-
-
-@dataclass(frozen=True, eq=False)
-class SampleIntegrals:
-    """The terms of ``eq:single_row`` for M pairs of neighbouring samples.
-
-    Parameters
-    ----------
-    v : (M, 2) float
-        Integral of the commanded voltage, Vs.
-    q1 : (M, 2) float
-        Integral of the current, As.
-    q4 : (M, 2) float
-        Integral of the inverter's shape, in the drop convention (the paper's with the opposite sign), s.
-    half_turn : (M,) float
-        omega T / 2, rad.
-    rows : BasisRows
-        B at the M + 1 samples: Q_2 is ``half_turn J (B^{k+1} + B^k)``, Q_3 is ``B^{k+1} - B^k``.
-    inside : (M,) bool
-        Both samples lie where the flux model is defined.
-    valid : (M,) bool
-        They do, and are not to be left out.
-    """
-
-    v: FloatArray
-    q1: FloatArray
-    q4: FloatArray
-    half_turn: FloatArray
-    rows: BasisRows
-    inside: BoolArray
-    valid: BoolArray
-
-    def dense(self, parameters: int) -> FloatArray:
-        """Return Z as (M, 2, 3 + parameters): for inspection and tests, not for long recordings."""
-        basis = self.rows.dense(parameters)
-        total = self.half_turn[:, None, None] * (basis[1:] + basis[:-1])
-        flux = basis[1:] - basis[:-1] + np.stack([-total[:, 1], total[:, 0]], axis=1)
-        return np.concatenate([np.stack([self.q1, self.q4, self.v], axis=-1), flux], axis=-1)
-
-
-def sample_integrals(
-    samples: Samples, part: slice, model: FluxModel, shape: TanhShape, left_out: BoolArray | None = None
-) -> SampleIntegrals:
-    """Integrate all terms over each sample of a gap-free part of a recording.
-
-    Parameters
-    ----------
-    samples : Samples
-    part : slice
-        M + 1 samples within one run.
-    model : FluxModel
-    shape : TanhShape
-    left_out : (N,) bool, optional
-        Samples of which nothing is to be used.
-
-    Returns
-    -------
-    SampleIntegrals
-        ``eq:udq_quadrature``, ``eq:idq_quadrature``, ``eq:B_quadrature`` and ``eq:disturbance_quadrature``.
-    """
-    period = samples.sample_period
-    i_abc, angle = samples.i_abc[part], samples.angle[part]
-    start_angle, speed = angle[:-1], samples.speed[part][:-1]
-    drop_dq = frames.to_dq(shape(i_abc), angle)
-    i_dq = frames.to_dq(i_abc, angle)
-    contained = model.contains(i_dq)
-    inside = contained[1:] & contained[:-1]
-    used = np.ones(len(i_dq), np.bool_) if left_out is None else ~left_out[part]
-    return SampleIntegrals(
-        v=frames.integrate_held(samples.u_abc[part][:-1], start_angle, speed, period),
-        q1=frames.integrate_linear(i_abc, start_angle, speed, period),
-        q4=period / 2 * (drop_dq[1:] + drop_dq[:-1]),
-        half_turn=speed * (period / 2),
-        rows=model.rows(i_dq),
-        inside=inside,
-        valid=inside & used[1:] & used[:-1],
-    )
 
 
 class Information:
@@ -263,7 +182,7 @@ class Information:
         known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
         for pairs in self._spans(len(integrals.v), period):
             own = slice(pairs.start, pairs.stop + 1)
-            _add_rows(
+            add_rows(
                 known[pairs],
                 integrals.half_turn[pairs],
                 integrals.valid[pairs],
@@ -301,87 +220,3 @@ class Information:
 def _parts(run: slice) -> Iterator[slice]:
     for start in range(run.start, run.stop - 1, CHUNK):
         yield slice(start, min(start + CHUNK + 1, run.stop))
-
-
-@compiled_or(add_rows)
-def _add_rows(
-    known: FloatArray,
-    half_turn: FloatArray,
-    valid: BoolArray,
-    column: ColumnArray,
-    value: FloatArray,
-    gram: FloatArray,
-) -> None:
-    """Add the cross products of the rows of M pairs of samples to ``gram``.
-
-    While the trajectory stays in one cell of the basis, neighbours share their columns: the products are summed in a
-    small dense matrix and scattered only when the cell changes. ``known`` is (M, 2, 3): q_1, q_4, v.
-    """
-    width = column.shape[2]
-    narrow, wide = 3 + 2 * width, 3 + 4 * width
-    row_d, row_q = np.zeros(wide), np.zeros(wide)
-    local = np.zeros((narrow, narrow))
-    where = np.zeros(wide, np.int32)
-    where[:3] = np.arange(3)
-    pending = -1  # sample whose columns the local matrix is of
-    for k in range(len(known)):
-        if not valid[k]:
-            continue
-        row_d[:3], row_q[:3] = known[k, 0], known[k, 1]
-        if pending >= 0 and not _same_columns(column[pending], column[k]):
-            _scatter(local, column[pending], where, gram)
-            pending = -1
-        if _same_columns(column[k], column[k + 1]):
-            for j in range(width):
-                row_d[3 + j] = value[k + 1, 0, j] - value[k, 0, j]
-                row_q[3 + j] = half_turn[k] * (value[k + 1, 0, j] + value[k, 0, j])
-                row_d[3 + width + j] = -half_turn[k] * (value[k + 1, 1, j] + value[k, 1, j])
-                row_q[3 + width + j] = value[k + 1, 1, j] - value[k, 1, j]
-            _add_outer(row_d, row_q, local)
-            pending = k
-        else:
-            for e in range(2):
-                sign = 2.0 * e - 1.0
-                at = 3 + 2 * width * e
-                for j in range(width):
-                    where[at + j], where[at + width + j] = 3 + column[k + e, 0, j], 3 + column[k + e, 1, j]
-                    row_d[at + j], row_q[at + j] = sign * value[k + e, 0, j], half_turn[k] * value[k + e, 0, j]
-                    row_d[at + width + j] = -half_turn[k] * value[k + e, 1, j]
-                    row_q[at + width + j] = sign * value[k + e, 1, j]
-            for a in range(wide):
-                for b in range(wide):
-                    gram[where[a], where[b]] += row_d[a] * row_d[b] + row_q[a] * row_q[b]
-    if pending >= 0:
-        _scatter(local, column[pending], where, gram)
-
-
-@compiled
-def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
-    for j in range(first.shape[1]):  # noqa: SIM110  # numba compiles loops, not generators
-        if first[0, j] != second[0, j] or first[1, j] != second[1, j]:
-            return False
-    return True
-
-
-@compiled
-def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
-    """Add the outer products of both rows to the lower triangle of ``local``."""
-    for a in range(len(local)):
-        x, y = row_d[a], row_q[a]
-        line = local[a]
-        for b in range(a + 1):
-            line[b] += x * row_d[b] + y * row_q[b]
-
-
-@compiled
-def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: FloatArray) -> None:
-    """Add the symmetric matrix, given by its lower triangle, to ``gram`` and clear it."""
-    width = column.shape[1]
-    for j in range(width):
-        where[3 + j], where[3 + width + j] = 3 + column[0, j], 3 + column[1, j]
-    for a in range(len(local)):
-        for b in range(a):
-            gram[where[a], where[b]] += local[a, b]
-            gram[where[b], where[a]] += local[a, b]
-        gram[where[a], where[a]] += local[a, a]
-        local[a] = 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from drive_id.core.evidence import Evidence
 from drive_id.core.flux_models import FluxModel
 from drive_id.core.identification import FluxMap
-from drive_id.core.regression import VOLTAGE
+from drive_id.core.sample_integrals import VOLTAGE
 from drive_id.core.solver import Deviations, Solution, sigma
 from drive_id.types import BoolArray, FloatArray
 

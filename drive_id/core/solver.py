@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.regression import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
+from drive_id.core.sample_integrals import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
 from drive_id.types import FloatArray, IntArray
 
 RANK_TOLERANCE = 1e-6

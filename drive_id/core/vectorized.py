@@ -50,7 +50,7 @@ def add_rows(
     value: FloatArray,
     gram: FloatArray,
 ) -> None:
-    """Add the cross products of the rows of pairs of samples, see :mod:`drive_id.core.regression`."""
+    """Add the cross products of the rows of pairs of samples, see :mod:`drive_id.core.row_products`."""
     size = len(gram)
     pairs = np.flatnonzero(valid)
     for start in range(0, len(pairs), _CHUNK):

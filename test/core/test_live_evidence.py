@@ -149,9 +149,9 @@ def test_settings_that_shape_the_sums_forget_the_samples(samples):
 
 @pytest.mark.parametrize("model", ["spline", "polynomial", "linear"])
 def test_warming_up_leaves_nothing_to_compile(model):
-    from drive_id.core import current_simulation, regression, spline_rows
+    from drive_id.core import current_simulation, row_products, spline_rows
 
-    add_rows = spline_rows.add_spline_rows if model == "spline" else regression._add_rows
+    add_rows = spline_rows.add_spline_rows if model == "spline" else row_products.add_rows
     warm_up(FitSettings("joint", flux_model=model))
     before = len(add_rows.signatures), len(current_simulation._simulate.signatures)
     assert min(before) >= 1

@@ -16,7 +16,8 @@ from drive_id.core import frames
 from drive_id.core.bspline import Axis
 from drive_id.core.flux_models import Polynomial, TensorSpline
 from drive_id.core.inverter import TanhShape
-from drive_id.core.regression import CHUNK, FLUX, Information, sample_integrals
+from drive_id.core.regression import CHUNK, Information
+from drive_id.core.sample_integrals import FLUX, sample_integrals
 from drive_id.core.solver import solve
 from drive_id.types import Samples
 

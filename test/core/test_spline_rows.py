@@ -11,7 +11,8 @@ from drive_id.core import frames
 from drive_id.core.bspline import Axis
 from drive_id.core.flux_models import TensorSpline
 from drive_id.core.inverter import TanhShape
-from drive_id.core.regression import FLUX, Information, sample_integrals
+from drive_id.core.regression import Information
+from drive_id.core.sample_integrals import FLUX, sample_integrals
 from drive_id.types import Samples
 
 MODEL = TensorSpline(Axis(-100, 100, 7), Axis(-80, 120, 9))

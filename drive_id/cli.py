@@ -127,7 +127,7 @@ def fit(
     bags: SourcesArgument,
     output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and a picture.")],
     method: Annotated[
-        str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  [default: full]")
+        str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  \\[default: full]")
     ] = None,
     i_max: RadiusOption = None,
     signals: SignalsOption = None,
@@ -175,7 +175,7 @@ def accumulate(
     bags: BagsArgument,
     output: Annotated[Path, typer.Option(help="Information file to write, for example X.info.")],
     i_max: Annotated[
-        float | None, typer.Option(help="Radius of the current disc, A.  [default: that of the recorded references]")
+        float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
     ] = None,
     method: Annotated[str | None, typer.Option(help="To be fitted with, full also with the others.")] = None,
     signals: SignalsOption = None,
@@ -250,7 +250,7 @@ def _print_information(path: Path, *, as_json: bool) -> None:
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
 def recover(
     bag: Annotated[Path, typer.Argument(help="MCAP bag (folder or file) that breaks off.", show_default=False)],
-    output: Annotated[Path | None, typer.Option(help="Bag to write.  [default: BAG_recovered]")] = None,
+    output: Annotated[Path | None, typer.Option(help="Bag to write.  \\[default: BAG_recovered]")] = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:

@@ -24,10 +24,10 @@ from drive_id.files.bag import open_bag
 from drive_id.files.block_stream import BlockStream
 from drive_id.files.confined import confined_bag
 from drive_id.files.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
-from drive_id.files.results import Provenance, check_output, write_results
+from drive_id.files.results import PICTURE, Provenance, check_output, write_results
 from drive_id.files.signals import SignalMap
 from drive_id.types import Samples
-from drive_id.workflows import PICTURE, fit_bags
+from drive_id.workflows import fit_bags
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _log = logging.getLogger(__name__)
@@ -96,6 +96,7 @@ class Identifier:
         self._streams = self._new_streams()
         self._unreadable = 0
         self._last_error = ""
+        self._forgotten = ""  # a sentence on why
 
     def receive(self, section: int, data: bytes) -> None:
         """Take one serialized message of currents (0), voltages (1) or resolver (2)."""
@@ -107,13 +108,17 @@ class Identifier:
 
     def configure(self, fit: FitSettings) -> bool:
         """Take other settings, and tell whether the live samples had to be forgotten."""
-        return self.live.configure(fit)
+        forgotten = self.live.configure(fit)
+        if forgotten:
+            self._streams = self._new_streams()
+            self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
+        return forgotten
 
     def reset(self) -> None:
         """Forget the live samples."""
         self.live.reset()
         self._streams = self._new_streams()
-        self._unreadable, self._last_error = 0, ""
+        self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
     def job(self, bags: Sequence[str], method: str) -> Job:
         """Make a job of a request, to be run in another thread.
@@ -134,7 +139,8 @@ class Identifier:
         if bags:
             paths = [confined_bag(Path(self.settings.data_directory), name) for name in bags]
             return partial(_guarded, partial(_fit_bags, paths, self.topics, fit, self.settings))
-        return partial(_guarded, partial(_fit_live, self.live.snapshot(method), fit, self.settings))
+        snapshot = self.live.snapshot(method)
+        return partial(_guarded, partial(_fit_live, snapshot, fit, self.settings, self._forgotten))
 
     def health(self, doing: str, publishers: Sequence[Sequence[Publisher]]) -> Health:
         """Return how the live samples are.
@@ -168,7 +174,8 @@ class Identifier:
             sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
             findings.append((Level.WARN, sentence))
         level = max((level for level, _ in findings), default=Level.OK)
-        said = " ".join([doing, f"{report.samples} live samples.", *(sentence for _, sentence in findings)])
+        sentences = [doing, f"{report.samples} live samples.", self._forgotten, *(sentence for _, sentence in findings)]
+        said = " ".join(filter(None, sentences))
         return Health(level, said, values)
 
     def _new_streams(self) -> tuple[BlockStream, ...]:
@@ -196,7 +203,7 @@ def _fit_bags(
     output = _new_folder(settings, fit)
     tell("Reading", 0.0)
     signals = _own_signals(topics) if all(_holds(path, topics) for path in paths) else None
-    result = fit_bags(paths, output, fit, signals=signals, picture=settings.picture, tell=tell)
+    result = fit_bags(paths, output, fit, signals=signals, picture=settings.picture, resumable=False, tell=tell)
     return Reply(
         "ok",
         _sentence(result.identification),
@@ -225,14 +232,16 @@ def _holds(path: Path, topics: Sequence[str]) -> bool:
         return set(topics) <= set(bag.topics)
 
 
-def _fit_live(snapshot: Snapshot, fit: FitSettings, settings: IdentificationSettings, tell: Progress) -> Reply:
+def _fit_live(
+    snapshot: Snapshot, fit: FitSettings, settings: IdentificationSettings, forgotten: str, tell: Progress
+) -> Reply:
     output = _new_folder(settings, fit)
     check_output(output)
     tell("Solving and validating", 0.0)
     try:
         identification = snapshot.identify()
     except DriveIdError as error:
-        return failed(error, snapshot.report)
+        return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
     tell("Writing", 0.0)
     report = snapshot.report
     provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)

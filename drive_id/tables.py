@@ -33,7 +33,7 @@ def fit_table(fit: Fit) -> Table:
 
     row(
         "R (stator + linear inverter part)",
-        _number(identification.resistance * 1e3, "mohm"),
+        _number(identification.resistance * 1e3, "mohm", 6),
         _number(identification.sigma_resistance * 1e3, "mohm"),
         _number(truth.resistance * 1e3, "mohm") if truth else "",
     )
@@ -46,7 +46,9 @@ def fit_table(fit: Fit) -> Table:
         )
     for found in identification.calibrations:
         applied = "taken out" if found.applied else "not taken out"
-        row(f"{found.name} ({applied})", _number(found.value, found.unit), _number(found.sigma, found.unit))
+        if math.isfinite(found.sigma):
+            unit = found.unit if found.unit != "1" else ""
+            row(f"{found.name} ({applied})", _number(found.value, unit), _number(found.sigma, unit))
     if identification.method == "full":
         row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
     if fit.provenance.nrmse:
@@ -131,5 +133,5 @@ def _drop_at_i_max(truth: GroundTruth) -> float:
     return float(truth.inverter_voltage[truth.inverter_current.searchsorted(truth.i_max, side="right") - 1])
 
 
-def _number(value: float, unit: str) -> str:
-    return f"{value:.4g} {unit}" if math.isfinite(value) else "diverged"
+def _number(value: float, unit: str, digits: int = 4) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip() if math.isfinite(value) else "diverged"

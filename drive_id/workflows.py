@@ -24,7 +24,7 @@ from drive_id.files.bag_writer import write_recording
 from drive_id.files.information import check_information_output, write_information
 from drive_id.files.information_name import is_information
 from drive_id.files.machines import read_machine
-from drive_id.files.results import Provenance, check_absent, check_output, write_results
+from drive_id.files.results import PICTURE, Provenance, check_absent, check_output, write_results
 from drive_id.files.signals import SignalMap
 from drive_id.fleet import accumulate_on_cluster
 from drive_id.merging import accumulate_sources
@@ -35,7 +35,6 @@ from drive_id.sim.settings import SimulationSettings
 from drive_id.streaming import accumulate
 from drive_id.types import MachineMap
 
-PICTURE = "flux_map.png"
 _MOST_SAMPLES = 2e7
 
 
@@ -141,6 +140,7 @@ def fit_bags(
     force: bool = False,
     picture: bool = True,
     painter: Painter | None = None,
+    resumable: bool = True,
     tell: Progress = silent,
 ) -> Fit:
     """Fit one or several bags of one drive and write the results.
@@ -166,6 +166,8 @@ def fit_bags(
         Draw the maps beside the result files.
     painter : Painter, optional
         To draw it: one that was started early is ready when it is needed.
+    resumable : bool
+        While long bags are read, keep a checkpoint beside the output; another call goes on from it after an interrupt.
     tell : callable, optional
 
     Returns
@@ -180,7 +182,8 @@ def fit_bags(
     if output is not None:
         check_output(output, force=force)
     with painter or Painter(wanted=picture and output is not None) as at_work:
-        fit = _fit(_gatherer(bags, cluster, skip_bad=skip_bad, output=output), bags, settings, signals, namespace, tell)
+        gather = _gatherer(bags, cluster, skip_bad=skip_bad, output=output if resumable else None)
+        fit = _fit(gather, bags, settings, signals, namespace, tell)
         if output is not None:
             tell("Writing", 0.0)
             pictures = {PICTURE: _draw(at_work, fit)} if picture else {}
@@ -196,6 +199,8 @@ def _fit(
     namespace: str,
     tell: Progress,
 ) -> Fit:
+    if not any(is_information(bag) for bag in bags):  # these know their own
+        settings.check_recordings(len(bags))
     recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
     tell("Solving and validating", 1.0)
     identification = conclude(recording.evidence, recording.validation)

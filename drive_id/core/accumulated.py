@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from drive_id.core.evidence import Evidence
+from drive_id.core.merge import common_truth
 from drive_id.errors import ConfigurationError
 from drive_id.types import GroundTruth, Samples
 
@@ -60,13 +61,12 @@ class Accumulated:
         for file, digest in other.digests.items():
             if digest in known:
                 raise ConfigurationError(f"{file} and {known[digest]} are the same recording: give each bag once.")
-        same = self.truth is not None and other.truth is not None and self.truth.machine == other.truth.machine
         return Accumulated(
             evidence=self.evidence.merged(other.evidence),
             validation=bounded([*self.validation, *other.validation]),
             warnings=(*self.warnings, *other.warnings),
             digests={**self.digests, **{_unused(file, self.digests): digest for file, digest in other.digests.items()}},
-            truth=self.truth if same else None,
+            truth=common_truth([self.truth, other.truth]),
             samples=self.samples + other.samples,
             last_stamp=max(self.last_stamp, other.last_stamp),
         )

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from drive_id.core import frames
-from drive_id.core.flux_models import BasisRows
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full_fit import FullFit
 from drive_id.core.full_model import CONSTANT, SENSOR_ORDERS
+from drive_id.core.windows import SHIFTS
 from drive_id.types import FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
-_LARGEST_ANGLE = np.deg2rad(20.0)
-_LARGEST_ASYMMETRY = 0.01
-"""Of the largest flux, left at the best angle: of a machine that is mirror-symmetric there is no more."""
+_AGREEMENT, _LEAST_SHOWN, _LEAST_EXPLAINED = 0.5, 5e-4, 0.5
+_QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""Multiplication by j."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,8 @@ class Calibration:
         The results are those of signals corrected by it.
     sentence : str
         What it is, and if it was not applied, why.
+    doubtful : bool
+        Whether the data contradict that it is this fault, or a fault that can be taken out.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Calibration:
     unit: str
     applied: bool
     sentence: str
+    doubtful: bool = False
 
 
 def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
@@ -51,72 +53,15 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
-def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
-    """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
-
-    An offset turns currents and fluxes together, which no voltage shows; a machine whose rotor is not symmetric to its
-    d axis has no such symmetry, and then there is nothing to calibrate with.
-
-    Parameters
-    ----------
-    fit : FullFit
-    i_dq : (N, 2) float
-        Currents with data, as measured, whose mirror images have data, too, A.
-
-    Returns
-    -------
-    Calibration
-        Measured minus true electrical angle, rad.
-    """
-    name, unit = "resolver_offset", "rad"
-    if len(i_dq) < 16:
-        return Calibration(name, 0.0, float("nan"), unit, False, "Too few mirrored currents to find an angle offset.")
-    mirror = np.array([1.0, -1.0])
-
-    def difference(angle: float, gamma: FloatArray) -> FloatArray:
-        """Return by how much the map, turned back by an angle, breaks the symmetry, (N, 2) or (N, 2, K)."""
-        sides = []
-        for sign in (np.ones(2), mirror):
-            rows = fit.model.flux.rows(rotated(i_dq * sign, -angle))
-            sides.append(sign[:, None] * _turn_pairs(rows, gamma, angle))
-        return np.asarray(sides[0] - sides[1])
-
-    gamma = fit.solution.residual[fit.model.map][:, None]
-    found = minimize_scalar(
-        lambda angle: float(np.sum(difference(angle, gamma) ** 2)),
-        bounds=(-_LARGEST_ANGLE, _LARGEST_ANGLE),
-        method="bounded",
-        options={"xatol": 1e-7},
-    )
-    angle, step = float(found.x), 1e-4
-    slope = (difference(angle + step, gamma) - difference(angle - step, gamma)) / (2 * step)
-    moves = difference(angle, fit.changes[fit.model.map])
-    sigma = float(np.sqrt(np.sum(np.einsum("nak,na->k", moves, slope[..., 0]) ** 2)) / np.sum(slope**2))
-    size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
-    asymmetry = float(np.sqrt(np.mean(difference(angle, gamma) ** 2))) / size
-    degrees = f"{np.rad2deg(angle):+.3f} +- {np.rad2deg(sigma):.3f} degrees"
-    if asymmetry > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
-        reason = (
-            f"No angle makes the map mirror-symmetric ({100 * asymmetry:.1f} % are left at {degrees}): the machine is "
-            "asymmetric, or the angle is far off, so no offset of the angle was taken out."
-        )
-        return Calibration(name, angle, sigma, unit, False, reason)
-    sentence = f"The measured angle was taken to be {degrees} too large, for which the map is mirror-symmetric."
-    return Calibration(name, angle, sigma, unit, True, sentence)
-
-
-def _turn_pairs(rows: BasisRows, gamma: FloatArray, angle: float) -> FloatArray:
-    psi = rows.dot(gamma)  # (N, 2, K)
-    return np.asarray(np.moveaxis(rotated(np.moveaxis(psi, 1, -1), angle), -1, 1))
-
-
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Estimate offsets and gain mismatch of the current sensors.
 
     With measured currents i = i_true + o + G i_true*, o the offset's space vector and G that of the mismatch, the flux
-    over the measured current gains ``-f'(i) e^{-2 j theta} G i*``, to first order, a harmonic of order 2. The resistive
-    drop of the wrong current adds ``-j R / omega`` times the same vector to it, and that of the offset is a constant
-    voltage in the stator frame, ``-(R + r) o`` with the mean slope r of the inverter's curve, if it is symmetrical.
+    over the measured current gains ``-f'(i) e^{-j theta} o - f'(i) e^{-2 j theta} G i*``, to first order: harmonics of
+    order 1 and 2. The resistive drop of the wrong current adds ``-j R / omega`` times the same vector to the latter,
+    and the offset gives a constant voltage in the stator frame, ``-(R + r) o`` with the mean slope r of the inverter's
+    curve, if it is symmetrical. A constant voltage without its harmonic is one of the commanded voltages; a second
+    harmonic of another shape is no mismatch, and is not taken out of the currents.
 
     Parameters
     ----------
@@ -131,17 +76,65 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     list of Calibration
         Of the offset and the mismatch, both real and imaginary part; a zero sequence and a common gain do not show.
     """
+    out = _offsets(fit, i_dq, i_max)
+    traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
+    what = "mismatch of the current gains"
+    if traced is None:
+        return out + _entries("current_gain_mismatch", "1", what, (np.zeros(2), np.full(2, np.nan)), 1.0, applied=False)
+    shown = bool(np.any(np.abs(traced.value) > _SIGNIFICANCE * traced.sigma))
+    applied = shown and traced.explained > _LEAST_EXPLAINED
+    entries = _entries("current_gain_mismatch", "1", what, (traced.value, traced.sigma), 1.0, applied=applied)
+    if shown and not applied:
+        reason = (
+            "The flux has a second harmonic that is no mismatch of the current gains: the voltages' gains differ, the "
+            "resolver is eccentric, or the machine is asymmetric. It was fitted, too."
+        )
+        entries = [replace(entry, sentence=reason, doubtful=True) for entry in entries]
+    return out + entries
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """A harmonic as the effect of one vector: its value and deviation (2,), and the share of the harmonic explained."""
+
+    value: FloatArray
+    sigma: FloatArray
+    explained: float
+
+
+def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
+    """Take a constant voltage for an offset of the currents, or where the flux contradicts, for one of the voltages."""
+    voltage, changes = fit.solution.residual[CONSTANT], fit.changes[CONSTANT]
+    sigma = np.sqrt(np.sum(changes**2, axis=1))
     resistance = fit.solution.resistance + fit.drop_slope
-    offset = -fit.solution.residual[CONSTANT] / resistance
-    sigma = np.sqrt(np.sum(fit.changes[CONSTANT] ** 2, axis=1)) / abs(resistance)
-    shown = bool(np.any(np.abs(offset) > _SIGNIFICANCE * sigma))
-    out = _entries("current_offset", "A", "offset of the measured currents", (offset, sigma), i_max, applied=shown)
-    order = SENSOR_ORDERS[1]
-    mismatch = np.zeros(2), np.full(2, np.nan)
-    if order in fit.choice.orders:
-        mismatch = _mismatch(fit, order, i_dq)
-    shown = bool(np.any(np.abs(mismatch[0]) > _SIGNIFICANCE * mismatch[1]))
-    return out + _entries("current_gain_mismatch", "1", "mismatch of the current gains", mismatch, 1.0, applied=shown)
+    offset, spread = -voltage / resistance, sigma / abs(resistance)
+    shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
+    currents = "offset of the measured currents"
+    if not shown or _flux_shows(fit, offset, spread, i_dq):
+        return _entries("current_offset", "A", currents, (offset, spread), i_max, applied=shown)
+    none = _entries("current_offset", "A", currents, (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
+    height = float(np.sqrt(fit.total_voltage)) / fit.duration
+    return none + _entries("voltage_offset", "V", "offset of the voltages", (voltage, sigma), height, applied=True)
+
+
+def _flux_shows(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
+    """Tell whether the flux has the first harmonic that an offset of the currents (2,), A, would give it, or may have.
+
+    A part that is constant in the stator frame shows in no voltage and is left open.
+    """
+    order = SENSOR_ORDERS[0]
+    cosine, sine = _effects(fit, order, i_dq)
+    expected = np.concatenate([(cosine @ offset).ravel(), (sine @ offset).ravel()])
+    constant = _constants(len(i_dq))
+    expected = expected - constant @ np.linalg.lstsq(constant, expected)[0]
+    largest = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.residual[fit.model.map])).max())
+    if np.sqrt(np.mean(expected**2)) < _LEAST_SHOWN * largest:
+        return True  # too small to be seen there
+    traced = _traced(fit, order, i_dq)
+    if traced is None:
+        return False
+    allowed = _AGREEMENT * np.hypot(*offset) + _SIGNIFICANCE * (np.hypot(*sigma) + np.hypot(*traced.sigma))
+    return bool(np.hypot(*(offset - traced.value)) < allowed)
 
 
 def _entries(
@@ -149,7 +142,7 @@ def _entries(
 ) -> list[Calibration]:
     entries = []
     for axis, x, dx in zip(("alpha", "beta"), *found, strict=True):
-        said = f"The {axis} part of the {what} is {x:.3g} +- {dx:.2g}{' A' if unit == 'A' else ''}"
+        said = f"The {axis} part of the {what} is {x:.3g} +- {dx:.2g}{'' if unit == '1' else ' ' + unit}"
         sentence = f"{said} ({100 * abs(x) / size:.2f} %)." if applied else f"No {what} stands out from the noise."
         entries.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, sentence))
     return entries
@@ -161,27 +154,45 @@ def _products_with(i_dq: FloatArray) -> FloatArray:
     return np.stack([np.stack([d, -q], axis=-1), np.stack([q, d], axis=-1)], axis=1)
 
 
-def _mismatch(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return real and imaginary part of G and their deviations, by least squares on the harmonic's amplitudes."""
+def _effects(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what a sensor's vector does to the amplitudes of cosine and sine of its harmonic, (N, 2, 2) each."""
     by_d, by_q = (rows.dot(fit.solution.residual[fit.model.map]) for rows in fit.model.flux.slope_rows(i_dq))
-    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])  # j
-    fast = np.abs(fit.speeds) > 0.1 * np.abs(fit.speeds).max()
-    lag = fit.solution.resistance * float(np.mean(1 / fit.speeds[fast]))
-    jacobian = np.stack([by_d, by_q], axis=-1) + lag * quarter  # (N, flux, current)
-    conjugate = _products_with(i_dq * np.array([1.0, -1.0]))
+    jacobian = np.stack([by_d, by_q], axis=-1)  # (N, flux, current)
+    if order == SENSOR_ORDERS[0]:
+        vector = np.broadcast_to(np.eye(2), (len(i_dq), 2, 2))
+    else:
+        fast = np.abs(fit.speeds) > 0.1 * np.abs(fit.speeds).max()
+        jacobian = jacobian + fit.solution.resistance * float(np.mean(1 / fit.speeds[fast])) * _QUARTER
+        vector = _products_with(i_dq * np.array([1.0, -1.0]))
+    cosine = np.einsum("nab,nbc->nac", -jacobian, vector)
+    sine = np.einsum("nab,bc,ncd->nad", jacobian, _QUARTER, vector)  # e^{-j h theta} = cos h theta - j sin h theta
+    return cosine, sine
+
+
+def _constants(count: int) -> FloatArray:
+    """Return the amplitudes (4 N, 2) of the first harmonic that a constant flux in the stator frame has."""
+    return np.concatenate([np.tile(np.eye(2), (count, 1)), np.tile(-_QUARTER, (count, 1))])
+
+
+def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
+    """Trace a sensor's harmonic back to its vector, by least squares on the amplitudes; None where there is none."""
+    if order not in fit.choice.orders:
+        return None
     space, columns = fit.model.space(order), fit.model.harmonics[order]
     rows = space.rows(i_dq)
-    cosine = np.einsum("nab,nbc->nac", -jacobian, conjugate)
-    sine = np.einsum("nab,bc,ncd->nad", jacobian, quarter, conjugate)  # e^{-j h theta} = cos h theta - j sin h theta
-    regressors = np.concatenate([cosine.reshape(-1, 2), sine.reshape(-1, 2)])
+    regressors = np.concatenate([part.reshape(-1, 2) for part in _effects(fit, order, i_dq)])
+    if order == SENSOR_ORDERS[0]:
+        regressors = np.hstack([regressors, _constants(len(i_dq))])
 
-    def solved(gamma: FloatArray) -> FloatArray:
+    def amplitudes(gamma: FloatArray) -> FloatArray:
         halves = np.split(gamma, 2)
-        amplitudes = np.concatenate([rows.dot(half).reshape(2 * len(i_dq), -1) for half in halves])
-        return np.asarray(np.linalg.lstsq(regressors, amplitudes)[0])
+        return np.concatenate([rows.dot(half).reshape(2 * len(i_dq), -1) for half in halves])
 
-    value = solved(fit.solution.residual[columns][:, None])[:, 0]
-    return value, np.sqrt(np.sum(solved(fit.changes[columns]) ** 2, axis=1))
+    found = amplitudes(fit.solution.residual[columns][:, None])
+    value = np.linalg.lstsq(regressors, found)[0]
+    left = float(np.sum((found - regressors @ value) ** 2) / np.sum(found**2))
+    moves = np.linalg.lstsq(regressors, amplitudes(fit.changes[columns]))[0][:2]
+    return _Traced(value[:2, 0], np.sqrt(np.sum(moves**2, axis=1)), 1.0 - left)
 
 
 def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
@@ -195,8 +206,14 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
         return Calibration(name, fit.delay, fit.sigma_delay, "samples", False, reason)
     found = f"{fit.delay:+.3f} +- {fit.sigma_delay:.3f} samples"
     if taken == 0.0:
-        reason = f"The voltages act as recorded ({found}, which is not distinct from none)."
+        reason = f"The voltages act as recorded ({found}, which is not distinct from none, or too small to matter)."
         return Calibration(name, fit.delay, fit.sigma_delay, "samples", False, reason)
+    if abs(taken) > SHIFTS[-1]:
+        sentence = (
+            f"The voltages seem to act {found} later than recorded, at the end of what can be taken out: align the "
+            "recorded voltages with the currents."
+        )
+        return Calibration(name, taken, fit.sigma_delay, "samples", True, sentence, doubtful=True)
     sentence = f"The voltages were taken to act {found} later than recorded, for which the maps are reciprocal."
     return Calibration(name, taken, fit.sigma_delay, "samples", True, sentence)
 
@@ -205,6 +222,7 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
     """Return samples without the faults that were found and applied; runs become shorter by no sample."""
     found = {entry.name: entry.value for entry in calibrations if entry.applied}
     i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
+    u_s = u_s - complex(found.get("voltage_offset_alpha", 0.0), found.get("voltage_offset_beta", 0.0))
     i_s = i_s - complex(found.get("current_offset_alpha", 0.0), found.get("current_offset_beta", 0.0))
     mismatch = complex(found.get("current_gain_mismatch_alpha", 0.0), found.get("current_gain_mismatch_beta", 0.0))
     i_s = i_s - mismatch * i_s.conj()

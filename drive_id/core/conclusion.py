@@ -49,7 +49,8 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
     if coverage < _LEAST_COVERAGE:
         raise CoverageError(
             f"The trajectory covers {100 * coverage:.1f} % of the disc of {evidence.i_max:.4g} A, too little for "
-            "a map: drive the machine along a trajectory that fills the current disc, such as a Lissajous figure."
+            "a map: drive the machine along a trajectory that fills the current disc, such as a Lissajous figure; if "
+            "it does, i_max is wrong."
         )
     total = information.total
     if not (np.isfinite(total).all() and total[VOLTAGE, VOLTAGE] > 0):

@@ -179,6 +179,12 @@ class Evidence:
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self._quiet = 0
 
+    def suits(self, settings: FitSettings) -> bool:
+        """Tell whether what was gathered is what these settings would have gathered."""
+        shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
+        same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
+        return same and (settings.method != "full" or self.windows is not None)
+
     def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
         """Tell in what this evidence and that one differ that keeps them from being merged; empty if they can be."""
         for name in _SHAPING:

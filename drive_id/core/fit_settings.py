@@ -87,10 +87,24 @@ class FitSettings:
         0.0,
         "full: known time by which the voltages act later than recorded, when it is not estimated",
         unit="samples",
-        minimum=-2.0,
-        maximum=2.0,
+        minimum=-4.0,
+        maximum=4.0,
     )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
+
+    def check_recordings(self, count: int) -> None:
+        """Check that conditions are given for as many recordings as there are.
+
+        Raises
+        ------
+        ConfigurationError
+        """
+        for name in ("temperatures", "u_dc"):
+            given = len(getattr(self, name))
+            if given not in {0, count}:
+                raise ConfigurationError(
+                    f"{name} has {given} entries for {count} recordings: give one for each, in order."
+                )
 
     @property
     def conditions(self) -> bool:
@@ -120,7 +134,7 @@ class FitSettings:
         if self.temperatures and self.u_dc and len(self.temperatures) != len(self.u_dc):
             raise ConfigurationError(
                 f"There are {len(self.temperatures)} temperatures and {len(self.u_dc)} DC-link voltages: give both for "
-                "each recording."
+                "each recording, and set them at once."
             )
         if len(set(self.harmonic_orders)) != len(self.harmonic_orders) or len(self.harmonic_orders) > MOST_ORDERS:
             raise ConfigurationError(

@@ -53,7 +53,7 @@ class Choice:
 
 
 def delay_shares(delay: float) -> FloatArray:
-    """Return the voltage columns' weights (len(SHIFTS),) for a delay in samples, -2 to 2.
+    """Return the voltage columns' weights (len(SHIFTS),) for a delay in samples, -4 to 4.
 
     The commanded voltage is held, so that a delay of a part of a sample takes just that part of the sample before.
     """

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
-from drive_id.core.full_model import SENSOR_ORDERS, FullModel
+from drive_id.core.full_model import FullModel
 from drive_id.core.full_solver import FullSolution, Solver
 from drive_id.core.window_information import WindowInformation
 from drive_id.types import FloatArray
@@ -19,7 +20,9 @@ _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _SOME = 1000
-_NYQUIST_SHARE = 0.9
+_COINCIDENCE = 0.1
+_DELAY_BIAS = 0.01
+"""Samples; what the estimate of a delay was seen to be off by."""
 _LEAST_HEATING = 5.0
 """K between recordings, from which on the magnet's temperature coefficient is estimated."""
 
@@ -45,18 +48,28 @@ class Chosen:
     advantage: float
 
 
-def highest_order(turn: float) -> int:
-    """Return the highest harmonic that samples ``turn`` rad apart (root mean square) can tell from lower ones."""
-    return int(_NYQUIST_SHARE * np.pi / max(turn, 1e-3)) - 1
+def distinct_orders(orders: Iterable[int], turn: float) -> tuple[int, ...]:
+    """Return the harmonics that samples ``turn`` rad apart (root mean square) can tell from lower ones and the map.
+
+    The angles are known, so nothing but an exact coincidence confounds two orders: with N samples per turn, h and k
+    look the same where h + k or h - k is a multiple of N.
+    """
+    samples_per_turn = 2 * np.pi / max(turn, 1e-6)
+    chosen: list[int] = []
+    for order in sorted(orders):
+        sums = np.array([order + sign * lower for lower in (0, *chosen) for sign in (-1, 1)]) / samples_per_turn
+        multiple = np.rint(sums)
+        if not np.any((multiple >= 1) & (np.abs(sums - multiple) * samples_per_turn < _COINCIDENCE)):
+            chosen.append(order)
+    return tuple(chosen)
 
 
 def choose(information: WindowInformation, settings: FitSettings, turn: float) -> Chosen:
     """Fit the model that the data ask for, see :func:`~drive_id.core.full_fit.fit_full`."""
     model = information.model
     solver = Solver(model, information.folds, information.counts)
-    orders = tuple(order for order in model.all_orders if order <= highest_order(turn))
-    if not settings.calibrate_currents:
-        orders = tuple(order for order in orders if order not in SENSOR_ORDERS)
+    wanted = model.all_orders if settings.calibrate_currents else model.orders
+    orders = tuple(order for order in model.all_orders if order in distinct_orders(wanted, turn))
     heating = np.concatenate([windows.heating for windows in information.kept()])
     i_dq = np.concatenate([windows.i_dq[:, 0] for windows in information.kept()])
     i_dq = i_dq[:: -(-len(i_dq) // _SOME)]
@@ -68,6 +81,7 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     solution = solver.solve(choice)
     if settings.calibrate_delay and choice.reciprocal:
         delay, sigma_delay = solver.delay(solution)
+        sigma_delay = float(np.hypot(sigma_delay, _DELAY_BIAS))
         if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
             solution = solver.solve(replace(choice, delay=delay))
     choice, error = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution, i_dq)))

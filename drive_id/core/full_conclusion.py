@@ -19,11 +19,13 @@ from drive_id.core.full_review import review_full, statements
 from drive_id.core.harmonic_simulation import simulate_harmonic_current
 from drive_id.core.identification import FitReport, FluxMap, HarmonicMap, Identification
 from drive_id.core.metrics import mean_absolute_deviation
+from drive_id.core.mirror_symmetry import calibrate_angle
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
 _CURVE_POINTS = 201
+_LEAST_MIRRORED = 0.3
 _MIRRORED = 1500
 """Points to find the resolver's offset with."""
 _REGIONS = 3
@@ -115,7 +117,7 @@ def conclude_full(
     warnings = review_full(evidence, coverage, fit, flux_map, found, mad if validation else (0.0, 0.0))
     report = FitReport(
         samples_read=evidence.samples,
-        samples_used=evidence.samples,
+        samples_used=round(evidence.samples * information.windows / (information.windows + information.outside)),
         gaps=evidence.gaps,
         rows=2 * information.windows,
         parameters=fit.solution.basis.shape[1],
@@ -172,7 +174,9 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
         axis = evidence.visits.i_q
         mirror = np.abs(axis[:, None] + axis).argmin(axis=0)
         mirrored = grid[disc & disc[:, mirror]]
-        found.append(calibration.calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
+        if np.abs(mirrored[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * evidence.i_max:
+            mirrored = mirrored[:0]  # i_q of one sign only, but for the fringe at zero
+        found.append(calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
     if settings.calibrate_currents:
         found += calibration.calibrate_currents(fit, i_dq, evidence.i_max)
     return found

@@ -12,7 +12,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.flux_models import BasisRows
 from drive_id.core.full_basis import Choice
-from drive_id.core.full_choice import Chosen, choose, highest_order
+from drive_id.core.full_choice import Chosen, choose, distinct_orders
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
 from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
@@ -51,6 +51,12 @@ class FullFit:
         Mean slope of the inverter's curve over the currents that flowed, ohm.
     total_voltage : float
         Mean square of the integrated voltages, (Vs)^2.
+    turn, duration : float
+        Median angle by which a window turns the rotor, rad, and median duration of one, s.
+    outlying : float
+        Largest mean square residual of a batch of time, over the median of all.
+    outlying_time : float
+        Where that is, in time of data, s.
     """
 
     model: FullModel
@@ -62,6 +68,10 @@ class FullFit:
     speeds: FloatArray
     drop_slope: float
     total_voltage: float
+    turn: float
+    duration: float
+    outlying: float
+    outlying_time: float
 
     @property
     def choice(self) -> Choice:
@@ -113,10 +123,26 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
-    changes = np.column_stack([batch_changes(information, solution), solver.shrinkage(solution)])
+    batches, energy = batch_changes(information, solution)
+    changes = np.column_stack([batches, solver.shrinkage(solution)])
+    times = np.concatenate([_batch_times(windows) for windows in kept])
+    durations = np.concatenate([windows.duration for windows in kept])
+    outlying = float(energy.max() / max(np.median(energy), np.finfo(np.float64).tiny))
     slope = _drop_slope(model, solution, kept)
     return FullFit(
-        model, solution, changes, chosen.delay, chosen.sigma_delay, chosen.advantage, speeds, slope, total_voltage
+        model,
+        solution,
+        changes,
+        chosen.delay,
+        chosen.sigma_delay,
+        chosen.advantage,
+        speeds,
+        slope,
+        total_voltage,
+        float(np.median(np.abs(speeds) * durations)),
+        float(np.median(durations)),
+        outlying,
+        float(times[energy.argmax()]),
     )
 
 
@@ -124,9 +150,10 @@ def _with_unexpected_orders(
     information: WindowInformation, chosen: Chosen, settings: FitSettings, turn: float
 ) -> tuple[WindowInformation, Chosen]:
     """Fit harmonics, too, that stand out from what is left, as long as there are any."""
-    known, highest = information.model.all_orders, min(HIGHEST_ORDER, highest_order(turn))
+    known = information.model.all_orders
     for _ in range(_SEARCHES):
-        new = unexpected_orders(information.model, chosen.solution.residual, information.kept(), known, highest)
+        new = unexpected_orders(information.model, chosen.solution.residual, information.kept(), known, HIGHEST_ORDER)
+        new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
         if not new:
             break
         kept = tuple(order for order in chosen.solution.choice.orders if order not in SENSOR_ORDERS)
@@ -144,27 +171,37 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     return float(sides[0] - sides[1]) / (2 * step)
 
 
-def batch_changes(information: WindowInformation, solution: FullSolution) -> FloatArray:
-    """Return what the residuals of each batch of kept windows change in the estimate, (size, B)."""
+def batch_changes(information: WindowInformation, solution: FullSolution) -> tuple[FloatArray, FloatArray]:
+    """Return what each batch of kept windows changes in the estimate, (size, B), and mean square residuals (B,)."""
     model, kept = information.model, information.kept()
-    scores = [score for segment in kept for score in _batch_scores(model, solution, segment)]
+    found = [pair for segment in kept for pair in _batch_scores(model, solution, segment)]
+    scores, energy = [score for score, _ in found], [one for _, one in found]
     share = information.windows / max(sum(len(segment) for segment in kept), 1)
-    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * np.array(scores).T))
+    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * np.array(scores).T)), np.array(energy)
 
 
-def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[FloatArray]:
-    """Return the scores Z'e of each batch, e being residuals freed of what the fit took from them by its leverage.
+def _batches(segment: Windows) -> list[int]:
+    """Return where the batches of a segment begin and, last, where it ends."""
+    batch = ((segment.time + 1e-9) / BATCH).astype(np.int64)  # rounding must not matter
+    return [0, *(int(place) for place in 1 + np.flatnonzero(np.diff(batch))), len(batch)]
+
+
+def _batch_times(segment: Windows) -> FloatArray:
+    """Return the times in the middle of the batches, s."""
+    return np.array([segment.time[start:end].mean() for start, end in pairwise(_batches(segment))])
+
+
+def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[tuple[FloatArray, float]]:
+    """Return for each batch the scores Z'e, e being its residuals without the fit's leverage, and their mean square.
 
     That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the binomial series, which bounds what residuals of
     full leverage are multiplied by.
     """
-    batch = ((segment.time + 1e-9) / BATCH).astype(np.int64)  # rounding must not matter
-    edges = [0, *(1 + np.flatnonzero(np.diff(batch))), len(batch)]
     rows = model.design(segment)
     residuals = rows @ solution.residual
     all_forms = solution.transposed_basis @ np.ascontiguousarray(rows.reshape(-1, model.size).T)
-    scores = []
-    for start, end in pairwise(edges):
+    out = []
+    for start, end in pairwise(_batches(segment)):
         forms = all_forms[:, 2 * start : 2 * end]
         met = np.flatnonzero(forms.any(axis=1))
         forms, covariance = forms[met], solution.white_covariance[np.ix_(met, met)]
@@ -175,6 +212,6 @@ def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) ->
             total += score
             if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
                 break
-        scores.append(np.zeros(len(solution.scale)))
-        scores[-1][met] = total
-    return scores
+        out.append((np.zeros(len(solution.scale)), float(np.mean(residuals[start:end] ** 2))))
+        out[-1][0][met] = total
+    return out

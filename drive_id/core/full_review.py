@@ -13,10 +13,14 @@ from drive_id.core.identification import FluxMap
 from drive_id.core.review import on_data
 from drive_id.types import FloatArray
 
-_WEAK_FIT = 0.15
+_WEAK_FIT = 0.05
+_OUTLYING_BATCH = 30.0
+_FEW_BATCHES = 20
+_LEAST_TURN = np.deg2rad(45.0)
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01
-_LARGE_OFFSET = 0.05
+_LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
+_LARGE_MAD = 0.03
 _REVERSED = 0.1
 _SPEEDS_APART = 0.1
 
@@ -38,10 +42,17 @@ def review_full(
             f"The maps are not reciprocal: free ones predict data left out {100 * fit.advantage:.0f} % better, so they "
             "were taken; at one speed, resistance and delay of the voltages are open then."
         )
+    warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
     for c in calibrations:
-        size = evidence.i_max if c.name.startswith("current_offset") else 1.0
-        if c.name.startswith("current_") and c.applied and abs(c.value) > _LARGE_OFFSET * size:
+        largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
+        if c.name.startswith("current_") and c.applied and abs(c.value) > largest:
             warnings.append(f"{c.sentence} This is large: check the sensor.")
+    if np.isfinite(mad).all() and max(mad) > _LARGE_MAD * evidence.i_max:
+        warnings.append(
+            f"The simulated current is {max(mad):.3g} A off on average, so the model does not describe this drive: "
+            "check the order of the phases, of currents and voltages alike, the angle, and that all recordings are of "
+            "one drive."
+        )
     if not np.isfinite(mad).all():
         warnings.append("The simulated current diverged, so there is no MAD: the identified model is not stable.")
     return tuple(warnings)
@@ -55,6 +66,16 @@ def _on_fit(fit: FullFit) -> list[str]:
         warnings.append(
             f"The model leaves {100 * share:.1f} % of the voltage unexplained: check the order of the phases, the "
             "alignment of the signals in time, and their noise."
+        )
+    if fit.outlying > _OUTLYING_BATCH:
+        warnings.append(
+            f"The samples around {fit.outlying_time:.2f} s of data stand out from all others: look there for a faulty "
+            "angle, voltage or current."
+        )
+    if fit.turn < _LEAST_TURN:
+        warnings.append(
+            f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so that "
+            "errors of the voltages weigh more than the deviations say: record faster."
         )
     resistance, sigma = fit.solution.resistance, fit.sigma_resistance
     if resistance < -2 * sigma:
@@ -126,7 +147,7 @@ def statements(
             "curve is what is left, flat at large currents."
         ),
         "A common gain of all currents or all voltages scales the result and cannot be seen in these data.",
-        *(c.sentence for c in calibrations),
+        *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, flux_map),
     ]

@@ -15,6 +15,7 @@ from scipy import linalg, sparse
 
 from drive_id.core.full_basis import PENALTIES, Choice, basis, delay_shares, roughness
 from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.windows import SHIFTS
 from drive_id.types import BoolArray, FloatArray
 
 _JITTER = 1e-13
@@ -172,7 +173,7 @@ class Solver:
         half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
         left = self.total[np.ix_(columns, columns)] - half.T @ half
         best, least, bend = 0.0, np.inf, 1.0
-        for low in range(-2, 2):
+        for low in SHIFTS:
             start, end = (np.concatenate([[1.0], -delay_shares(low + e)]) for e in (0.0, 1.0))
             step = end - start
             bend_here = float(step @ left @ step)

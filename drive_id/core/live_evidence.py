@@ -94,6 +94,8 @@ class LiveEvidence:
         settings = self.settings
         self.join = StreamJoin(self._names)
         self.evidence = None if settings.i_max is None else Evidence.within(settings, settings.i_max)
+        if self.evidence is not None:
+            self.evidence.next_recording()  # the live samples are the first one
         self._plausibility = Plausibility()
         self._recent: deque[Piece] = deque()
         self._recent_count = 0
@@ -101,14 +103,17 @@ class LiveEvidence:
     def configure(self, settings: FitSettings) -> bool:
         """Take other settings, and tell whether the samples had to be forgotten.
 
-        All but the method shapes the sums; and what is gathered for method full serves the others, but not the reverse.
+        What is gathered for method full serves the others, but not the reverse; with what shapes no sum, the same
+        samples are fitted anew.
         """
-        same = replace(settings, method=self.settings.method) == self.settings
-        kept = same and (settings.method != "full" or self.settings.method == "full")
         self.settings = settings
-        if not kept:
+        if self.evidence is not None and not self.evidence.suits(settings):
             self.reset()
-        return not kept
+            return True
+        if self.evidence is None and settings.i_max is not None:
+            self.reset()
+            return True
+        return False
 
     def add(self, section: int, piece: Signal) -> None:
         """Take a further part of a signal, see :meth:`StreamJoin.add`."""
@@ -133,6 +138,7 @@ class LiveEvidence:
             When i_max is not set, or there is no such method.
         """
         settings = replace(self.settings, method=method or self.settings.method)
+        settings.check_recordings(1)
         if self.evidence is None:
             raise ConfigurationError(
                 "i_max is not set, and live samples need it in advance: set it to the radius of the trajectory's "

@@ -10,8 +10,8 @@ import numpy as np
 from drive_id.core.join_report import period_text
 from drive_id.core.sample_period import PERIOD_TOLERANCE
 from drive_id.core.stream_join import Piece
-from drive_id.errors import SamplePeriodError
-from drive_id.types import Samples
+from drive_id.errors import DataError, SamplePeriodError
+from drive_id.types import GroundTruth, Samples
 
 _DISTANCE = 1_000_000_000
 """Put between recordings that overlap, ns."""
@@ -120,3 +120,27 @@ def _check_period(first: float, period: float, number: int) -> None:
             f"The sample periods of the recordings disagree, {period_text(first)} in the first and "
             f"{period_text(period)} in number {number + 1}: fit them separately."
         )
+
+
+def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:
+    """Return the truth that all recordings carry, None where one has none.
+
+    Raises
+    ------
+    DataError
+        When they are simulations of different machines, whose fit together means nothing.
+    """
+    known = [truth for truth in truths if truth is not None]
+    machines = sorted({truth.machine for truth in known})
+    if len(machines) > 1:
+        named = ", ".join(machines)
+        raise DataError(f"The recordings are simulations of different machines ({named}): fit each by itself.")
+    return known[0] if known and len(known) == len(truths) else None
+
+
+def overlap_warning(name: object) -> str:
+    """Say that a recording begins before another one has ended."""
+    return (
+        f"{name} overlaps in time with the bags before it and was put behind them: make sure that it is not the same "
+        "recording again."
+    )

@@ -71,7 +71,8 @@ def _on_model(
             "alignment of the signals in time, and their noise."
         )
     energy = _residual_energies(evidence, solution)
-    if len(energy) > _FEW_BLOCKS and energy.max() > _OUTLYING_BLOCK * np.median(energy):
+    moving = evidence.information.blocks[:, VOLTAGE, VOLTAGE] > 0  # at rest nothing is left, and all else stands out
+    if moving.sum() > _FEW_BLOCKS and energy.max() > _OUTLYING_BLOCK * np.median(energy[moving]):
         at = (int(energy.argmax()) + 0.5) * evidence.information.block_duration
         warnings.append(
             f"The samples around {at:.2f} s of data stand out from all others: look there for a faulty angle, voltage "

@@ -26,10 +26,10 @@ LONGEST_WINDOW = 0.1
 """s; at low speed, where 60 degrees would take longer."""
 STRIDE = 0.8e-3
 """Mean distance of the starts of windows, s."""
-SHIFTS = (-2, -1, 0, 1)
+SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 """The voltage is kept at these samples beside both ends, to be shifted in time later on."""
 
-_REACH = 2
+_REACH = 4
 _FEWEST = 4096
 """Samples to wait for before a stream is cut, so that the overlap with what was cut before costs little."""
 _FINEST = 1e-4

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drive_id.core.join import join
 from drive_id.core.join_report import JoinReport
-from drive_id.core.merge import merge
+from drive_id.core.merge import common_truth, merge, overlap_warning
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.bag import Bag, file_digest, open_bag
 from drive_id.files.bag_info import printable_errors
@@ -107,13 +107,11 @@ def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, 
             seen[digest] = file
     samples, moved = merge([recording.samples for recording in recordings])
     warnings = [f"{path}: {text}" for path, rec in zip(paths, recordings, strict=True) for text in rec.warnings]
-    warnings += [f"{paths[k]} overlaps in time with the bags before it and was put behind them." for k in moved]
-    truths = [recording.truth for recording in recordings]
-    same = all(truth is not None and truths[0] is not None and truth.machine == truths[0].machine for truth in truths)
+    warnings += [overlap_warning(paths[k]) for k in moved]
     return Recording(
         samples,
         tuple(report for recording in recordings for report in recording.reports),
-        truths[0] if same else None,
+        common_truth([recording.truth for recording in recordings]),
         {file: digest for digest, file in seen.items()},
         recordings[0].topics,
         tuple(warnings),

@@ -8,7 +8,7 @@ import math
 import os
 import platform
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -24,6 +24,7 @@ from drive_id.errors import OutputError
 FORMAT = "drive_id/identification"
 FORMAT_VERSION = 1
 _JSON, _NPZ, _HARMONICS = "identification.json", "flux_map.npz", "harmonics.npz"
+PICTURE = "flux_map.png"
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 
 
@@ -100,7 +101,15 @@ def check_absent(path: Path) -> None:
         raise _refused(path, error) from error
 
 
-def replace_folder(directory: Path, files: Mapping[str, bytes], *, marker: str, kind: str, force: bool = False) -> None:
+def replace_folder(
+    directory: Path,
+    files: Mapping[str, bytes],
+    *,
+    marker: str,
+    kind: str,
+    force: bool = False,
+    stale: Collection[str] = (),
+) -> None:
     """Write files to a folder so that they appear under their names only when all of them are complete.
 
     Parameters
@@ -110,6 +119,8 @@ def replace_folder(directory: Path, files: Mapping[str, bytes], *, marker: str, 
     files : mapping of str to bytes
     marker, kind, force
         See :func:`check_output`.
+    stale : collection of str
+        Files of earlier results to remove.
 
     Raises
     ------
@@ -131,6 +142,8 @@ def replace_folder(directory: Path, files: Mapping[str, bytes], *, marker: str, 
                 return
             for name in sorted(files, key=lambda name: name == marker):
                 (staged / name).replace(directory / name)
+            for name in stale:
+                (directory / name).unlink(missing_ok=True)
     except OSError as error:
         raise _refused(directory, error) from error
 
@@ -167,7 +180,8 @@ def write_results(
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     files = {_NPZ: arrays.getvalue(), **harmonics, **(pictures or {}), _JSON: text.encode()}
-    replace_folder(directory, files, marker=_JSON, kind=FORMAT, force=force)
+    stale = set() if not _is_ours(directory / _JSON, FORMAT) else {_HARMONICS, PICTURE} - set(files)
+    replace_folder(directory, files, marker=_JSON, kind=FORMAT, force=force, stale=stale)
 
 
 def _harmonics(identification: Identification) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event
 
 from drive_id.core.identify import Progress
-from drive_id.core.merge import SeveralRecordings
+from drive_id.core.merge import SeveralRecordings, common_truth, overlap_warning
 from drive_id.core.stream_join import Piece
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.bag import file_digest
@@ -62,9 +62,7 @@ class SeveralBags:
     @property
     def truth(self) -> GroundTruth | None:
         """The truth that all bags carry, if they do."""
-        truths = [facts.truth for facts in self._facts]
-        same = all(truth and truths[0] and truth.machine == truths[0].machine for truth in truths)
-        return truths[0] if same else None
+        return common_truth([facts.truth for facts in self._facts])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -72,10 +70,7 @@ class SeveralBags:
         if len(self._bags) == 1:
             return self._facts[0].warnings
         known = zip(self._bags, self._facts, strict=True)
-        moved = [
-            f"{self._bags[k]} overlaps in time with the bags before it and was put behind them."
-            for k in self._several.moved
-        ]
+        moved = [overlap_warning(self._bags[k]) for k in self._several.moved]
         return (*(f"{path}: {text}" for path, facts in known for text in facts.warnings), *moved)
 
     def read_whole(self) -> None:

@@ -58,19 +58,22 @@ def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str
         kind, optional = _parameter_type(hints[field.name])
         descriptor = _descriptor(field, kind, optional=optional, read_only=field.name in fixed)
         default = list(field.default) if isinstance(field.default, tuple) else field.default
-        if default == []:
-            _declare_empty(node, field.name, kind, descriptor)
+        if isinstance(default, list):
+            _declare_array(node, field.name, kind, descriptor, default)
         else:
             node.declare_parameter(field.name, math.nan if default is None else default, descriptor)
     return read_settings(node, cls)
 
 
-def _declare_empty(node: Node, name: str, kind: Parameter.Type, descriptor: ParameterDescriptor) -> None:
-    """Declare an array that is empty by default: rclpy takes the value ``[]`` for bytes, and in a file for nothing."""
+def _declare_array(
+    node: Node, name: str, kind: Parameter.Type, descriptor: ParameterDescriptor, default: list[Any]
+) -> None:
+    """Declare an array, which may be empty: rclpy takes the value ``[]`` for bytes, and in a file for nothing."""
     changeable = copy.copy(descriptor)
     changeable.read_only = False
     if node.declare_parameter(name, kind, changeable).type_ is Parameter.Type.NOT_SET:
-        node.set_parameters([Parameter(name, kind, [])])
+        given = name in node._parameter_overrides  # noqa: SLF001  # rclpy tells nowhere else that [] was given
+        node.set_parameters([Parameter(name, kind, [] if given else default)])
     node.set_descriptor(name, descriptor)
 
 

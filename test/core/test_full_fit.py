@@ -15,6 +15,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import delay_shares
 from drive_id.core.full_fit import fit_full
 from drive_id.core.identify import gather, identify
+from drive_id.core.windows import SHIFTS
 from drive_id.errors import ConfigurationError, DataError
 
 FULL = FitSettings("full", i_max=300.0)
@@ -93,14 +94,14 @@ def test_free_maps_are_taken_when_the_machine_is_not_reciprocal():
     assert errors(forced, saturating_flux).max() > 5e-3
 
 
-@pytest.mark.parametrize("delay", [-1.4, -0.3, 0.0, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("delay", [-3.2, -1.4, -0.3, 0.0, 0.5, 1.0, 2.0, 3.7])
 def test_shares_shift_a_held_voltage(delay):
     """Integrals of a staircase, moved in time, against the staircase and its neighbours."""
     u = np.random.default_rng(0).standard_normal(60)
     staircase = np.concatenate([[0.0], np.cumsum(u)])
     exact = np.interp(np.arange(10, 50) - delay, np.arange(61), staircase)
     shares = delay_shares(delay)
-    neighbours = np.array([[u[k + shift] for shift in (-2, -1, 0, 1)] for k in range(10, 50)])
+    neighbours = np.array([[u[k + shift] for shift in SHIFTS] for k in range(10, 50)])
     np.testing.assert_allclose(staircase[10:50] - neighbours @ shares, exact, atol=1e-12)
     assert shares.sum() == pytest.approx(delay)
 

@@ -147,6 +147,30 @@ def test_settings_that_shape_the_sums_forget_the_samples(samples):
         live.snapshot("best")
 
 
+def test_settings_of_the_solution_keep_the_samples(samples):
+    """What full has gathered serves all methods, there and back, and any calibration."""
+    full = replace(SETTINGS, method="full", harmonic_orders=(6,))
+    live = LiveEvidence(full, 1.0)
+    feed(live, samples, 0, len(samples))
+    for change in ({"method": "joint"}, {"method": "full"}, {"maps": "free"}, {"calibrate_delay": False}):
+        assert not live.configure(replace(live.settings, **change)), change
+    assert live.snapshot().identify().method == "full"
+    assert live.configure(replace(full, harmonic_orders=(6, 12)))
+    assert live.configure(replace(full, temperatures=(20.0,)))
+
+
+def test_live_samples_are_the_first_recording_of_the_conditions(samples):
+    warm = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=(), temperatures=(100.0,)), 1.0)
+    cold = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=()), 1.0)
+    for live in (warm, cold):
+        feed(live, samples, 0, len(samples))
+    hot, as_is = (live.snapshot().identify().resistance for live in (warm, cold))
+    assert hot * (1 + 3.93e-3 * 80.0) == pytest.approx(as_is, rel=1e-3)
+    warm.configure(replace(warm.settings, temperatures=(20.0, 30.0)))
+    with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recordings"):
+        warm.snapshot()
+
+
 @pytest.mark.parametrize("model", ["spline", "polynomial", "linear"])
 def test_warming_up_leaves_nothing_to_compile(model):
     from drive_id.core import current_simulation, row_products, spline_rows

@@ -25,7 +25,10 @@ def good():
     return record(drop=tanh_drop, duration=3.0, noise=0.1)
 
 
-def told(samples, settings=None):
+JOINT = FitSettings("joint")
+
+
+def told(samples, settings=JOINT):
     return " ".join(identify([samples], settings).report.warnings)
 
 
@@ -62,7 +65,7 @@ def test_noise_that_hides_the_rotation_is_told():
 def test_a_single_faulty_current_does_not_stretch_the_map(good):
     i_abc = good.i_abc.copy()
     i_abc[15_000] = [900.0, -450.0, -450.0]
-    result = identify([replace(good, i_abc=i_abc)])
+    result = identify([replace(good, i_abc=i_abc)], JOINT)
     assert result.flux_map.i_d.max() < 310
     assert result.report.samples_used == result.report.samples_read - 3
     assert "2 pairs of samples lie beyond" in " ".join(result.report.warnings)

@@ -65,7 +65,7 @@ def test_rows_say_what_the_balance_says(model, samples):
     x = rng.standard_normal(model.size)
     resistance, constant, drops = x[1], x[2] + 1j * x[3], x[model.drops].reshape(-1, 3)
     expected = x[0] * windows.voltage + resistance * windows.current + constant * windows.duration
-    expected = expected + windows.shifted @ x[4:8]
+    expected = expected + windows.shifted @ x[SHIFT]
     per_phase = np.einsum("nsp,sp->np", windows.shape, drops)
     expected = expected + 2 / 3 * per_phase @ np.exp(2j * np.pi / 3 * np.arange(3))
     for end, sign in ((0, -1), (1, 1)):

@@ -436,10 +436,9 @@ def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag
     from drive_id_msgs.srv import Identify
 
     tree = yaml.safe_load((CONFIG / "identification.yaml").read_text())["/**"]["ros__parameters"]
-    unset = {"temperatures", "u_dc", "u_dc_reference"}  # of single recordings; ROS has no empty list in a file
-    assert set(FitSettings.__dataclass_fields__) <= set(tree) | unset
+    assert set(FitSettings.__dataclass_fields__) <= set(tree)
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(FitSettings()).items()}
-    defaults = {name: value for name, value in plain.items() if value is not None and name not in unset}
+    defaults = {name: value for name, value in plain.items() if value is not None}
     assert {name: tree[name] for name in defaults} == defaults
     results = ros.folder / "results_of_other"
     parameters = {

@@ -20,6 +20,7 @@ class Some:
     limit: float | None = setting(None, "Up to where", minimum=0.0)
     times: tuple[float, ...] = setting((), "When", unit="s", minimum=0.0)
     gains: tuple[float, float] = setting((1.0, 2.0), "By what")
+    orders: tuple[int, ...] = setting((6, 12), "Which ones", minimum=1)
     fixed: bool = setting(True, "For good")
 
     def __post_init__(self):
@@ -79,8 +80,8 @@ def test_a_parameter_file(make, tmp_path):
     path = tmp_path / "some.yaml"
     path.write_text("/**:\n  ros__parameters:\n    times: [1.0, 2.0]\n    limit: 4.0\n    gains: [0.0, 1.0]\n")
     assert make("--params-file", str(path))[1] == Some(times=(1.0, 2.0), limit=4.0, gains=(0.0, 1.0))
-    path.write_text("/**:\n  ros__parameters:\n    times: []\n    limit: .nan\n")
-    assert make("--params-file", str(path))[1] == Some()
+    path.write_text("/**:\n  ros__parameters:\n    times: []\n    limit: .nan\n    orders: []\n")
+    assert make("--params-file", str(path))[1] == Some(orders=())
 
 
 def test_a_wrong_start(make):

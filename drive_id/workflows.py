@@ -207,12 +207,16 @@ def _fit(
     truth = recording.truth
     nrmse = score(identification, truth) if truth else None
     strange = ("None of the map lies in the disc of the recorded truth: check the scale of the currents.",)
+    idle = ", ".join(settings.idle())
+    unheard = (f"Method {settings.method} does not look at {idle}: choose another method, or leave it out.",)
     provenance = Provenance(
         inputs=recording.digests,
         settings=settings,
         machine=truth.machine if truth else "",
         nrmse=nrmse,
-        warnings=recording.warnings + (strange if nrmse and not np.isfinite(nrmse).all() else ()),
+        warnings=recording.warnings
+        + (unheard if idle else ())
+        + (strange if nrmse and not np.isfinite(nrmse).all() else ()),
     )
     return Fit(recording, identification, provenance)
 

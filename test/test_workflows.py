@@ -12,7 +12,7 @@ from drive_bags import TRAJECTORY
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identify import identify, score
 from drive_id.core.trajectories import Lissajous
-from drive_id.errors import ConfigurationError, CoverageError, OutputError
+from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError
 from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_writer import write_recording
 from drive_id.sim.machines import machine_map
@@ -79,10 +79,20 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
     assert list(fit.provenance.inputs) == [str(bag / f"{bag.name}_0.mcap") for bag in bags]
 
 
-def test_bags_of_two_machines_have_no_common_truth(bag, tmp_path):
+def test_bags_of_two_machines_are_not_fitted_together(bag, simulation, tmp_path):
     simulate_bag(machine_map("spm"), SHORT, tmp_path / "spm", TRAJECTORY, 1.0)
-    fit = fit_bags([bag, tmp_path / "spm"], None, FitSettings(method="joint"))
+    with pytest.raises(DataError, match=r"different machines \(ipm, spm\)"):
+        fit_bags([bag, tmp_path / "spm"], None, FitSettings(method="joint"))
+    write_recording(tmp_path / "blind", simulation.samples)
+    fit = fit_bags([tmp_path / "blind", tmp_path / "spm"], None, FitSettings(method="joint"))
     assert fit.provenance.nrmse is None
+
+
+def test_settings_that_the_method_does_not_look_at_are_named(bag):
+    (warning,) = fit_bags([bag], None, FitSettings("psm", maps="free", u_dc=(400.0,))).provenance.warnings
+    assert warning == "Method psm does not look at maps, u_dc: choose another method, or leave it out."
+    with pytest.raises(ConfigurationError, match="u_dc has 2 entries for 1 recordings"):
+        fit_bags([bag], None, FitSettings(u_dc=(400.0, 300.0)))
 
 
 def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_path, monkeypatch):

@@ -42,7 +42,7 @@ def draw_flux_maps(flux_map: FluxMap, i_max: float, i_dq: FloatArray | None = No
     """
     figure = Figure(figsize=(11.0, 5.0))
     figure.suptitle(title)
-    cells = {"left": 0.07, "right": 0.92, "bottom": 0.1, "top": 0.9, "wspace": 0.35}
+    cells = {"left": 0.07, "right": 0.92, "bottom": 0.1, "top": 0.9, "wspace": 0.42}
     for axes, component in zip(figure.subplots(1, 2, gridspec_kw=cells), "dq", strict=True):
         values, inside = _masked(flux_map, i_max, component)
         low, high = float(values[inside].min()), float(values[inside].max())

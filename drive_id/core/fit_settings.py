@@ -9,6 +9,13 @@ from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
+_OF_FULL = (
+    "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
+    "calibrate_angle", "calibrate_currents", "temperatures", "u_dc", "u_dc_reference", "voltage_delay",
+)  # fmt: skip
+_OF_OTHERS = (
+    "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,12 @@ class FitSettings:
         maximum=4.0,
     )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
+
+    def idle(self) -> list[str]:
+        """Return the settings that were chosen, but which the method does not look at."""
+        names = _OF_OTHERS if self.method == "full" else _OF_FULL
+        defaults = type(self)()
+        return [name for name in names if getattr(self, name) != getattr(defaults, name)]
 
     def check_recordings(self, count: int) -> None:
         """Check that conditions are given for as many recordings as there are.

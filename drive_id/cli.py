@@ -1,5 +1,7 @@
 """The command line ``drive-id``: thin, and quick to start because the numerics are loaded only when needed."""
 
+import atexit
+import gc
 import json
 import os
 import sys
@@ -44,6 +46,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; bad input ends with exit code 1 and one sentence."""
+    atexit.register(gc.freeze)  # the process ends: to look for garbage once more takes a third of a second
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # our matrices are small: more threads only wait
     try:
         app()

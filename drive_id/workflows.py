@@ -15,7 +15,7 @@ from drive_id.core import frames
 from drive_id.core.accumulated import Accumulated
 from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.identification import Identification
+from drive_id.core.identification import FluxMap, Identification
 from drive_id.core.identify import Progress, score, silent
 from drive_id.core.plan_settings import PlanSettings, RoughMachine
 from drive_id.core.trajectories import Lissajous
@@ -183,10 +183,11 @@ def fit_bags(
         check_output(output, force=force)
     with painter or Painter(wanted=picture and output is not None) as at_work:
         gather = _gatherer(bags, cluster, skip_bad=skip_bad, output=output if resumable else None)
-        fit = _fit(gather, bags, settings, signals, namespace, tell)
+        begin = partial(_begin_picture, at_work) if picture and output is not None else None
+        fit = _fit(gather, bags, settings, signals, namespace, tell, begin)
         if output is not None:
             tell("Writing", 0.0)
-            pictures = {PICTURE: _draw(at_work, fit)} if picture else {}
+            pictures = {PICTURE: at_work.picture()} if picture else {}
             write_results(output, fit.identification, fit.provenance, force=force, pictures=pictures)
     return fit
 
@@ -198,12 +199,14 @@ def _fit(
     signals: SignalMap | None,
     namespace: str,
     tell: Progress,
+    on_map: Callable[[Accumulated, FitSettings, FluxMap], None] | None,
 ) -> Fit:
     if not any(is_information(bag) for bag in bags):  # these know their own
         settings.check_recordings(len(bags))
     recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
     tell("Solving and validating", 1.0)
-    identification = conclude(recording.evidence, recording.validation)
+    told = partial(on_map, recording, settings) if on_map else lambda _: None
+    identification = conclude(recording.evidence, recording.validation, told)
     truth = recording.truth
     nrmse = score(identification, truth) if truth else None
     strange = ("None of the map lies in the disc of the recorded truth: check the scale of the currents.",)
@@ -260,9 +263,8 @@ def _gatherer(
     return partial(accumulate, checkpoint=output.absolute().with_name(f".{output.absolute().name}.checkpoint"))
 
 
-def _draw(painter: Painter, fit: Fit) -> bytes:
-    """Draw the identified maps with the trajectory over them, as PNG."""
-    i_dq = np.concatenate([frames.to_dq(part.i_abc, part.angle) for part in fit.recording.validation])
-    name = f"{fit.provenance.machine}, " if fit.provenance.machine else ""
-    found = fit.identification
-    return painter.draw(found.flux_map, found.i_max, i_dq, f"{name}method {found.method}")
+def _begin_picture(painter: Painter, recording: Accumulated, settings: FitSettings, flux_map: FluxMap) -> None:
+    """Begin to draw the identified maps with the trajectory over them."""
+    i_dq = np.concatenate([frames.to_dq(part.i_abc, part.angle) for part in recording.validation])
+    name = f"{recording.truth.machine}, " if recording.truth else ""
+    painter.begin(flux_map, recording.evidence.i_max, i_dq, f"{name}method {settings.method}")

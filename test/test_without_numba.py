@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
 
-from drive_id.core import current_simulation, flux_models, row_products, sample_sums, vectorized
+from drive_id.core import current_simulation, flux_models, row_products, sample_sums, vectorized, window_kernels
 from drive_id.core.bspline import Axis
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.flux_models import Polynomial, TensorSpline
@@ -156,3 +156,45 @@ def test_the_map_that_a_simulation_uses_is_the_spline_continued():
         )
         np.testing.assert_allclose([point.by_d.real, point.by_d.imag], by_d, atol=1e-12)
         np.testing.assert_allclose([point.by_q.real, point.by_q.imag], by_q, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3, 4])
+def test_splines_on_bent_cells(degree):
+    edges = np.array([-3.0, -1.0, -0.25, 0.5, 2.0, 4.0])
+    knots = np.concatenate([np.full(degree, edges[0]), edges, np.full(degree, edges[-1])])
+    x = np.concatenate([np.random.default_rng(3).uniform(-4.0, 5.0, 200), edges])
+    found = []
+    for evaluate in (window_kernels.spline_values, vectorized.spline_values):
+        cell, w = np.empty(len(x), np.int64), np.empty((len(x), degree + 1))
+        evaluate(x, knots, degree, cell, w)
+        found.append((cell, w))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-13, atol=1e-15)
+
+
+def test_products_and_ends_of_windows():
+    rng = np.random.default_rng(4)
+    cells, factors = rng.integers(0, 3, (2, 50)), rng.standard_normal((2, 50, 3))
+    tables = []
+    for multiply in (window_kernels.tensor_products, vectorized.tensor_products):
+        column, value = np.empty((50, 2, 9), np.int32), np.empty((50, 2, 9))
+        multiply(cells[0], factors[0], cells[1], factors[1], 6, 0, column[:, 0], value[:, 0])
+        multiply(cells[1], factors[1], cells[0], factors[0], 6, 36, column[:, 1], value[:, 1])
+        tables.append((column, value))
+    np.testing.assert_array_equal(tables[0][0], tables[1][0])
+    np.testing.assert_allclose(tables[0][1], tables[1][1], rtol=1e-15)
+    turn, factor = rng.standard_normal((50, 2)), rng.standard_normal((2, 50))
+    before = rng.standard_normal((50, 2, 150))
+    rows = [before.copy(), before.copy()]
+    for add, out in zip((window_kernels.add_end, vectorized.add_end), rows, strict=True):
+        add(*tables[0], turn, np.array([0, 72]), factor, out)
+    np.testing.assert_allclose(rows[0], rows[1], rtol=1e-13, atol=1e-14)
+
+
+def test_blocks_of_a_triangle():
+    block = np.asfortranarray(np.random.default_rng(5).standard_normal((4, 4)))
+    totals = [np.zeros((9, 9), order="F") for _ in range(2)]
+    for add, total in zip((window_kernels.add_block, vectorized.add_block), totals, strict=True):
+        add(block, np.array([1, 2, 5, 8]), total)
+    np.testing.assert_array_equal(totals[0], totals[1])
+    assert not np.triu(totals[0], 1).any()

@@ -9,6 +9,7 @@ import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,8 @@ class Painter:
 
     def __init__(self, *, wanted: bool = True) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._pool = ThreadPoolExecutor(1, "painter")
+        self._waiting: Future[tuple[bytes, bytes]] | None = None
         if wanted and sys.executable and len(os.sched_getaffinity(0)) > 1:
             command = [sys.executable, "-c", _PROGRAM]
             pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
@@ -48,17 +51,25 @@ class Painter:
 
     def __exit__(self, *_: object) -> None:
         if self._process:
+            self._process.kill()
+            self._pool.shutdown()  # whoever waits for the process, does so no longer
             with self._process:  # closes the pipes and waits
-                self._process.kill()
+                pass
 
-    def draw(self, flux_map: FluxMap, i_max: float, i_dq: FloatArray, title: str) -> bytes:
-        """Return the picture as PNG; once."""
-        thin = i_dq[:: max(1, len(i_dq) // _MOST_POINTS)]
+    def begin(self, flux_map: FluxMap, i_max: float, i_dq: FloatArray, title: str) -> None:
+        """Let the picture be drawn while this process goes on; once."""
+        self._wanted = flux_map, i_max, i_dq[:: max(1, len(i_dq) // _MOST_POINTS)], title
         if self._process:
-            png, _ = self._process.communicate(pickle.dumps((flux_map, i_max, thin, title)))
+            request = pickle.dumps(self._wanted)
+            self._waiting = self._pool.submit(self._process.communicate, request)
+
+    def picture(self) -> bytes:
+        """Return the picture that was begun, as PNG."""
+        if self._waiting and self._process:
+            png, _ = self._waiting.result()
             if self._process.returncode == 0:
                 return png
-        return paint(flux_map, i_max, thin, title)
+        return paint(*self._wanted)
 
 
 def paint(flux_map: FluxMap, i_max: float, i_dq: FloatArray, title: str) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -26,7 +26,9 @@ _WEAK_COEFFICIENT = 0.1
 _FINE_COUNT = 24
 
 
-def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identification:
+def conclude(
+    evidence: Evidence, validation: Sequence[Samples], on_map: Callable[[FluxMap], None] = lambda _: None
+) -> Identification:
     """Solve for the parameters, draw up the maps and judge them.
 
     Parameters
@@ -35,6 +37,8 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
         Of all samples.
     validation : sequence of Samples
         Samples whose currents are simulated for the MAD; NaN without any.
+    on_map : callable, optional
+        Told of the flux map before that simulation, which takes its time.
 
     Returns
     -------
@@ -61,11 +65,12 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
     if evidence.settings.method == "full":
         from drive_id.core.full_conclusion import conclude_full  # noqa: PLC0415  # scipy takes longer than other methods
 
-        return conclude_full(evidence, validation, inside, coverage)
+        return conclude_full(evidence, validation, inside, coverage, on_map)
     solution = solve(total, information.rows, with_inverter=evidence.settings.method == "joint")
     spread = deviations(information.blocks, solution)
     extended = _extended(evidence, solution, spread, inside)
     flux_map = _flux_map(evidence, solution, spread, inside, extended)
+    on_map(flux_map)
     mad = _mad(validation, extended, solution, evidence.settings.inverter_current_scale)
     curve = np.linspace(-evidence.i_max, evidence.i_max, _CURVE_POINTS)
     report = FitReport(

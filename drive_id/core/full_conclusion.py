@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +79,11 @@ class TrueFrame:
 
 
 def conclude_full(
-    evidence: Evidence, validation: Sequence[Samples], inside: BoolArray, coverage: float
+    evidence: Evidence,
+    validation: Sequence[Samples],
+    inside: BoolArray,
+    coverage: float,
+    on_map: Callable[[FluxMap], None],
 ) -> Identification:
     """Fit, calibrate, draw up the maps and judge them.
 
@@ -92,6 +96,8 @@ def conclude_full(
         Where on the grid there are data.
     coverage : float
         Share of the disc with data.
+    on_map : callable
+        Told of the flux map before currents are simulated.
 
     Raises
     ------
@@ -110,6 +116,7 @@ def conclude_full(
     found = _calibrations(evidence, fit, grid, inside)
     frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
     flux_map = _flux_map(evidence, frame, grid, inside)
+    on_map(flux_map)
     spline, gamma, harmonics = _splines(evidence, frame)
     current = np.linspace(-evidence.i_max, evidence.i_max, _CURVE_POINTS)
     drops, deviation = _inverter(fit, current)

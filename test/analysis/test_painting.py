@@ -27,7 +27,8 @@ def two_processors(monkeypatch):
 def test_both_processes_draw_the_same(request_of):
     flux_map, i_max, i_dq, title = request_of
     with Painter() as painter:
-        drawn = painter.draw(*request_of)
+        painter.begin(*request_of)
+        drawn = painter.picture()
         assert painter._process.returncode == 0
     assert drawn.startswith(b"\x89PNG")
     assert drawn == paint(flux_map, i_max, i_dq[::2], title)
@@ -37,7 +38,8 @@ def test_both_processes_draw_the_same(request_of):
 def test_where_the_other_process_fails_this_one_draws(request_of, monkeypatch, program):
     monkeypatch.setattr(painting, "_PROGRAM", program)
     with Painter() as painter:
-        assert painter.draw(*request_of).startswith(b"\x89PNG")
+        painter.begin(*request_of)
+        assert painter.picture().startswith(b"\x89PNG")
         assert painter._process.returncode == 3
 
 
@@ -46,7 +48,8 @@ def test_where_no_process_can_be_started_this_one_draws(request_of, monkeypatch,
     monkeypatch.setattr(sys, "executable", executable)
     with Painter() as painter:
         assert painter._process is None
-        assert painter.draw(*request_of).startswith(b"\x89PNG")
+        painter.begin(*request_of)
+        assert painter.picture().startswith(b"\x89PNG")
 
 
 def test_no_process_is_started_for_nothing(monkeypatch):
@@ -58,8 +61,12 @@ def test_no_process_is_started_for_nothing(monkeypatch):
         pass
 
 
-def test_an_error_leaves_no_process_behind():
-    with pytest.raises(ValueError, match="bad bag"), Painter() as painter:
+@pytest.mark.parametrize("begun", [False, True])
+def test_an_error_leaves_no_process_behind(request_of, begun):
+    painter = Painter()
+    if begun:
+        painter.begin(*request_of)
+    with pytest.raises(ValueError, match="bad bag"), painter:
         raise ValueError("bad bag")
     assert painter._process.returncode is not None
 

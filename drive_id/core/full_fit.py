@@ -55,6 +55,8 @@ class FullFit:
         Median angle by which a window turns the rotor, rad, and median duration of one, s.
     outlying : float
         Largest mean square residual of a batch of time, over the median of all.
+    outlying_share : float
+        Its root, over that of ``total_voltage``.
     outlying_time : float
         Where that is, in time of data, s.
     """
@@ -71,6 +73,7 @@ class FullFit:
     turn: float
     duration: float
     outlying: float
+    outlying_share: float
     outlying_time: float
 
     @property
@@ -142,6 +145,7 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
         float(np.median(np.abs(speeds) * durations)),
         float(np.median(durations)),
         outlying,
+        float(np.sqrt(energy.max() / max(total_voltage, np.finfo(np.float64).tiny))),
         float(times[energy.argmax()]),
     )
 

@@ -14,7 +14,7 @@ from drive_id.core.review import on_data
 from drive_id.types import FloatArray
 
 _WEAK_FIT = 0.05
-_OUTLYING_BATCH = 30.0
+_OUTLYING_BATCH, _LEAST_OUTLYING = 30.0, 0.01
 _FEW_BATCHES = 20
 _LEAST_TURN = np.deg2rad(45.0)
 _FEW_POINTS = 0.005
@@ -67,7 +67,7 @@ def _on_fit(fit: FullFit) -> list[str]:
             f"The model leaves {100 * share:.1f} % of the voltage unexplained: check the order of the phases, the "
             "alignment of the signals in time, and their noise."
         )
-    if fit.outlying > _OUTLYING_BATCH:
+    if fit.outlying > _OUTLYING_BATCH and fit.outlying_share > _LEAST_OUTLYING:
         warnings.append(
             f"The samples around {fit.outlying_time:.2f} s of data stand out from all others: look there for a faulty "
             "angle, voltage or current."

@@ -41,7 +41,7 @@ def clean():
 
 
 def test_joint_recovers_flux_resistance_and_inverter(clean):
-    result = identify([clean])
+    result = identify([clean], FitSettings("joint"))
     assert errors(result).max() < 2e-3
     assert result.resistance == pytest.approx(0.02, rel=0.02)
     assert result.voltage_error == pytest.approx(4.0, rel=0.02)
@@ -79,7 +79,7 @@ def test_a_polynomial_model_beats_the_linear_one_on_a_saturating_machine(clean):
 
 @pytest.mark.parametrize("speed", [-209.0, 42.0, 1250.0])
 def test_any_speed_and_direction(speed):
-    result = identify([record(drop=tanh_drop, speed=speed, duration=4.0)])
+    result = identify([record(drop=tanh_drop, speed=speed, duration=4.0)], FitSettings("joint"))
     assert errors(result).max() < 4e-3
     assert result.voltage_error == pytest.approx(4.0, rel=0.05)
 
@@ -93,7 +93,7 @@ def test_several_recordings_count_as_one(clean):
         )
         for part in (slice(0, half + 1), slice(half, None))
     ]
-    whole, split = identify([clean]), identify(parts)
+    whole, split = (identify(recordings, FitSettings("joint")) for recordings in ([clean], parts))
     np.testing.assert_allclose(split.flux_map.psi_d, whole.flux_map.psi_d, atol=1e-9)
     assert split.resistance == pytest.approx(whole.resistance, rel=1e-9)
 

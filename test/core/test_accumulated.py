@@ -12,7 +12,7 @@ from synthetic import record
 from drive_id.core.accumulated import VALIDATION_PIECES, Accumulated, beginning, bounded
 from drive_id.core.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import GroundTruth
 
 
@@ -57,11 +57,12 @@ def test_two_recordings_of_one_name_are_both_kept():
     assert both.digests == {"one.mcap": "digest of one", "one.mcap (2)": "second", "one.mcap (3)": "third"}
 
 
-def test_two_machines_have_no_common_truth():
+def test_two_machines_are_not_merged():
     one, two = accumulated("one"), accumulated("two", machine="spm")
-    assert one.merged(two).truth is None
+    with pytest.raises(DataError, match="simulations of different machines"):
+        one.merged(two)
     assert one.merged(replace(two, truth=None)).truth is None
-    assert one.merged(two).merged(accumulated("three")).truth is None
+    assert one.merged(accumulated("three")).truth is not None
 
 
 def test_of_a_long_recording_its_beginning_is_kept():

@@ -231,8 +231,8 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
         u_s = np.concatenate([_delayed(u_s[run], delay) for run in samples.runs()])
     return replace(
         samples,
-        i_abc=(i_s[:, None] * np.exp(-1j * frames.PHASE_SHIFTS)).real,
-        u_abc=(u_s[:, None] * np.exp(-1j * frames.PHASE_SHIFTS)).real,
+        i_abc=frames.phases(i_s),
+        u_abc=frames.phases(u_s),
         angle=samples.angle - found.get("resolver_offset", 0.0),
     )
 

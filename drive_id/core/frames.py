@@ -78,7 +78,11 @@ def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: Float
 
 def to_abc(x_dq: FloatArray, angle: FloatArray) -> FloatArray:
     """Transform d and q components (N, 2) at electrical angles (N,), rad, to phase quantities (N, 3) that sum to 0."""
-    x_s = (x_dq[:, 0] + 1j * x_dq[:, 1]) * np.exp(1j * angle)
+    return phases((x_dq[:, 0] + 1j * x_dq[:, 1]) * np.exp(1j * angle))
+
+
+def phases(x_s: ComplexArray) -> FloatArray:
+    """Return the phase quantities (N, 3), which sum to 0, of a stator-frame space vector (N,)."""
     return np.asarray((x_s[:, None] * np.exp(-1j * PHASE_SHIFTS)).real)
 
 

@@ -68,10 +68,11 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     """Fit the model that the data ask for, see :func:`~drive_id.core.full_fit.fit_full`."""
     model = information.model
     solver = Solver(model, information.folds, information.counts)
-    wanted = model.all_orders if settings.calibrate_currents else model.orders
-    orders = tuple(order for order in model.all_orders if order in distinct_orders(wanted, turn))
-    heating = np.concatenate([windows.heating for windows in information.kept()])
-    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in information.kept()])
+    distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
+    orders = tuple(order for order in model.all_orders if order in distinct)
+    kept = information.kept()
+    heating = np.concatenate([windows.heating for windows in kept])
+    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
     i_dq = i_dq[:: -(-len(i_dq) // _SOME)]
     choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))

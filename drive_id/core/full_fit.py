@@ -126,9 +126,8 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
-    batches, energy = batch_changes(information, solution)
+    batches, energy, times = batch_changes(information, solution)
     changes = np.column_stack([batches, solver.shrinkage(solution)])
-    times = np.concatenate([_batch_times(windows) for windows in kept])
     durations = np.concatenate([windows.duration for windows in kept])
     outlying = float(energy.max() / max(np.median(energy), np.finfo(np.float64).tiny))
     slope = _drop_slope(model, solution, kept)
@@ -175,37 +174,27 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     return float(sides[0] - sides[1]) / (2 * step)
 
 
-def batch_changes(information: WindowInformation, solution: FullSolution) -> tuple[FloatArray, FloatArray]:
-    """Return what each batch of kept windows changes in the estimate, (size, B), and mean square residuals (B,)."""
+def batch_changes(information: WindowInformation, solution: FullSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what each batch of kept windows changes in the estimate, (size, B), and its mean square and time (B,)."""
     model, kept = information.model, information.kept()
-    found = [pair for segment in kept for pair in _batch_scores(model, solution, segment)]
-    scores, energy = [score for score, _ in found], [one for _, one in found]
+    batches = [batch for segment in kept for batch in _batch_scores(model, solution, segment)]
+    scores, energy, time = (np.array(part) for part in zip(*batches, strict=True))
     share = information.windows / max(sum(len(segment) for segment in kept), 1)
-    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * np.array(scores).T)), np.array(energy)
+    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T)), energy, time
 
 
-def _batches(segment: Windows) -> list[int]:
-    """Return where the batches of a segment begin and, last, where it ends."""
-    batch = ((segment.time + 1e-9) / BATCH).astype(np.int64)  # rounding must not matter
-    return [0, *(int(place) for place in 1 + np.flatnonzero(np.diff(batch))), len(batch)]
+def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[tuple[FloatArray, float, float]]:
+    """Return for each batch the scores Z'e (M,), the mean square residual, (Vs)^2, and its time, s.
 
-
-def _batch_times(segment: Windows) -> FloatArray:
-    """Return the times in the middle of the batches, s."""
-    return np.array([segment.time[start:end].mean() for start, end in pairwise(_batches(segment))])
-
-
-def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[tuple[FloatArray, float]]:
-    """Return for each batch the scores Z'e, e being its residuals without the fit's leverage, and their mean square.
-
-    That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the binomial series, which bounds what residuals of
-    full leverage are multiplied by.
+    The residuals e are without the fit's leverage. That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the
+    binomial series, which bounds what residuals of full leverage are multiplied by.
     """
     rows = model.design(segment)
     residuals = rows @ solution.residual
     all_forms = solution.transposed_basis @ np.ascontiguousarray(rows.reshape(-1, model.size).T)
+    edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(BATCH)))), len(segment)]
     out = []
-    for start, end in pairwise(_batches(segment)):
+    for start, end in pairwise(edges):
         forms = all_forms[:, 2 * start : 2 * end]
         met = np.flatnonzero(forms.any(axis=1))
         forms, covariance = forms[met], solution.white_covariance[np.ix_(met, met)]
@@ -216,6 +205,7 @@ def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) ->
             total += score
             if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
                 break
-        out.append((np.zeros(len(solution.scale)), float(np.mean(residuals[start:end] ** 2))))
-        out[-1][0][met] = total
+        all_scores = np.zeros(len(solution.scale))
+        all_scores[met] = total
+        out.append((all_scores, float(np.mean(residuals[start:end] ** 2)), float(segment.time[start:end].mean())))
     return out

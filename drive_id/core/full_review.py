@@ -15,7 +15,6 @@ from drive_id.types import FloatArray
 
 _WEAK_FIT = 0.05
 _OUTLYING_BATCH, _LEAST_OUTLYING = 30.0, 0.01
-_FEW_BATCHES = 20
 _LEAST_TURN = np.deg2rad(45.0)
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01

@@ -107,13 +107,10 @@ class LiveEvidence:
         samples are fitted anew.
         """
         self.settings = settings
-        if self.evidence is not None and not self.evidence.suits(settings):
+        lost = settings.i_max is not None if self.evidence is None else not self.evidence.suits(settings)
+        if lost:
             self.reset()
-            return True
-        if self.evidence is None and settings.i_max is not None:
-            self.reset()
-            return True
-        return False
+        return lost
 
     def add(self, section: int, piece: Signal) -> None:
         """Take a further part of a signal, see :meth:`StreamJoin.add`."""

@@ -146,7 +146,7 @@ def synthesize(
     return Samples(
         stamp=np.round(time[:-1] * 1e9).astype(np.int64),
         i_abc=frames.to_abc(i_dq[:-1], angle[:-1]),
-        u_abc=(u_s[:, None] * np.exp(-1j * frames.PHASE_SHIFTS)).real,
+        u_abc=frames.phases(u_s),
         angle=angle[:-1],
         speed=np.full(count, omega),
         sample_period=period,

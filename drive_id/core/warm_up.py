@@ -27,7 +27,7 @@ def warm_up(settings: FitSettings) -> None:
     angle = _SPEED * t
     psi_s = (psi[:, 0] + 1j * psi[:, 1]) * np.exp(1j * angle)
     u_s = np.gradient(psi_s, _PERIOD)
-    u_abc = (u_s[:, None] * np.exp(-1j * frames.PHASE_SHIFTS)).real
+    u_abc = frames.phases(u_s)
     stamp = np.rint(t * 1e9).astype(np.int64)
     position = np.stack([np.angle(np.exp(1j * angle)), np.full(_COUNT, _SPEED)], axis=-1)
     live = LiveEvidence(replace(settings, splines_d=8, splines_q=8, grid_points=33, i_max=1.0), 1.0)

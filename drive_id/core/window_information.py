@@ -24,7 +24,6 @@ MOST_KEPT = 24_000
 """Windows that are kept themselves, in whole segments evenly over time, to study the residuals."""
 
 _BLOCK = 256
-_ROUNDING = 1e-9  # s
 _CHUNK = 64
 """Windows whose products are formed at a time: the fewer, the fewer columns they touch."""
 
@@ -188,7 +187,7 @@ class WindowInformation:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable).sum())
-        segment = ((windows.time + _ROUNDING) / SEGMENT).astype(np.int64)
+        segment = windows.interval(SEGMENT)
         for number in np.unique(segment):
             if number != self._segment:
                 self._flush()

@@ -30,6 +30,7 @@ SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 """The voltage is kept at these samples beside both ends, to be shifted in time later on."""
 
 _REACH = 4
+_ROUNDING = 1e-9  # s
 _FEWEST = 4096
 """Samples to wait for before a stream is cut, so that the overlap with what was cut before costs little."""
 _FINEST = 1e-4
@@ -79,6 +80,10 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def interval(self, length: float) -> IntArray:
+        """Return in which interval of a length, s, each window (N,) starts; rounding of the times must not matter."""
+        return np.asarray((self.time + _ROUNDING) / length).astype(np.int64)
 
     def part(self, chosen: slice | IntArray) -> Windows:
         """Return some of the windows."""

@@ -81,26 +81,17 @@ def test_a_second_harmonic_of_another_shape_is_no_gain_mismatch(good):
     assert any("the voltages' gains differ" in warning for warning in gained.report.warnings)
 
 
-@pytest.mark.parametrize("delay", [-3.0, 3.5])
-def test_delays_of_several_samples_are_taken_out(delay):
-    simulation = simulate(voltage_delay=delay) if delay < 0 else None
-    if simulation is None:  # more than the simulation's log can be late
-        simulation = simulate(voltage_delay=0.5)
-        late = np.roll(simulation.samples.u_abc, -3, axis=0)
-        samples = replace(simulation.samples, u_abc=late)
-        samples = replace(
-            samples,
-            **{
-                name: getattr(samples, name)[:-3]
-                for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
-            },
-        )
-    else:
-        samples = simulation.samples
-    found = fitted(samples)
+@pytest.mark.parametrize(("logged", "late"), [(-3.0, 0), (0.5, 3)])
+def test_delays_of_several_samples_are_taken_out(logged, late):
+    """More than the simulation's log can be late: the record is moved."""
+    simulation = simulate(voltage_delay=logged)
+    names = ("stamp", "i_abc", "angle", "speed", "i_dq_reference")
+    count = len(simulation.samples) - late
+    arrays = {name: getattr(simulation.samples, name)[:count] for name in names}
+    found = fitted(replace(simulation.samples, **arrays, u_abc=simulation.samples.u_abc[late:]))
     (entry,) = (entry for entry in found.calibrations if entry.name == "voltage_delay")
     assert entry.applied
-    assert entry.value == pytest.approx(delay, abs=0.05)
+    assert entry.value == pytest.approx(logged + late, abs=0.05)
     assert max(score(found, simulation.truth)) < 1e-3
 
 

@@ -11,6 +11,7 @@ from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identify import gather, identify, score
 from drive_id.core.trajectories import Lissajous
+from drive_id.sim.drive import simulate
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import MachineMap
@@ -111,6 +112,10 @@ def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
         pytest.param(IPM, {"sample_period": 2e-4}, None, id="5 kHz"),
         pytest.param(IPM, {"sample_period": 1e-3}, None, id="1 kHz"),
         pytest.param(IPM, {}, Lissajous(frequency_d=2.0, frequency_q=1.0), id="a figure that covers 8 % of the disc"),
+        pytest.param(IPM, {}, Lissajous(frequency_d=100 / 3, frequency_q=25 / 3), id="a figure in step with the rotor"),
+        pytest.param(
+            IPM, {"harmonics": 0.0, "current_noise": 0.0, "inverter_compensation": True}, None, id="compensated only"
+        ),
     ],
 )
 def test_never_worse_than_joint(machine, changes, trajectory):
@@ -118,6 +123,24 @@ def test_never_worse_than_joint(machine, changes, trajectory):
     _, joint_errors = errors(simulation, JOINT)
     _, full_errors = errors(simulation)
     assert np.all(full_errors < joint_errors)
+
+
+def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map():
+    found, full_errors = errors(run_experiment(IPM, replace(NOISY, inverter_compensation=True), seconds=5.0))
+    assert any("compensates its inverter" in sentence for sentence in found.statements)
+    plain, plain_errors = errors(run_experiment(IPM, NOISY, seconds=5.0))
+    assert not any("compensates its inverter" in sentence for sentence in plain.statements)
+    assert np.all(full_errors < 1.5 * plain_errors)
+    assert np.abs(found.inverter_voltage).max() < 0.02 * np.abs(plain.inverter_voltage).max()
+
+
+def test_a_delay_that_only_the_penalty_decides_on_is_not_taken_out():
+    t = NOISY.sample_period * np.arange(30_000)
+    ring = IPM.i_max * np.exp(2j * np.pi * 1.1 * t) * np.minimum(t / 0.2, 1.0)
+    simulation = simulate(IPM, NOISY, np.stack([ring.real, ring.imag], axis=-1))
+    delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
+    assert not delay.applied
+    assert delay.sigma > 0.1
 
 
 def test_currents_at_speeds_and_in_a_direction_never_seen_are_predicted():

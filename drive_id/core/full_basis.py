@@ -14,7 +14,10 @@ from drive_id.types import FloatArray
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Weights of the map's roughness to try, relative to the mean information of a coefficient."""
 
-_HARMONIC_RIDGE = 1e-5
+_HARMONIC_RIDGE = 0.1
+"""Relative to the mean information of a coefficient of the map, of which a harmonic's has many times as much: where
+the trajectory and the rotor repeat together, so that harmonics and map cannot be told apart, the map gets the flux."""
+
 _DROP_RIDGE = 1e-7
 
 
@@ -40,6 +43,8 @@ class Choice:
         By which the voltages act later than recorded, samples.
     magnet : bool
         With a magnet's flux that changes with the temperature.
+    lag : bool
+        With what a drive leaves that compensates its inverter by earlier currents.
     """
 
     reciprocal: bool
@@ -50,6 +55,7 @@ class Choice:
     penalty: float = PENALTIES[0]
     delay: float = 0.0
     magnet: bool = False
+    lag: bool = False
 
 
 def delay_shares(delay: float) -> FloatArray:
@@ -83,12 +89,14 @@ def basis(model: FullModel, choice: Choice) -> sparse.csr_array:
         shapes = len(model.shapes.scales)
         drops = np.eye(3 * shapes) if choice.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         place(drops, model.drops.start)
-    gradient = model.flux.gradient()
+    if choice.lag:
+        place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)
+    gradient = model.flux.gradient
     place(gradient[:, 1:] if choice.reciprocal else sparse.eye_array(model.flux.parameters), model.map.start)
     for order in choice.orders:
         space = model.space(order)
         free = order in SENSOR_ORDERS or not choice.reciprocal
-        one = sparse.eye_array(space.parameters) if free else space.gradient()[:, 1:]
+        one = sparse.eye_array(space.parameters) if free else space.gradient[:, 1:]
         place(sparse.block_diag([one, one]), model.harmonics[order].start)
     return sparse.csr_array(sparse.hstack(parts))
 
@@ -100,9 +108,10 @@ def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr
     ridge = np.zeros(model.size)
     for columns in model.harmonics.values():
         ridge[columns] = _HARMONIC_RIDGE * unit
+    ridge[model.lags] = _DROP_RIDGE * float(diagonal[model.lags].mean())
     ridge[model.drops] = _DROP_RIDGE * float(diagonal[model.drops].mean())
     before, after = model.map.start, model.size - model.map.stop
     rough = sparse.block_diag(
-        [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness(2), sparse.csr_array((after, after))]
+        [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness, sparse.csr_array((after, after))]
     )
     return sparse.csr_array(rough + sparse.diags_array(ridge))

@@ -14,7 +14,7 @@ from drive_id.core.full_solver import FullSolution, Solver
 from drive_id.core.window_information import WindowInformation
 from drive_id.types import FloatArray
 
-_FREE_GAIN = 0.05
+_CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
 _DELAY_SIGNIFICANCE = 5.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
@@ -23,6 +23,8 @@ _SOME = 1000
 _COINCIDENCE = 0.1
 _DELAY_BIAS = 0.01
 """Samples; what the estimate of a delay was seen to be off by."""
+_SMOOTHING_DOUBT = 2.0
+"""How far a delay is uncertain, in units of what ten times the penalty changes: on a ring, it decides, not the data."""
 _LEAST_HEATING = 5.0
 """K between recordings, from which on the magnet's temperature coefficient is estimated."""
 
@@ -76,43 +78,58 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     i_dq = i_dq[:: -(-len(i_dq) // _SOME)]
     choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
-    delay, sigma_delay = np.nan, np.nan
     if not settings.calibrate_delay:
         choice = replace(choice, delay=settings.voltage_delay)
+    settled = _settle(solver, choice, i_dq, settings, turn)
+    choice, advantage = settled.choice, np.nan
+    if settings.maps == "auto":
+        free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
+        advantage, clearly = _saved(solver, free, settled.error)
+        if clearly:
+            everything = solver.solve(replace(free, orders=orders))
+            significant = _significant_orders(model, everything, i_dq)
+            choice = solver.smoothest(replace(free, orders=significant))[0]
+    return Chosen(solver, solver.solve(choice), settled.delay, settled.sigma_delay, advantage)
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A choice with delay, orders and penalty, and its mean squared error (F,) on each fold left out, (Vs)^2."""
+
+    choice: Choice
+    error: FloatArray
+    delay: float
+    sigma_delay: float
+
+
+def _settle(solver: Solver, choice: Choice, i_dq: FloatArray, settings: FitSettings, turn: float) -> _Settled:
+    delay, sigma_delay = np.nan, np.nan
     solution = solver.solve(choice)
+    if solver.saving(solution, solver.model.lags) > _CLEAR_GAIN:
+        choice = replace(choice, lag=True)
+        solution = solver.solve(choice)
     if settings.calibrate_delay and choice.reciprocal:
         delay, sigma_delay = solver.delay(solution)
-        sigma_delay = float(np.hypot(sigma_delay, _DELAY_BIAS))
+        smoother, _ = solver.delay(solver.solve(replace(choice, penalty=PENALTIES[-1])))
+        sigma_delay = float(np.linalg.norm([sigma_delay, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - delay)]))
         if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
             solution = solver.solve(replace(choice, delay=delay))
-    choice, error = solver.smoothest(replace(solution.choice, orders=_significant_orders(model, solution, i_dq)))
-    advantage = np.nan
-    if settings.maps == "auto":
-        choice, advantage = _reciprocal_or_free(solver, choice, error, (orders, i_dq), settings)
-    return Chosen(solver, solver.solve(choice), delay, sigma_delay, advantage)
+    significant = _significant_orders(solver.model, solution, i_dq)
+    return _Settled(*solver.smoothest(replace(solution.choice, orders=significant)), delay, sigma_delay)
 
 
-def _reciprocal_or_free(
-    solver: Solver,
-    choice: Choice,
-    error: FloatArray,
-    harmonics: tuple[tuple[int, ...], FloatArray],
-    settings: FitSettings,
-) -> tuple[Choice, float]:
-    """Take free maps only where they predict data left out clearly better, and in nearly all folds."""
-    free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
+def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bool]:
+    """Return the share of a squared error (F,) on data left out that a choice saves, and whether clearly.
+
+    Clearly is more than noise does, and in nearly all folds. Where two say no, the others are not asked.
+    """
     first, rest = [0, 1], list(range(2, len(error)))
-    free_error = solver.left_out(free, folds=first)[:, 0]
-    if not np.any(free_error < error[first]):  # enough to know
-        return choice, 1.0 - float(free_error.sum() / error[first].sum())
-    free_error = np.append(free_error, solver.left_out(free, folds=rest)[:, 0])
-    advantage = 1.0 - float(free_error.sum() / error.sum())
-    if advantage > _FREE_GAIN and np.sum(free_error < error) >= len(error) - 1:
-        orders, i_dq = harmonics
-        everything = solver.solve(replace(free, orders=orders))
-        significant = _significant_orders(solver.model, everything, i_dq)
-        return solver.smoothest(replace(free, orders=significant))[0], advantage
-    return choice, advantage
+    other = solver.left_out(choice, folds=first)[:, 0]
+    if np.all(other > (1 - _SOME_GAIN) * error[first]):
+        return 1.0 - float(other.sum() / error[first].sum()), False
+    other = np.append(other, solver.left_out(choice, folds=rest)[:, 0])
+    saved = 1.0 - float(other.sum() / error.sum())
+    return saved, bool(saved > _CLEAR_GAIN and np.sum(other < error) >= len(error) - 1)
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:

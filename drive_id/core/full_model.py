@@ -1,12 +1,15 @@
 """Everything that method ``full`` fits at once, as columns of one linear regression over windows.
 
-    int u_s + delta [shifts] = R (1 + alpha dT) int i_s + u_0 dt + sum_j c_j int h_j(i)_s + k dT [e^{j theta}]
+    int u_s + delta [shifts] = R (1 + alpha dT) int i_s + u_0 dt + sum_j c_j int h_j(i)_s
+                               + sum_j l_j int (h_j(i) - h_j(i'))_s + k dT [e^{j theta}]
                                + [e^{j theta} (f(i) + sum_h a_h(i) cos h theta + b_h(i) sin h theta)] at the ends
 
 f is the flux map averaged over the rotor position; a_h, b_h are its harmonics, on a coarser grid; u_0 is a constant
 voltage in the stator frame, which the offset of a current sensor causes in R int i_s. Harmonics 1 and 2 are no property
 of a machine: an offset o of the measured currents turns with -theta in the rotor frame and adds
-``-f'(i) e^{-j theta} o``, a mismatch of their gains turns with -2 theta.
+``-f'(i) e^{-j theta} o``, a mismatch of their gains turns with -2 theta. i' is the current of one sample before, turned
+with the rotor: a drive that compensates its inverter's drop by measured currents, which are old when the voltage acts,
+leaves just the difference.
 """
 
 from __future__ import annotations
@@ -80,9 +83,14 @@ class FullModel:
         return slice(MAGNET + 1, MAGNET + 1 + 3 * len(self.shapes.scales))
 
     @property
+    def lags(self) -> slice:
+        """Columns of what a drive that compensates the drop with earlier currents leaves of it."""
+        return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
+
+    @property
     def map(self) -> slice:
         """Columns of the flux map."""
-        return slice(self.drops.stop, self.drops.stop + self.flux.parameters)
+        return slice(self.lags.stop, self.lags.stop + self.flux.parameters)
 
     @property
     def all_orders(self) -> tuple[int, ...]:
@@ -138,6 +146,8 @@ class FullModel:
         zero = np.zeros_like(a)
         out[:, 0, drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
         out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
+        lag = windows.lag * windows.drop_scale[:, None]
+        out[:, 0, self.lags], out[:, 1, self.lags] = lag.real, lag.imag
         for end, sign in ((0, -1.0), (1, 1.0)):
             self._add_end(out, windows.i_dq[:, end], windows.angle[:, end], sign)
         return out

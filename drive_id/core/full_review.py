@@ -22,6 +22,7 @@ _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
 _LARGE_MAD = 0.03
 _REVERSED = 0.1
 _SPEEDS_APART = 0.1
+_COMPENSATION = "The drive compensates its inverter by currents that are old by then: what that leaves was fitted, too."
 
 
 def review_full(
@@ -146,6 +147,7 @@ def statements(
             "curve is what is left, flat at large currents."
         ),
         "A common gain of all currents or all voltages scales the result and cannot be seen in these data.",
+        *(_COMPENSATION for _ in range(fit.choice.lag)),
         *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, flux_map),

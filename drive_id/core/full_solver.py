@@ -16,7 +16,7 @@ from scipy import linalg, sparse
 from drive_id.core.full_basis import PENALTIES, Choice, basis, delay_shares, roughness
 from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
 from drive_id.core.windows import SHIFTS
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 _JITTER = 1e-13
 
@@ -158,6 +158,14 @@ class Solver:
         best = int(np.argmin(errors.mean(axis=0)))
         return replace(choice, penalty=PENALTIES[best]), errors[:, best]
 
+    def saving(self, solution: FullSolution, further: slice) -> float:
+        """Return the share of the sum of squared residuals that unknowns of further columns would take away."""
+        left = self._left(solution, np.arange(further.start, further.stop))
+        moment = self.total[further] @ solution.residual
+        scale = np.sqrt(np.maximum(np.diag(left), np.finfo(np.float64).tiny))
+        found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
+        return float((moment / scale) @ found / max(solution.sum_of_squares, np.finfo(np.float64).tiny))
+
     def delay(self, solution: FullSolution) -> tuple[float, float]:
         """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.
 
@@ -170,8 +178,7 @@ class Solver:
             Of all else, without a delay.
         """
         columns = np.r_[VOLTAGE, SHIFT]
-        half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
-        left = self.total[np.ix_(columns, columns)] - half.T @ half
+        left = self._left(solution, columns)
         best, least, bend = 0.0, np.inf, 1.0
         for low in SHIFTS:
             start, end = (np.concatenate([[1.0], -delay_shares(low + e)]) for e in (0.0, 1.0))
@@ -182,6 +189,11 @@ class Solver:
             if float(at @ left @ at) < least:
                 best, least, bend = low + where, float(at @ left @ at), bend_here
         return best, float(np.sqrt(max(least, 0.0) / max(float(self.counts.sum()), 1.0) / max(bend, 1e-300)))
+
+    def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
+        """Return the cross products of columns, less what the unknowns of a solution take of them."""
+        half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
+        return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
     def _voltage(self, choice: Choice) -> FloatArray:
         """Return the combination (size,) of columns that is the integral of the voltage that acted."""

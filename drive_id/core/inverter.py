@@ -60,6 +60,11 @@ class CapacitiveShapes:
         """Take scales from an 800th to a 6th of the largest current, A, each twice the one before."""
         return cls(i_max / 800 * 2.0 ** np.arange(8, dtype=np.float64))
 
+    @property
+    def coarse(self) -> CapacitiveShapes:
+        """Every second curve: enough for what is small beside the drop itself."""
+        return CapacitiveShapes(self.scales[::2])
+
     def __call__(self, i: FloatArray) -> FloatArray:
         """Return the curves (..., S) at phase currents (...), A."""
         x = np.asarray(i)[..., None] / self.scales

@@ -176,16 +176,18 @@ class GradientSpline:
         low, high = np.array([self.d[0], self.q[0]]), np.array([self.d[-1], self.q[-1]])
         return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
 
+    @cached_property
     def gradient(self) -> sparse.csr_array:
-        """Return G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
+        """G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
         by_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
         by_q = sparse.kron(sparse.eye_array(self._high_d.count), self._high_q.derivative())
         return sparse.csr_array(sparse.vstack([by_d, by_q]))
 
-    def roughness(self, order: int) -> sparse.csr_array:
-        """Return P (parameters, parameters): ``gamma' P gamma`` sums squared differences of the coefficients."""
-        d = _differences(self._low_d.count, self._high_q.count, order)
-        q = _differences(self._high_d.count, self._low_q.count, order)
+    @cached_property
+    def roughness(self) -> sparse.csr_array:
+        """P (parameters, parameters): ``gamma' P gamma`` sums squared second differences of the coefficients."""
+        d = _differences(self._low_d.count, self._high_q.count)
+        q = _differences(self._high_d.count, self._low_q.count)
         return sparse.csr_array(sparse.block_diag([d, q]))
 
     def _joined(
@@ -202,9 +204,9 @@ class GradientSpline:
         return BasisRows(column, value)
 
 
-def _differences(count_d: int, count_q: int, order: int) -> sparse.coo_array:
-    along_d = np.diff(np.eye(count_d), order, axis=0)
-    along_q = np.diff(np.eye(count_q), order, axis=0)
+def _differences(count_d: int, count_q: int) -> sparse.coo_array:
+    along_d = np.diff(np.eye(count_d), 2, axis=0)
+    along_q = np.diff(np.eye(count_q), 2, axis=0)
     return sparse.coo_array(
         sparse.kron(along_d.T @ along_d, sparse.eye_array(count_q))
         + sparse.kron(sparse.eye_array(count_d), along_q.T @ along_q)

@@ -61,6 +61,9 @@ class Windows:
         T (u_s[end + shift] - u_s[start + shift]): what a shift of the voltage by one sample changes, Vs.
     shape : (N, S, 3) float
         Integrals of the inverter's shapes of each phase's current, s.
+    lag : (N, L) complex
+        What the integrals of coarse shapes, s, exceed those of the currents i_dq of one sample before, turned with the
+        rotor: these a drive compensates the drop with.
     heating : (N,) float
         Temperature above that at which resistance and flux map are wanted, K.
     drop_scale : (N,) float
@@ -75,6 +78,7 @@ class Windows:
     duration: FloatArray
     shifted: ComplexArray
     shape: FloatArray
+    lag: ComplexArray
     heating: FloatArray
     drop_scale: FloatArray
 
@@ -215,6 +219,7 @@ class WindowCutter:
         voltage: ComplexArray = period * np.cumsum(np.append(0j, u_s[:-1]), dtype=np.complex128)
         current: ComplexArray = period / 2 * np.cumsum(np.append(0j, i_s[1:] + i_s[:-1]), dtype=np.complex128)
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
+        lag = self._lag(i_s, stretch.angle)
         ends = np.stack([begin, end], axis=1)
         i_dq = i_s[ends] * np.exp(-1j * stretch.angle[ends])
         return Windows(
@@ -226,9 +231,19 @@ class WindowCutter:
             duration=period * (end - begin).astype(np.float64),
             shifted=np.stack([period * (u_s[end + shift] - u_s[begin + shift]) for shift in SHIFTS], axis=1),
             shape=shape[end // grain] - shape[begin // grain],
+            lag=lag[end // grain] - lag[begin // grain],
             heating=np.full(len(begin), self._heating),
             drop_scale=np.full(len(begin), self._drop_scale),
         )
+
+    def _lag(self, i_s: ComplexArray, angle: FloatArray) -> ComplexArray:
+        """Return the integrals (G, L) from the first sample on, see :class:`Windows`."""
+        grain, shapes = _grain(self._period), self._shapes.coarse
+        turn = np.diff(angle, prepend=angle[0])
+        before = np.concatenate([i_s[:1], i_s[:-1]]) * np.exp(1j * turn)
+        now, then = (shapes.integrals(frames.phases(x[::grain]), self._period * grain) for x in (i_s, before))
+        excess = now - then
+        return np.stack([frames.space_vector(excess[:, number]) for number in range(len(shapes.scales))], axis=1)
 
 
 def _grain(period: float) -> int:

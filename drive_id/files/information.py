@@ -32,7 +32,7 @@ from drive_id.settings import from_mapping
 from drive_id.types import Samples
 
 FORMAT = "drive_id/information"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
 _DAMAGE = (
     DriveIdError,
@@ -201,7 +201,13 @@ def _header(file: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_version(header: Mapping[str, Any], where: str) -> None:
-    if int(header["format_version"]) > FORMAT_VERSION:
+    version = int(header["format_version"])
+    if version < FORMAT_VERSION:
+        raise InformationError(
+            f"{where} was written by drive_id {header['software']} in version {version} of the format, which holds "
+            "less than this one needs: accumulate its bags again."
+        )
+    if version > FORMAT_VERSION:
         raise InformationError(
             f"{where} was written by drive_id {header['software']} in version {header['format_version']} of the "
             f"format, and this drive_id, {drive_id.__version__}, knows it up to version {FORMAT_VERSION}: update it."

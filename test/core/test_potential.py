@@ -51,17 +51,17 @@ def test_a_gradient_is_that_of_the_co_energy(space):
         along_q = BSpline.design_matrix(i[:, 1], knots_q, space.degree)
         return np.einsum("na,ab,nb->n", along_d.toarray(), w, along_q.toarray())
 
-    psi = space.rows(i_dq).dot(space.gradient() @ w.ravel())
+    psi = space.rows(i_dq).dot(space.gradient @ w.ravel())
     step = 1e-3
     inner = np.clip(i_dq, LOW + step, HIGH - step)
-    psi = space.rows(inner).dot(space.gradient() @ w.ravel())
+    psi = space.rows(inner).dot(space.gradient @ w.ravel())
     for axis, direction in enumerate(np.eye(2)):
         numeric = (co_energy(inner + step * direction) - co_energy(inner - step * direction)) / (2 * step)
         np.testing.assert_allclose(psi[:, axis], numeric, rtol=1e-5, atol=1e-7)
 
 
 def test_gradients_are_reciprocal_and_free_maps_are_not(space):
-    gradient = space.gradient()
+    gradient = space.gradient
     i_dq = currents()
     by_d, by_q = space.slope_rows(i_dq)
     gamma = gradient @ RNG.standard_normal(gradient.shape[1])
@@ -79,7 +79,7 @@ def test_slopes_are_those_of_the_rows(space):
 
 
 def test_roughness_is_zero_for_a_constant_and_positive_otherwise(space):
-    p = space.roughness(2)
+    p = space.roughness
     assert np.abs(p @ np.ones(space.parameters)).max() < 1e-12
     gamma = RNG.standard_normal(space.parameters)
     assert gamma @ (p @ gamma) > 0

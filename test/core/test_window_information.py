@@ -67,7 +67,7 @@ def test_rows_say_what_the_balance_says(model, samples):
     expected = x[0] * windows.voltage + resistance * windows.current + constant * windows.duration
     expected = expected + windows.shifted @ x[SHIFT]
     per_phase = np.einsum("nsp,sp->np", windows.shape, drops)
-    expected = expected + 2 / 3 * per_phase @ np.exp(2j * np.pi / 3 * np.arange(3))
+    expected = expected + 2 / 3 * per_phase @ np.exp(2j * np.pi / 3 * np.arange(3)) + windows.lag @ x[model.lags]
     for end, sign in ((0, -1), (1, 1)):
         i_dq, theta = windows.i_dq[:, end], windows.angle[:, end]
         psi = flux_by_scipy(model.flux, x[model.map], i_dq)
@@ -160,7 +160,9 @@ def test_a_basis_selects_the_unknowns(model):
 
     everything = Choice(reciprocal=False, orders=model.all_orders, per_phase=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))
-    assert set(range(model.size)) - set(columns) == {VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET}
+    assert set(range(model.size)) - set(columns) == {
+        VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET, *range(model.lags.start, model.lags.stop)
+    }  # fmt: skip
     one = basis(model, Choice(reciprocal=True, orders=()))
-    assert one.shape[1] == 1 + 2 + len(model.shapes.scales) + model.flux.gradient().shape[1] - 1
+    assert one.shape[1] == 1 + 2 + len(model.shapes.scales) + model.flux.gradient.shape[1] - 1
     assert dataclasses.replace(everything, orders=()).orders == ()

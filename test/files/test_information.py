@@ -210,9 +210,16 @@ def test_a_newer_version_is_named(encoded):
     with pytest.raises(InformationError) as caught:
         decode_information(changed(encoded, header=renew), "x.info")
     assert str(caught.value) == (
-        f"x.info was written by drive_id 9.9 in version 2 of the format, and this drive_id, {drive_id.__version__}, "
-        "knows it up to version 1: update it."
+        f"x.info was written by drive_id 9.9 in version 3 of the format, and this drive_id, {drive_id.__version__}, "
+        "knows it up to version 2: update it."
     )
+
+
+def test_an_older_version_is_named(encoded):
+    older = changed(encoded, header=lambda header: header.update(format_version=1, software="0.0"))
+    sentence = r"by drive_id 0\.0 in version 1 of the format.*: accumulate its bags again\."
+    with pytest.raises(InformationError, match=sentence):
+        decode_information(older, "x.info")
 
 
 def test_a_file_that_is_not_there(tmp_path):

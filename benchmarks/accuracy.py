@@ -99,7 +99,8 @@ def blocks() -> dict[str, Block]:
             "Other inverters",
             "The `ipm` at 500 rpm; where there seems to be no inverter, the curve's error is relative to 1 % of the DC "
             "link. The last one has neither noise nor harmonics, so its MAD need not be less than that of `joint`: "
-            "what is left is the compensation, by currents that are old when it acts, which is fitted, but not simulated.",
+            "what is left is the compensation, by currents that are old when it acts, which is fitted, but not "
+            "simulated.",
             tuple(
                 Case(f"ipm, {name}", "ipm", (replace(NOISY, **changes),), Goal(mad_share=share))
                 for name, changes, share in (

@@ -79,6 +79,8 @@ def faulty(machine: str, **changes: Any) -> SimulationSettings:
 
 def blocks() -> dict[str, Block]:
     """Return the blocks that need no files."""
+    compensated = replace(NOISY, inverter_compensation=True)
+    quiet = replace(compensated, current_noise=0.0, harmonics=0.0)
     several, all_faults, ideal = Goal(resistance=5e-3), Goal(2e-3, 2e-2, 5e-2), Goal(1e-4, 1e-3, 1e-3, math.inf)
     return {
         "speeds": Block(
@@ -101,19 +103,12 @@ def blocks() -> dict[str, Block]:
             "link. The last one has neither noise nor harmonics, so its MAD need not be less than that of `joint`: "
             "what is left is the compensation, by currents that are old when it acts, which is fitted, but not "
             "simulated.",
-            tuple(
-                Case(f"ipm, {name}", "ipm", (replace(NOISY, **changes),), Goal(mad_share=share))
-                for name, changes, share in (
-                    ("tanh", {"inverter": "tanh"}, 1 / 3),
-                    ("dead time and devices", {"inverter": "two_stage"}, 1 / 3),
-                    ("no inverter", {"inverter": "none"}, 1 / 3),
-                    ("compensated", {"inverter_compensation": True}, 1 / 3),
-                    (
-                        "compensated, no noise",
-                        {"inverter_compensation": True, "current_noise": 0.0, "harmonics": 0.0},
-                        1.0,
-                    ),
-                )
+            (
+                Case("ipm, tanh", "ipm", (replace(NOISY, inverter="tanh"),)),
+                Case("ipm, dead time and devices", "ipm", (replace(NOISY, inverter="two_stage"),)),
+                Case("ipm, no inverter", "ipm", (replace(NOISY, inverter="none"),)),
+                Case("ipm, compensated", "ipm", (compensated,)),
+                Case("ipm, compensated, no noise", "ipm", (quiet,), Goal(mad_share=1.0)),
             ),
         ),
         "motion": Block(

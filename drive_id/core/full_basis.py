@@ -108,8 +108,8 @@ def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr
     ridge = np.zeros(model.size)
     for columns in model.harmonics.values():
         ridge[columns] = _HARMONIC_RIDGE * unit
-    ridge[model.lags] = _DROP_RIDGE * float(diagonal[model.lags].mean())
-    ridge[model.drops] = _DROP_RIDGE * float(diagonal[model.drops].mean())
+    for inverter in (model.drops, model.lags):
+        ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
     before, after = model.map.start, model.size - model.map.stop
     rough = sparse.block_diag(
         [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness, sparse.csr_array((after, after))]

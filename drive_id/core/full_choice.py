@@ -103,6 +103,7 @@ class _Settled:
 
 
 def _settle(solver: Solver, choice: Choice, i_dq: FloatArray, settings: FitSettings, turn: float) -> _Settled:
+    """Find whether the drive compensates its inverter, then the delay, then the harmonics, then the penalty."""
     delay, sigma_delay = np.nan, np.nan
     solution = solver.solve(choice)
     if solver.saving(solution, solver.model.lags) > _CLEAR_GAIN:

@@ -147,7 +147,7 @@ def statements(
             "curve is what is left, flat at large currents."
         ),
         "A common gain of all currents or all voltages scales the result and cannot be seen in these data.",
-        *(_COMPENSATION for _ in range(fit.choice.lag)),
+        *([_COMPENSATION] if fit.choice.lag else []),
         *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, flux_map),

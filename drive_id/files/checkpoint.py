@@ -30,7 +30,7 @@ from drive_id.files.bag_folder import storage_files
 from drive_id.files.signals import SignalMap
 
 FORMAT = "drive_id/checkpoint"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 INTERVAL = 5.0
 """Time between two checkpoints, s; what is read sooner leaves none."""
 _DAMAGE = (

@@ -209,7 +209,7 @@ def _check_version(header: Mapping[str, Any], where: str) -> None:
         )
     if version > FORMAT_VERSION:
         raise InformationError(
-            f"{where} was written by drive_id {header['software']} in version {header['format_version']} of the "
+            f"{where} was written by drive_id {header['software']} in version {version} of the "
             f"format, and this drive_id, {drive_id.__version__}, knows it up to version {FORMAT_VERSION}: update it."
         )
 

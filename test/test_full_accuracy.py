@@ -134,10 +134,25 @@ def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map(
     assert np.abs(found.inverter_voltage).max() < 0.02 * np.abs(plain.inverter_voltage).max()
 
 
+def along_a_ring(machine, settings, seconds):
+    """Simulate a current of constant amplitude that turns in the rotor's frame, after a short way from rest."""
+    t = settings.sample_period * np.arange(round(seconds / settings.sample_period))
+    ring = machine.i_max * np.exp(2j * np.pi * 1.1 * t) * np.minimum(t / 0.2, 1.0)
+    return simulate(machine, settings, np.stack([ring.real, ring.imag], axis=-1))
+
+
+@pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
+def test_the_way_from_rest_to_a_ring_does_not_decide_what_the_ring_is_fitted_with(machine):
+    simulation = along_a_ring(machine_map(machine), NOISY, 10.0)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert np.all(full_errors < 0.7 * joint_errors)
+    assert found.resistance == pytest.approx(simulation.truth.resistance, rel=0.03)
+    assert not any("reciprocal" in warning for warning in found.report.warnings)
+
+
 def test_a_delay_that_only_the_penalty_decides_on_is_not_taken_out():
-    t = NOISY.sample_period * np.arange(30_000)
-    ring = IPM.i_max * np.exp(2j * np.pi * 1.1 * t) * np.minimum(t / 0.2, 1.0)
-    simulation = simulate(IPM, NOISY, np.stack([ring.real, ring.imag], axis=-1))
+    simulation = along_a_ring(IPM, NOISY, 3.0)
     delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
     assert not delay.applied
     assert delay.sigma > 0.1

@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
 from drive_id.core.full_model import FullModel
-from drive_id.core.full_solver import FullSolution, Solver
+from drive_id.core.full_solver import FullSolution, Solver, predictable
 from drive_id.core.window_information import WindowInformation
 from drive_id.types import FloatArray
 
@@ -124,13 +124,14 @@ def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bo
 
     Clearly is more than noise does, and in nearly all folds. Where two say no, the others are not asked.
     """
-    first, rest = [0, 1], list(range(2, len(error)))
+    folds = np.flatnonzero(predictable(error))
+    first, rest = folds[:2], folds[2:]
     other = solver.left_out(choice, folds=first)[:, 0]
     if np.all(other > (1 - _SOME_GAIN) * error[first]):
         return 1.0 - float(other.sum() / error[first].sum()), False
     other = np.append(other, solver.left_out(choice, folds=rest)[:, 0])
-    saved = 1.0 - float(other.sum() / error.sum())
-    return saved, bool(saved > _CLEAR_GAIN and np.sum(other < error) >= len(error) - 1)
+    saved = 1.0 - float(other.sum() / error[folds].sum())
+    return saved, bool(saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:

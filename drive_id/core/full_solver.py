@@ -19,6 +19,7 @@ from drive_id.core.windows import SHIFTS
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _JITTER = 1e-13
+_UNPREDICTABLE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class Solver:
         return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
 
     def left_out(
-        self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | None = None
+        self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | IntArray | None = None
     ) -> FloatArray:
         """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
 
@@ -155,7 +156,7 @@ class Solver:
     def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
         """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""
         errors = self.left_out(choice, PENALTIES)
-        best = int(np.argmin(errors.mean(axis=0)))
+        best = int(np.argmin(errors[predictable(errors.min(axis=1))].mean(axis=0)))
         return replace(choice, penalty=PENALTIES[best]), errors[:, best]
 
     def saving(self, solution: FullSolution, further: slice) -> float:
@@ -204,6 +205,14 @@ class Solver:
 
     def _penalty(self, t: sparse.csr_array, penalty: float) -> FloatArray:
         return np.asarray((t.T @ roughness(self.model, self.total, penalty) @ t).toarray())
+
+
+def predictable(errors: FloatArray) -> BoolArray:
+    """Tell (F,) which folds the others can predict, by their squared errors (F,).
+
+    What only one fold visits, such as the way from rest to the figure, would outweigh all else in a choice.
+    """
+    return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
 
 
 def _congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:

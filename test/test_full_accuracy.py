@@ -9,6 +9,8 @@ import pytest
 
 from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full_basis import Choice
+from drive_id.core.full_solver import Solver
 from drive_id.core.identify import gather, identify, score
 from drive_id.core.trajectories import Lissajous
 from drive_id.sim.drive import simulate
@@ -26,6 +28,10 @@ def errors(simulation, settings=FULL):
     """Fit; return the identification and the NRMSE of both fluxes in percent."""
     found = identify([simulation.samples], settings)
     return found, 100 * np.array(score(found, simulation.truth))
+
+
+def windows_of(samples):
+    return gather([samples], FULL).windows.finished()
 
 
 def calibration(found, name):
@@ -134,10 +140,10 @@ def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map(
     assert np.abs(found.inverter_voltage).max() < 0.02 * np.abs(plain.inverter_voltage).max()
 
 
-def along_a_ring(machine, settings, seconds):
+def along_a_ring(machine, settings, seconds, turns=1.1, share=1.0):
     """Simulate a current of constant amplitude that turns in the rotor's frame, after a short way from rest."""
     t = settings.sample_period * np.arange(round(seconds / settings.sample_period))
-    ring = machine.i_max * np.exp(2j * np.pi * 1.1 * t) * np.minimum(t / 0.2, 1.0)
+    ring = share * machine.i_max * np.exp(2j * np.pi * turns * t) * np.minimum(t / 0.2, 1.0)
     return simulate(machine, settings, np.stack([ring.real, ring.imag], axis=-1))
 
 
@@ -156,6 +162,43 @@ def test_a_delay_that_only_the_penalty_decides_on_is_not_taken_out():
     delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
     assert not delay.applied
     assert delay.sigma > 0.1
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_noise_does_not_pass_for_a_delay(late):
+    """The controller answers noise with voltage: 5 times the usual noise looked like a delay of 0.3 samples."""
+    simulation = run_experiment(IPM, replace(NOISY, current_noise=1e-2, voltage_delay=late), seconds=4.0)
+    delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
+    assert delay.applied == bool(late)
+    assert delay.value == pytest.approx(late, abs=min(2.5 * delay.sigma, 0.3))
+
+
+def test_at_the_end_of_the_range_noise_does_not_pass_for_a_delay_either():
+    settings = replace(NOISY, current_noise=5e-3, speeds=(2500.0,), harmonics=0.0)
+    simulation = along_a_ring(machine_map("spm"), settings, 6.0, turns=-0.7, share=0.5)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert not calibration(found, "voltage_delay").applied
+    assert np.all(full_errors < joint_errors)
+    assert abs(found.resistance - simulation.truth.resistance) < 2.5 * found.sigma_resistance
+
+
+def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
+    """Twice the noise, by adding as much once more to the recorded currents, against twice the noise by expectation."""
+    settings = replace(NOISY, current_noise=5e-3, speeds=(2500.0,), harmonics=0.0)
+    machine = machine_map("spm")
+    samples = run_experiment(machine, settings, seconds=4.0).samples
+    noise = np.random.default_rng(1).normal(scale=settings.current_noise * machine.i_max, size=samples.i_abc.shape)
+    once, twice = (windows_of(each) for each in (samples, replace(samples, i_abc=samples.i_abc + noise)))
+    choice = Choice(reciprocal=True, orders=(), penalty=1e-3)
+    solver = Solver(once.model, once.folds, once.counts)
+    solution = solver.solve(choice)
+    delay, _, squares = solver.delay(solution)
+    noisier = solver.noisier(solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
+    foreseen = noisier.delay(noisier.solve(choice))[0] - delay
+    solver = Solver(twice.model, twice.folds, twice.counts)
+    assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)
+    assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)
 
 
 def test_currents_at_speeds_and_in_a_direction_never_seen_are_predicted():

@@ -11,7 +11,7 @@ from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full_fit import FullFit
 from drive_id.core.full_model import CONSTANT, SENSOR_ORDERS
-from drive_id.core.windows import SHIFTS
+from drive_id.core.windows import MOST_DELAY
 from drive_id.types import FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
@@ -208,7 +208,7 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
     if taken == 0.0:
         reason = f"The voltages act as recorded ({found}, which is not distinct from none, or too small to matter)."
         return Calibration(name, fit.delay, fit.sigma_delay, "samples", False, reason)
-    if abs(taken) > SHIFTS[-1]:
+    if abs(taken) >= MOST_DELAY:
         sentence = (
             f"The voltages seem to act {found} later than recorded, at the end of what can be taken out: align the "
             "recorded voltages with the currents."

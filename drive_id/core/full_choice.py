@@ -12,10 +12,11 @@ from drive_id.core.full_basis import PENALTIES, Choice
 from drive_id.core.full_model import FullModel
 from drive_id.core.full_solver import FullSolution, Solver, predictable
 from drive_id.core.window_information import WindowInformation
+from drive_id.core.windows import MOST_DELAY
 from drive_id.types import FloatArray
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
-_DELAY_SIGNIFICANCE = 5.0
+_DELAY_SIGNIFICANCE = 3.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
@@ -23,6 +24,7 @@ _SOME = 1000
 _COINCIDENCE = 0.1
 _DELAY_BIAS = 0.01
 """Samples; what the estimate of a delay was seen to be off by."""
+_MOST_LEFT = 0.5
 _SMOOTHING_DOUBT = 2.0
 """How far a delay is uncertain, in units of what ten times the penalty changes: on a ring, it decides, not the data."""
 _LEAST_HEATING = 5.0
@@ -66,6 +68,11 @@ def distinct_orders(orders: Iterable[int], turn: float) -> tuple[int, ...]:
     return tuple(chosen)
 
 
+def thinned(i_dq: FloatArray) -> FloatArray:
+    """Return some of the currents, evenly over time: enough for a mean over them."""
+    return i_dq[:: -(-len(i_dq) // _SOME)]
+
+
 def choose(information: WindowInformation, settings: FitSettings, turn: float) -> Chosen:
     """Fit the model that the data ask for, see :func:`~drive_id.core.full_fit.fit_full`."""
     model = information.model
@@ -74,8 +81,7 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     orders = tuple(order for order in model.all_orders if order in distinct)
     kept = information.kept()
     heating = np.concatenate([windows.heating for windows in kept])
-    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
-    i_dq = i_dq[:: -(-len(i_dq) // _SOME)]
+    i_dq = thinned(np.concatenate([windows.i_dq[:, 0] for windows in kept]))
     choice = Choice(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     choice = replace(choice, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
     if not settings.calibrate_delay:
@@ -110,13 +116,27 @@ def _settle(solver: Solver, choice: Choice, i_dq: FloatArray, settings: FitSetti
         choice = replace(choice, lag=True)
         solution = solver.solve(choice)
     if settings.calibrate_delay and choice.reciprocal:
-        delay, sigma_delay = solver.delay(solution)
-        smoother, _ = solver.delay(solver.solve(replace(choice, penalty=PENALTIES[-1])))
-        sigma_delay = float(np.linalg.norm([sigma_delay, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - delay)]))
+        delay, sigma_delay = _delay(solver, solution, i_dq)
         if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
             solution = solver.solve(replace(choice, delay=delay))
     significant = _significant_orders(solver.model, solution, i_dq)
     return _Settled(*solver.smoothest(replace(solution.choice, orders=significant)), delay, sigma_delay)
+
+
+def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[float, float]:
+    """Return the delay of the voltages without what noise in the currents has made of it, and its deviation, samples.
+
+    A controller answers noise with voltage, later. The deviation holds what was taken away, and what smoothing changes.
+    At the end of the range there is no minimum, and only a delay that explains most residuals is one.
+    """
+    found, sigma, squares = solver.delay(solution)
+    smoother = solver.delay(solver.solve(replace(solution.choice, penalty=PENALTIES[-1])))[0]
+    noisier = solver.noisier(solution, i_dq, squares)
+    by_noise = noisier.delay(noisier.solve(solution.choice))[0] - found
+    doubts = [sigma, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - found), by_noise]
+    if abs(found) >= MOST_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
+        doubts.append(MOST_DELAY)
+    return float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(doubts))
 
 
 def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bool]:

@@ -12,7 +12,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.flux_models import BasisRows
 from drive_id.core.full_basis import Choice
-from drive_id.core.full_choice import Chosen, choose, distinct_orders
+from drive_id.core.full_choice import Chosen, choose, distinct_orders, thinned
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
 from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
@@ -39,8 +39,8 @@ class FullFit:
     solution : FullSolution
     changes : (size, B) float
         What leaving each batch's residuals out changes in the estimate, to first order, and last what the penalties
-        change: ``changes @ changes.T`` is the covariance of the estimate, a heteroscedasticity and autocorrelation
-        consistent one, plus its squared bias by smoothing.
+        and the noise of the currents change: ``changes @ changes.T`` is the covariance of the estimate, a
+        heteroscedasticity and autocorrelation consistent one, plus its squared biases.
     delay, sigma_delay : float
         Estimated delay of the voltages and its deviation, samples; NaN when it was not asked for.
     advantage : float
@@ -127,7 +127,8 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
     batches, energy, times = batch_changes(information, solution)
-    changes = np.column_stack([batches, solver.shrinkage(solution)])
+    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
+    changes = np.column_stack([batches, solver.pulls(solution, thinned(i_dq))])
     durations = np.concatenate([windows.duration for windows in kept])
     outlying = float(energy.max() / max(np.median(energy), np.finfo(np.float64).tiny))
     slope = _drop_slope(model, solution, kept)

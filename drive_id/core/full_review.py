@@ -54,7 +54,10 @@ def review_full(
             "one drive."
         )
     if not np.isfinite(mad).all():
-        warnings.append("The simulated current diverged, so there is no MAD: the identified model is not stable.")
+        warnings.append(
+            "The simulated current diverged, so there is no MAD, and the identified model is not stable: check the "
+            "order of the phases and the angle, or set passive_maps."
+        )
     return tuple(warnings)
 
 

@@ -6,6 +6,7 @@ in use, one inverter curve or one per phase. None needs a second pass over the s
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -110,10 +111,50 @@ class Solver:
         squares = float(residual @ self.total @ residual)
         return FullSolution(choice, residual, t, factor, scale, squares, float(self.counts.sum()))
 
-    def shrinkage(self, solution: FullSolution) -> FloatArray:
-        """Return what the penalties change in the estimate, to first order, (size,)."""
-        pull = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
-        return np.asarray(solution.basis @ solution.gain(np.asarray(solution.basis.T @ pull)[:, None])[:, 0])
+    def pulls(self, solution: FullSolution, i_dq: FloatArray) -> FloatArray:
+        """Return what the penalties and the noise of the currents change in the estimate, to first order, (size, 2).
+
+        Parameters
+        ----------
+        solution : FullSolution
+        i_dq : (N, 2) float
+            Some of the currents that were visited, evenly over time, A.
+        """
+        penalties = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
+        noise = np.zeros(self.model.size)
+        noise[self.model.map] = self._noise(solution, i_dq, solution.sum_of_squares) @ solution.residual[self.model.map]
+        pull = np.asarray(solution.basis.T @ np.stack([penalties, noise], axis=1))
+        return np.asarray(solution.basis @ solution.gain(pull))
+
+    def noisier(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> Solver:
+        """Return a solver of what would have been recorded with twice the noise in the currents, in its expectation.
+
+        How an estimate moves from here to there is how far noise has moved it (Cook and Stefanski 1994,
+        simulation-extrapolation).
+
+        Parameters
+        ----------
+        solution : FullSolution
+        i_dq : (N, 2) float
+            As of :meth:`pulls`, A.
+        squares : float
+            Sum of squares of the residuals that noise leaves, (Vs)^2.
+        """
+        other = copy.copy(self)
+        other.total = self.total.copy()
+        other.total[self.model.map, self.model.map] += self._noise(solution, i_dq, squares)
+        return other
+
+    def _noise(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
+        """Return what the noise of the currents adds to the map's cross products, ``sigma^2 sum dB'dB``.
+
+        It leaves residuals ``(dB gamma) n``, which tells how large it is.
+        """
+        slopes = [rows.sparse(self.model.flux.parameters) for rows in self.model.flux.slope_rows(i_dq)]
+        products = sum(one.T @ one for one in slopes)
+        gamma = solution.residual[self.model.map]
+        shown = max(float(gamma @ (products @ gamma)), np.finfo(np.float64).tiny)
+        return sparse.csr_array(products * (max(squares, 0.0) / shown))
 
     def left_out(
         self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | IntArray | None = None
@@ -167,8 +208,8 @@ class Solver:
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
         return float((moment / scale) @ found / max(solution.sum_of_squares, np.finfo(np.float64).tiny))
 
-    def delay(self, solution: FullSolution) -> tuple[float, float]:
-        """Estimate by how many samples the voltages act later than recorded, and its deviation for white residuals.
+    def delay(self, solution: FullSolution) -> tuple[float, float, float]:
+        """Estimate by how many samples the voltages act later than recorded.
 
         A delay turns the flux of a constant speed by omega delta: only the reciprocity of the maps, or several speeds,
         tell it from a flux.
@@ -177,6 +218,13 @@ class Solver:
         ----------
         solution : FullSolution
             Of all else, without a delay.
+
+        Returns
+        -------
+        delay, sigma : float
+            The latter for white residuals, samples.
+        squares : float
+            Sum of squares of the residuals with it, (Vs)^2.
         """
         columns = np.r_[VOLTAGE, SHIFT]
         left = self._left(solution, columns)
@@ -189,7 +237,8 @@ class Solver:
             at = start + where * step
             if float(at @ left @ at) < least:
                 best, least, bend = low + where, float(at @ left @ at), bend_here
-        return best, float(np.sqrt(max(least, 0.0) / max(float(self.counts.sum()), 1.0) / max(bend, 1e-300)))
+        sigma = float(np.sqrt(max(least, 0.0) / max(float(self.counts.sum()), 1.0) / max(bend, 1e-300)))
+        return best, sigma, least
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns, less what the unknowns of a solution take of them."""

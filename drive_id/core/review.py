@@ -79,7 +79,10 @@ def _on_model(
             "or current."
         )
     if not np.isfinite(mad).all():
-        warnings.append("The simulated current diverged, so there is no MAD: the identified model is not stable.")
+        warnings.append(
+            "The simulated current diverged, so there is no MAD, and the identified model is not stable: check the "
+            "order of the phases and the angle."
+        )
     return warnings
 
 

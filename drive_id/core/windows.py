@@ -29,6 +29,9 @@ STRIDE = 0.8e-3
 SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 """The voltage is kept at these samples beside both ends, to be shifted in time later on."""
 
+MOST_DELAY = float(-SHIFTS[0])
+"""Samples; of the voltage, either way."""
+
 _REACH = 4
 _ROUNDING = 1e-9  # s
 _FEWEST = 4096

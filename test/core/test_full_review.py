@@ -81,18 +81,32 @@ def test_a_second_harmonic_of_another_shape_is_no_gain_mismatch(good):
     assert any("the voltages' gains differ" in warning for warning in gained.report.warnings)
 
 
+def logged_late(samples, late):
+    """Return samples with voltages that were recorded ``late`` samples before they acted."""
+    names = ("stamp", "i_abc", "angle", "speed", "i_dq_reference")
+    arrays = {name: getattr(samples, name)[: len(samples) - late] for name in names}
+    return replace(samples, **arrays, u_abc=samples.u_abc[late:])
+
+
+def delay_of(identification):
+    (entry,) = (entry for entry in identification.calibrations if entry.name == "voltage_delay")
+    return entry
+
+
 @pytest.mark.parametrize(("logged", "late"), [(-3.0, 0), (0.5, 3)])
 def test_delays_of_several_samples_are_taken_out(logged, late):
     """More than the simulation's log can be late: the record is moved."""
     simulation = simulate(voltage_delay=logged)
-    names = ("stamp", "i_abc", "angle", "speed", "i_dq_reference")
-    count = len(simulation.samples) - late
-    arrays = {name: getattr(simulation.samples, name)[:count] for name in names}
-    found = fitted(replace(simulation.samples, **arrays, u_abc=simulation.samples.u_abc[late:]))
-    (entry,) = (entry for entry in found.calibrations if entry.name == "voltage_delay")
-    assert entry.applied
-    assert entry.value == pytest.approx(logged + late, abs=0.05)
+    found = fitted(logged_late(simulation.samples, late))
+    assert delay_of(found).applied
+    assert delay_of(found).value == pytest.approx(logged + late, abs=0.05)
     assert max(score(found, simulation.truth)) < 1e-3
+
+
+def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
+    found = fitted(logged_late(good.samples, 7))
+    assert delay_of(found).doubtful
+    assert any("at the end of what can be taken out" in warning for warning in found.report.warnings)
 
 
 def test_a_slow_rotor_is_told():

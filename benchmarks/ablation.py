@@ -24,9 +24,9 @@ from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
 from drive_id.core.full_model import SENSOR_ORDERS
+from drive_id.experiments import load_machine, run_experiment
 from drive_id.sim.drive import Simulation
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import load_machine, run_experiment
 
 COLUMNS = ("psi_d", "psi_q", "R", "Inverter curve")
 INGREDIENTS = Choice(reciprocal=True, orders=(6, 12), penalty=PENALTIES[-2])

@@ -24,9 +24,9 @@ from drive_id.core.identify import identify, score
 from drive_id.core.plan import Plan, plan
 from drive_id.core.plan_candidates import Experiment
 from drive_id.core.plan_settings import PlanSettings
+from drive_id.experiments import load_machine, rough_settings, run_experiment
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import FloatArray, GroundTruth
-from drive_id.workflows import load_machine, rough_settings, run_experiment
 
 NAMES = ("psi_d", "psi_q", "R", "inverter")
 SIXTH = 0.01

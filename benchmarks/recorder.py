@@ -36,6 +36,7 @@ from rosbags.rosbag2 import Reader
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.trajectories import Lissajous
+from drive_id.experiments import run_experiment
 from drive_id.files.bag import open_bag
 from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_recover import recover_bag
@@ -43,7 +44,7 @@ from drive_id.files.bag_writer import write_recording
 from drive_id.nodes.qos import STREAM
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import fit_bags, run_experiment
+from drive_id.workflows import fit_bags
 
 TOPICS = {
     "/phase_currents": msg.PhaseCurrents,

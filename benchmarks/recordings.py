@@ -7,13 +7,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from drive_id.experiments import run_experiment
 from drive_id.files.bag import open_bag
 from drive_id.files.bag_writer import write_recording
 from drive_id.files.rosbag2_writer import Rosbag2McapWriter
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import Samples
-from drive_id.workflows import run_experiment
 
 RATE = 10_000
 BLOCK = 100

@@ -19,9 +19,9 @@ from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identify import gather
 from drive_id.core.metrics import true_flux
+from drive_id.experiments import run_experiment
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 BAND = 1.96
 WITHIN = 0.97

@@ -107,8 +107,8 @@ def simulate(
 ) -> None:
     """Simulate a drive on a Lissajous trajectory and record it as a rosbag2 bag, its ground truth attached."""
     from drive_id.core.trajectories import Lissajous
+    from drive_id.experiments import load_machine, simulate_bag
     from drive_id.sim.settings import SimulationSettings
-    from drive_id.workflows import load_machine, simulate_bag
 
     options: dict[str, Any] = {"inverter": inverter, "current_noise": noise, "harmonics": harmonics, "seed": seed}
     if speed:
@@ -147,6 +147,9 @@ def fit(
     from drive_id.analysis.painting import Painter
 
     with Painter() as painter:  # before anything else: it loads at the same time
+        from drive_id.core.compiled import start_without_linear_algebra
+
+        start_without_linear_algebra()
         from drive_id.core.fit_settings import FitSettings
         from drive_id.files.results import results_tree
         from drive_id.files.signals import read_signals

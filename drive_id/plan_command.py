@@ -45,9 +45,9 @@ def plan_experiment(
     """Propose trajectory, speeds and duration for a wanted accuracy, from rough data of the machine."""
     from drive_id.core.plan import plan
     from drive_id.core.plan_settings import PlanSettings
+    from drive_id.experiments import rough_settings
     from drive_id.files.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan
     from drive_id.tables import plan_tables
-    from drive_id.workflows import rough_settings
 
     options: dict[str, Any] = {
         "i_max": i_max, "pole_pairs": pole_pairs, "resistance": resistance, "inductance_d": inductance_d,

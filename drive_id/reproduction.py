@@ -16,12 +16,12 @@ from rich.table import Table
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identification import Identification
 from drive_id.core.identify import Progress, identify, score, silent
+from drive_id.experiments import run_experiment
 from drive_id.files.results import check_output, replace_folder
 from drive_id.sim.drive import Simulation
 from drive_id.sim.machine import default_amplitude
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 MACHINES = ("ipm", "spm", "pmsyrm")
 METHODS = {"psm": "PSM identification", "joint": "Joint identification", "full": "Full identification"}

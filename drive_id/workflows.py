@@ -1,10 +1,9 @@
-"""What the command line and the nodes do with bags: simulate one, fit some."""
+"""What the command line and the nodes do with recorded bags: fit them, or accumulate them for a fit."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,25 +16,12 @@ from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identification import FluxMap, Identification
 from drive_id.core.identify import Progress, score, silent
-from drive_id.core.plan_settings import PlanSettings, RoughMachine
-from drive_id.core.trajectories import Lissajous
-from drive_id.errors import ConfigurationError
-from drive_id.files.bag_writer import write_recording
 from drive_id.files.information import check_information_output, write_information
 from drive_id.files.information_name import is_information
-from drive_id.files.machines import read_machine
-from drive_id.files.results import PICTURE, Provenance, check_absent, check_output, write_results
+from drive_id.files.results import PICTURE, Provenance, check_output, write_results
 from drive_id.files.signals import SignalMap
-from drive_id.fleet import accumulate_on_cluster
 from drive_id.merging import accumulate_sources
-from drive_id.sim.drive import Simulation, simulate
-from drive_id.sim.machine import default_amplitude
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
 from drive_id.streaming import accumulate
-from drive_id.types import MachineMap
-
-_MOST_SAMPLES = 2e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,75 +43,6 @@ class Fit:
     def warnings(self) -> tuple[str, ...]:
         """Sentences about the recording and about the fit."""
         return (*self.provenance.warnings, *self.identification.report.warnings)
-
-
-def load_machine(name_or_file: str) -> MachineMap:
-    """Return a shipped machine by name or read one from a ``.npz`` or ``.mat`` file.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is none, or the file is not a machine.
-    """
-    path = Path(name_or_file)
-    is_file = path.suffix in (".npz", ".mat") or os.path.exists(path)  # noqa: PTH110  # never raises, whatever the name
-    return read_machine(path) if is_file else machine_map(name_or_file)
-
-
-def rough_settings(name_or_file: str) -> PlanSettings:
-    """Return settings of a plan with the rough data of a machine, see :func:`load_machine`."""
-    machine_map = load_machine(name_or_file)
-    return PlanSettings(**asdict(RoughMachine.from_map(machine_map, default_amplitude(machine_map))))
-
-
-def run_experiment(
-    machine: MachineMap, settings: SimulationSettings, trajectory: Lissajous | None = None, seconds: float = 10.0
-) -> Simulation:
-    """Drive a simulated machine along a trajectory.
-
-    Parameters
-    ----------
-    machine : MachineMap
-    settings : SimulationSettings
-    trajectory : Lissajous, optional
-        Its radius gives way to that of the settings or of the machine.
-    seconds : float
-        Duration, s.
-
-    Raises
-    ------
-    ConfigurationError
-        When machine, settings and duration do not make an experiment.
-    """
-    samples = seconds / settings.sample_period
-    if not 2 <= samples <= _MOST_SAMPLES:
-        raise ConfigurationError(
-            f"{seconds:g} s at a period of {settings.sample_period:g} s make {samples:.3g} samples: choose a duration "
-            f"that makes between 2 and {_MOST_SAMPLES:.0e}."
-        )
-    count = round(samples)
-    i_max = settings.i_max or default_amplitude(machine)
-    trajectory = replace(trajectory or Lissajous(), i_max=i_max)
-    reference = trajectory(settings.sample_period * np.arange(count, dtype=np.float64))
-    return simulate(machine, settings, reference)
-
-
-def simulate_bag(
-    machine: MachineMap, settings: SimulationSettings, output: Path, trajectory: Lissajous, seconds: float
-) -> Simulation:
-    """Drive a simulated machine along a trajectory and write the recording, its ground truth attached.
-
-    Raises
-    ------
-    OutputError
-        When the output exists or cannot be written.
-    ConfigurationError
-        When machine, settings and trajectory do not fit together.
-    """
-    check_absent(output)
-    simulation = run_experiment(machine, settings, trajectory, seconds)
-    write_recording(output, simulation.samples, simulation.truth)
-    return simulation
 
 
 def fit_bags(
@@ -255,6 +172,8 @@ def _gatherer(
 ) -> Callable[..., Accumulated]:
     """Return what turns bags into evidence: all of them together, or each by itself, here or on a cluster."""
     if cluster:
+        from drive_id.fleet import accumulate_on_cluster  # noqa: PLC0415  # asyncio takes a while
+
         return partial(accumulate_on_cluster, cluster=cluster, skip_bad=skip_bad)
     if apart or skip_bad or any(is_information(bag) for bag in bags):
         return partial(accumulate_sources, skip_bad=skip_bad)

@@ -7,10 +7,11 @@ import pytest
 from drive_bags import TRAJECTORY
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.experiments import run_experiment
 from drive_id.files.bag_writer import write_recording
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import fit_bags, run_experiment
+from drive_id.workflows import fit_bags
 
 hypothesis.settings.register_profile("drive_id", deadline=None)  # tests are not timed: the machine may be busy
 hypothesis.settings.load_profile("drive_id")

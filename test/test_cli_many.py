@@ -10,10 +10,10 @@ import test_cli
 from drive_bags import TRAJECTORY, with_arrays
 from test_cli import assert_one_sentence, tree
 
+from drive_id.experiments import run_experiment
 from drive_id.files.bag_writer import write_recording
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 run = test_cli.run
 METHOD = ("--method", "joint")

@@ -12,12 +12,13 @@ from fleet_cluster import own_cluster
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, FleetError
+from drive_id.experiments import run_experiment
 from drive_id.files.bag_writer import write_recording
 from drive_id.fleet import accumulate_on_cluster
 from drive_id.merging import accumulate_sources
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import accumulate_bags, fit_bags, run_experiment
+from drive_id.workflows import accumulate_bags, fit_bags
 
 pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
 

@@ -13,11 +13,11 @@ from drive_id.core.full_basis import Choice
 from drive_id.core.full_solver import Solver
 from drive_id.core.identify import gather, identify, score
 from drive_id.core.trajectories import Lissajous
+from drive_id.experiments import run_experiment
 from drive_id.sim.drive import simulate
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import MachineMap
-from drive_id.workflows import run_experiment
 
 FULL, JOINT = FitSettings(method="full"), FitSettings(method="joint")
 IPM = machine_map("ipm")

@@ -13,6 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types"}
 APPLICATION = {
+    "drive_id.experiments",
     "drive_id.fleet",
     "drive_id.identifier",
     "drive_id.merging",

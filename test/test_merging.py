@@ -13,12 +13,13 @@ from drive_bags import TRAJECTORY, with_arrays
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
+from drive_id.experiments import run_experiment
 from drive_id.files.bag_writer import write_recording
 from drive_id.files.information import read_information, write_information
 from drive_id.merging import accumulate_sources, pairwise, stored_settings
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import accumulate_bags, fit_bags, run_experiment
+from drive_id.workflows import accumulate_bags, fit_bags
 
 JOINT = FitSettings(method="joint")
 RADIUS = replace(JOINT, i_max=300.0)

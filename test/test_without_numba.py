@@ -14,10 +14,11 @@ from drive_id.core import current_simulation, flux_models, row_products, sample_
 from drive_id.core.bspline import Axis
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.flux_models import Polynomial, TensorSpline
+from drive_id.experiments import run_experiment
 from drive_id.files.bag_writer import write_recording
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import fit_bags, run_experiment
+from drive_id.workflows import fit_bags
 
 RUN = """
 import json, sys

@@ -13,12 +13,13 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identify import identify, score
 from drive_id.core.trajectories import Lissajous
 from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError
+from drive_id.experiments import load_machine, run_experiment, simulate_bag
 from drive_id.files.bag_reader import read_recording
 from drive_id.files.bag_writer import write_recording
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.tables import fit_table
-from drive_id.workflows import fit_bags, load_machine, run_experiment, simulate_bag
+from drive_id.workflows import fit_bags
 
 SHORT = SimulationSettings()
 
@@ -102,7 +103,7 @@ def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_pa
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes").touch()
     monkeypatch.setattr("drive_id.workflows.accumulate", fail)
-    monkeypatch.setattr("drive_id.workflows.simulate", fail)
+    monkeypatch.setattr("drive_id.experiments.simulate", fail)
     with pytest.raises(OutputError):
         fit_bags([bag], tmp_path / "full", FitSettings(method="joint"))
     with pytest.raises(OutputError):

@@ -6,6 +6,7 @@ take minutes, by a vectorized twin of the same signature.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import TypeVar, cast
 
@@ -15,6 +16,8 @@ except ImportError:  # no wheel for this machine or Python yet
     numba = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
+
+_LINEAR_ALGEBRA = "scipy.linalg.cython_blas"
 
 COMPILING: bool = numba is not None
 """Whether kernels are compiled."""
@@ -40,3 +43,22 @@ def inlined(kernel: Kernel) -> Kernel:
 def compiled_or(twin: Kernel) -> Callable[[Kernel], Kernel]:
     """Compile a kernel, or put ``twin`` in its place where there is no numba."""
     return compiled if COMPILING else lambda _: twin
+
+
+@compiled
+def _nothing() -> None:
+    """Do nothing, compiled."""
+
+
+def start_without_linear_algebra() -> None:
+    """Let numba get ready without scipy.linalg: none of our kernels needs it, and its import takes longer than a fit.
+
+    For processes of our own alone: to numba, ``cov`` and ``corrcoef`` remain unknown in this one.
+    """
+    if not COMPILING or _LINEAR_ALGEBRA in sys.modules:
+        return
+    sys.modules[_LINEAR_ALGEBRA] = None  # type: ignore[assignment]  # so that importing it says that there is none
+    try:
+        _nothing()  # with the first kernel numba loads all that it knows
+    finally:
+        del sys.modules[_LINEAR_ALGEBRA]

@@ -17,6 +17,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from drive_id.core.health import Health
 from drive_id.errors import ConfigurationError
+from drive_id.experiments import load_machine
 from drive_id.files.ground_truth import write_truth
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.parameters import declare_settings, on_change
@@ -25,7 +26,6 @@ from drive_id.nodes.runtime import run
 from drive_id.sim.bench import Bench, Block, Pace
 from drive_id.sim.bench_settings import BenchSettings
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import load_machine
 
 _SHORTEST_TICK = 2e-3  # s
 _LONGEST_TICK = 2e-2

@@ -11,9 +11,9 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_choice import distinct_orders
 from drive_id.core.identify import identify, score
+from drive_id.experiments import run_experiment
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 I_MAX = 300.0
 

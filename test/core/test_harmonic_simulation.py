@@ -16,9 +16,9 @@ from drive_id.core.bspline import Axis
 from drive_id.core.current_simulation import polynomials, simulate_current, table_of
 from drive_id.core.flux_models import TensorSpline
 from drive_id.core.harmonic_simulation import simulate_harmonic_current
+from drive_id.experiments import run_experiment
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 ORDERS = (6, 12)
 WITHOUT_NUMBA = """

@@ -10,9 +10,9 @@ import pytest
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identify import gather, identify, score
 from drive_id.core.order_search import explained_shares, unexpected_orders
+from drive_id.experiments import run_experiment
 from drive_id.sim.machines import MACHINES
 from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import run_experiment
 
 UNUSUAL = (6, 0.015, 0.01), (30, 0.0, 0.006)
 

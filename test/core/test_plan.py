@@ -29,10 +29,10 @@ from drive_id.core.plan_information import RoughModel, inform, predict, synthesi
 from drive_id.core.plan_settings import PlanSettings, RoughMachine
 from drive_id.core.trajectories import Lissajous
 from drive_id.errors import ConfigurationError
+from drive_id.experiments import rough_settings, run_experiment
 from drive_id.sim.machines import machine_map
 from drive_id.sim.settings import SimulationSettings
 from drive_id.types import MachineMap
-from drive_id.workflows import rough_settings, run_experiment
 
 MACHINE = RoughMachine(20.0, 3, 0.35, 2e-3, 3e-3, 0.09, 325.0)
 SETTINGS = PlanSettings(**asdict(MACHINE))

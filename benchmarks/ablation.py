@@ -2,7 +2,7 @@
 
 Usage: python benchmarks/ablation.py [--only PART,...] [--output docs/ablation.md]
 
-The parts are model, windows, splines, calibration and instruments. The figures do not depend on the computer.
+The parts are model, windows, splines, calibration, instruments and dilution. The figures do not depend on the computer.
 """
 
 from __future__ import annotations
@@ -19,19 +19,24 @@ from accuracy import NOISY, at, faulty
 from judging import judge, percent
 from rich.console import Console
 from single_fit import Accumulation, Errors
+from uncertainty import DRIVES, SECONDS, WITHIN
 
 from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
+from drive_id.core.full_choice import thinned
 from drive_id.core.full_model import SENSOR_ORDERS
+from drive_id.core.full_solver import Solver
 from drive_id.experiments import load_machine, run_experiment
 from drive_id.sim.drive import Simulation
 from drive_id.sim.settings import SimulationSettings
+from drive_id.types import FloatArray
 
 COLUMNS = ("psi_d", "psi_q", "R", "Inverter curve")
 INGREDIENTS = Choice(reciprocal=True, orders=(6, 12), penalty=PENALTIES[-2])
 """What ``full`` chooses for these drives, but for the weight of the penalty, which it chooses by cross-validation."""
 ANGLES = (30.0, 60.0, 120.0, 240.0, 360.0)
+REPETITIONS = 12
 STRIDES = (0.4e-3, 0.8e-3, 1.6e-3, 3.2e-3)
 
 
@@ -45,9 +50,9 @@ def line(name: str, errors: Errors) -> str:
     return f"| {name} | {' | '.join(percent(value) for value in errors)} |"
 
 
-def head(title: str, sentence: str, *names: str) -> Iterator[str]:
+def head(title: str, sentence: str, *names: str, columns: tuple[str, ...] = COLUMNS) -> Iterator[str]:
     """Begin a section with a table whose first column, and those beyond the usual ones, have the given names."""
-    columns = (names[0], *COLUMNS, *names[1:])
+    columns = (names[0], *columns, *names[1:])
     yield from (f"## {title}", "", sentence, "", f"| {' | '.join(columns)} |")
     yield "|---|" + "---:|" * (len(columns) - 1)
 
@@ -166,12 +171,55 @@ def instruments_section() -> Iterator[str]:
         yield ""
 
 
+def dilution() -> Iterator[str]:
+    """Leave what noise in the currents takes from the maps."""
+    yield from head(
+        "What noise takes",
+        f"Mean and scatter of the maps' errors over {REPETITIONS} experiments of {SECONDS:g} s that differ in their "
+        f"noise, root mean square within {100 * WITHIN:g} % of the disc: what noise in the currents takes from the map "
+        "is the same each time. The drives are those of [coverage.md](coverage.md), the penalty is that of the model "
+        "above.",
+        "Drive",
+        columns=("psi_d, mean", "psi_d, scatter", "psi_q, mean", "psi_q, scatter"),
+    )
+    for name, (machine, settings) in DRIVES.items():
+        experiments = [_experiment(machine, replace(settings, seed=seed)) for seed in range(REPETITIONS)]
+        i_dq, true_psi = experiments[0].places
+        inner = np.hypot(*i_dq.T) <= WITHIN * experiments[0].simulation.truth.i_max
+        largest = np.abs(true_psi).max(axis=0)
+        fluxes = np.array(
+            [_with_and_without(data, i_dq[inner]) for data in experiments]
+        )  # [experiment, kind, place, flux]
+        errors = (fluxes - true_psi[inner]) / largest
+        mean = np.sqrt(np.mean(errors.mean(axis=0) ** 2, axis=1))
+        scatter = np.sqrt(np.mean(errors.var(axis=0, ddof=1), axis=1))
+        for kind, word in enumerate(("left as it is", "given back")):
+            values = [percent(x) for flux in range(2) for x in (mean[kind, flux], scatter[kind, flux])]
+            yield f"| {name}: {word} | {' | '.join(values)} |"
+    yield ""
+
+
+def _experiment(machine: str, settings: SimulationSettings) -> Accumulation:
+    return Accumulation(run_experiment(load_machine(machine), settings, None, SECONDS))
+
+
+def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
+    """Return the fluxes (2, N, 2) at currents (N, 2), Wb, without and with what noise takes."""
+    solver = Solver(data.model, data.information.folds, data.information.counts)
+    solution = solver.solve(INGREDIENTS)
+    visited = np.concatenate([windows.i_dq[:, 0] for windows in data.information.kept()])
+    given_back, _ = solver.undiluted(solution, thinned(visited))
+    rows, columns = data.model.flux.rows(i_dq), data.model.map
+    return np.stack([rows.dot(each.residual[columns]) for each in (solution, given_back)])
+
+
 PARTS = {
     "model": model,
     "windows": windows,
     "splines": splines,
     "calibration": calibration,
     "instruments": instruments_section,
+    "dilution": dilution,
 }
 
 

@@ -77,14 +77,20 @@ class Accumulation:
         x = solved(normal / scale[:, None] / scale, moment / scale) / scale
         return np.asarray(t @ x)
 
-    def errors(self, estimate: FloatArray) -> Errors:
-        """Compare an estimate (size,) with the truth, as :func:`judging.judge` does."""
-        truth, model = self.simulation.truth, self.model
-        grid = self.evidence.visits.grid()
+    @cached_property
+    def places(self) -> tuple[FloatArray, FloatArray]:
+        """Currents (N, 2), A, of the map with data and a known truth, and the true fluxes there (N, 2), Wb."""
+        truth, grid = self.simulation.truth, self.evidence.visits.grid()
         i_dq = grid[self.evidence.inside() & (np.hypot(grid[..., 0], grid[..., 1]) <= truth.i_max)]
         true_psi = true_flux(truth, i_dq)
         known = np.isfinite(true_psi).all(axis=1)
-        flux = nrmse(model.flux.rows(i_dq).dot(estimate[model.map])[known], true_psi[known])
+        return i_dq[known], true_psi[known]
+
+    def errors(self, estimate: FloatArray) -> Errors:
+        """Compare an estimate (size,) with the truth, as :func:`judging.judge` does."""
+        truth, model = self.simulation.truth, self.model
+        i_dq, true_psi = self.places
+        flux = nrmse(model.flux.rows(i_dq).dot(estimate[model.map]), true_psi)
         current = np.linspace(-self.evidence.i_max, self.evidence.i_max, _CURVE_POINTS)
         slope, curve = normalized_curve(truth, current)
         drop = (model.shapes(current) @ estimate[model.phase_columns()]).mean(axis=1)

@@ -194,8 +194,8 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     solver = Solver(once.model, once.folds, once.counts)
     solution = solver.solve(choice)
     delay, _, squares = solver.delay(solution)
-    noisier = solver.noisier(solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
-    foreseen = noisier.delay(noisier.solve(choice))[0] - delay
+    noise = solver.noise(solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
+    foreseen = solver.delay(solver.solve(choice, noise))[0] - delay
     solver = Solver(twice.model, twice.folds, twice.counts)
     assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)
     assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)

@@ -131,8 +131,8 @@ def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[fl
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.choice, penalty=PENALTIES[-1])))[0]
-    noisier = solver.noisier(solution, i_dq, squares)
-    by_noise = noisier.delay(noisier.solve(solution.choice))[0] - found
+    noise = solver.noise(solution, i_dq, squares)
+    by_noise = solver.delay(solver.solve(solution.choice, noise))[0] - found
     doubts = [sigma, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - found), by_noise]
     if abs(found) >= MOST_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
         doubts.append(MOST_DELAY)

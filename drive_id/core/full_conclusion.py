@@ -13,7 +13,7 @@ from drive_id.core.calibration import Calibration, rotated
 from drive_id.core.coverage import smoothed
 from drive_id.core.evidence import Evidence
 from drive_id.core.flux_models import TensorSpline, fitted, sites
-from drive_id.core.full_fit import FullFit, fit_full
+from drive_id.core.full_fit import FullFit, fit_full, spread
 from drive_id.core.full_model import MAGNET, SENSOR_ORDERS
 from drive_id.core.full_review import review_full, statements
 from drive_id.core.harmonic_simulation import simulate_harmonic_current
@@ -28,10 +28,6 @@ _CURVE_POINTS = 201
 _LEAST_MIRRORED = 0.3
 _MIRRORED = 1500
 """Points to find the resolver's offset with."""
-_REGIONS = 3
-"""Neighbourhoods with batches of their own over which deviations are averaged."""
-_STUDENT = 1.21
-"""What Student's 97.5 % quantile exceeds the normal one by, relative and per degree of freedom: (1.96^2 + 1) / 4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +59,10 @@ class TrueFrame:
         return a * cosine + b * sine, b * cosine - a * sine
 
     def deviations(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the deviations of psi_dq (N, 2), Wb: consistent with the residuals' behaviour, and for white ones.
-
-        Few passes of the trajectory determine a point, so that its deviation is uncertain, too: it is widened as
-        Student's distribution is, with the effective number of batches that contribute to it and to those it is
-        averaged with as degrees of freedom.
-        """
+        """Return the deviations of psi_dq (N, 2), Wb: consistent with the residuals' behaviour, and for white ones."""
         model = self.fit.model
         rows = model.flux.rows(rotated(i_dq, -self.angle))
-        shares = rows.dot(self.fit.changes[model.map]) ** 2
-        total = shares.sum(axis=-1)
-        passes = total**2 / np.maximum(np.sum(shares**2, axis=-1), np.finfo(np.float64).tiny)
-        consistent = np.sqrt(total) * (1 + _STUDENT / (_REGIONS * np.maximum(passes, 2.0)))
-        return consistent, self.fit.white(rows)
+        return spread(rows.dot(self.fit.changes[model.map])), self.fit.white(rows)
 
 
 def conclude_full(
@@ -237,8 +224,7 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
     forms = np.zeros((fit.model.size, len(current)))
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
-    consistent = np.sqrt(np.sum((forms.T @ fit.changes) ** 2, axis=1))
-    return drops, consistent
+    return drops, spread(forms.T @ fit.changes)
 
 
 def _mad(

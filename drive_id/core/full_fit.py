@@ -27,6 +27,9 @@ BATCH = 0.05
 _SERIES, _CONVERGED = 16, 1e-3
 _SLOPE_STEP = 0.02
 _SEARCHES = 2
+_STUDENT = 1.21
+"""What Student's 97.5 % quantile exceeds the normal one by, relative and per degree of freedom: (1.96^2 + 1) / 4."""
+_KURTOSIS, _FEWEST = 3.0, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +42,8 @@ class FullFit:
     solution : FullSolution
     changes : (size, B) float
         What leaving each batch's residuals out changes in the estimate, to first order, and last what the penalties
-        and the noise of the currents change: ``changes @ changes.T`` is the covariance of the estimate, a
-        heteroscedasticity and autocorrelation consistent one, plus its squared biases.
+        change and what the correction for the noise in the currents may have missed: ``changes @ changes.T`` is the
+        covariance of the estimate, a heteroscedasticity and autocorrelation consistent one, plus squared biases.
     delay, sigma_delay : float
         Estimated delay of the voltages and its deviation, samples; NaN when it was not asked for.
     advantage : float
@@ -83,7 +86,7 @@ class FullFit:
 
     def deviation(self, form: FloatArray) -> float:
         """Return the standard deviation of a linear function (size,) of the estimate."""
-        return float(np.sqrt(np.sum((form @ self.changes) ** 2)))
+        return float(spread(form @ self.changes))
 
     def white(self, rows: BasisRows) -> FloatArray:
         """Return the deviations (N, 2) of fluxes B gamma, Wb, if the residuals were white."""
@@ -105,6 +108,19 @@ class FullFit:
         return self.deviation(form)
 
 
+def spread(changes: FloatArray) -> FloatArray:
+    """Return the deviation (...) of an estimate that batches of time change by (..., B).
+
+    Few passes of the trajectory determine an estimate, so that its deviation is uncertain, too: it is widened as
+    Student's distribution is. Its degrees of freedom follow from the fourth powers of the changes, which for B normal
+    ones are three times the squared variance.
+    """
+    squares = changes**2
+    total = squares.sum(axis=-1)
+    freedom = _KURTOSIS * total**2 / np.maximum(np.sum(squares**2, axis=-1), np.finfo(np.float64).tiny)
+    return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
+
+
 def fit_full(information: WindowInformation, settings: FitSettings, turn: float) -> FullFit:
     """Choose a model and fit it.
 
@@ -119,16 +135,16 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
     chosen = choose(information, settings, turn)
     if settings.search_orders:
         information, chosen = _with_unexpected_orders(information, chosen, settings, turn)
-    solver, solution = chosen.solver, chosen.solution
+    model, kept, solver = information.model, information.kept(), chosen.solver
+    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
+    solution, doubt = solver.undiluted(chosen.solution, thinned(i_dq))
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
-    model, kept = information.model, information.kept()
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
     batches, energy, times = batch_changes(information, solution)
-    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
-    changes = np.column_stack([batches, solver.pulls(solution, thinned(i_dq))])
+    changes = np.column_stack([batches, solver.shrinkage(solution), doubt])
     durations = np.concatenate([windows.duration for windows in kept])
     outlying = float(energy.max() / max(np.median(energy), np.finfo(np.float64).tiny))
     slope = _drop_slope(model, solution, kept)

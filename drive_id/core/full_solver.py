@@ -6,7 +6,6 @@ in use, one inverter curve or one per phase. None needs a second pass over the s
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -66,6 +65,10 @@ class FullSolution:
         scaled = scores / self.scale[:, None]
         return np.asarray(linalg.cho_solve((self.factor, True), scaled, check_finite=False) / self.scale[:, None])
 
+    def moved(self, pull: FloatArray) -> FloatArray:
+        """Return what a gradient (size,) of half the sum of squares changes in the estimate, (size,)."""
+        return np.asarray(self.basis @ self.gain(np.asarray(self.basis.T @ pull)[:, None])[:, 0])
+
     def half_gain(self, queries: FloatArray) -> FloatArray:
         """Return Q (M, K) with Q'Q the covariance of ``queries' x``, (M, K) linear forms, for white unit residuals."""
         scaled = queries / self.scale[:, None]
@@ -99,62 +102,69 @@ class Solver:
         self.folds = folds
         self.counts = counts
         self.total = folds.sum(axis=0)
+        self._normals: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
 
-    def solve(self, choice: Choice) -> FullSolution:
-        """Fit to all folds."""
-        t = basis(self.model, choice)
+    def solve(self, choice: Choice, noise: sparse.csr_array | None = None) -> FullSolution:
+        """Fit to all folds, or to what they would be in expectation with further noise, see :meth:`noise`."""
+        t, normal = self._normal(choice)
         voltage = self._voltage(choice)
-        factor, scale = _factorize(_congruent(t, self.total) + self._penalty(t, choice.penalty))
+        if noise is not None:
+            in_map = t[self.model.map]
+            normal = normal + (in_map.T @ noise @ in_map).toarray()
+        factor, scale = _factorize(normal + self._penalty(t, choice.penalty))
         moment = t.T @ _times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
         residual = t @ x - voltage
         squares = float(residual @ self.total @ residual)
         return FullSolution(choice, residual, t, factor, scale, squares, float(self.counts.sum()))
 
-    def pulls(self, solution: FullSolution, i_dq: FloatArray) -> FloatArray:
-        """Return what the penalties and the noise of the currents change in the estimate, to first order, (size, 2).
+    def shrinkage(self, solution: FullSolution) -> FloatArray:
+        """Return what the penalties change in the estimate, to first order, (size,)."""
+        return solution.moved(roughness(self.model, self.total, solution.choice.penalty) @ solution.residual)
+
+    def noise(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
+        """Return what the noise of the currents adds to the map's cross products, ``N = sigma^2 sum dB'dB``.
+
+        With N added once more, an estimate is that of twice the noise: how it moves is how far noise has moved it
+        already (Cook and Stefanski 1994, simulation-extrapolation, by expectation in place of simulation).
 
         Parameters
         ----------
         solution : FullSolution
         i_dq : (N, 2) float
             Some of the currents that were visited, evenly over time, A.
-        """
-        penalties = roughness(self.model, self.total, solution.choice.penalty) @ solution.residual
-        noise = np.zeros(self.model.size)
-        noise[self.model.map] = self._noise(solution, i_dq, solution.sum_of_squares) @ solution.residual[self.model.map]
-        pull = np.asarray(solution.basis.T @ np.stack([penalties, noise], axis=1))
-        return np.asarray(solution.basis @ solution.gain(pull))
-
-    def noisier(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> Solver:
-        """Return a solver of what would have been recorded with twice the noise in the currents, in its expectation.
-
-        How an estimate moves from here to there is how far noise has moved it (Cook and Stefanski 1994,
-        simulation-extrapolation).
-
-        Parameters
-        ----------
-        solution : FullSolution
-        i_dq : (N, 2) float
-            As of :meth:`pulls`, A.
         squares : float
-            Sum of squares of the residuals that noise leaves, (Vs)^2.
-        """
-        other = copy.copy(self)
-        other.total = self.total.copy()
-        other.total[self.model.map, self.model.map] += self._noise(solution, i_dq, squares)
-        return other
-
-    def _noise(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
-        """Return what the noise of the currents adds to the map's cross products, ``sigma^2 sum dB'dB``.
-
-        It leaves residuals ``(dB gamma) n``, which tells how large it is.
+            Sum of squares of the residuals ``(dB gamma) n`` that the noise leaves, (Vs)^2: tells how large it is.
         """
         slopes = [rows.sparse(self.model.flux.parameters) for rows in self.model.flux.slope_rows(i_dq)]
         products = sum(one.T @ one for one in slopes)
         gamma = solution.residual[self.model.map]
         shown = max(float(gamma @ (products @ gamma)), np.finfo(np.float64).tiny)
         return sparse.csr_array(products * (max(squares, 0.0) / shown))
+
+    def undiluted(self, solution: FullSolution, i_dq: FloatArray) -> tuple[FullSolution, FloatArray]:
+        """Give back what noise in the currents takes from the map (regression dilution), and tell how sure that is.
+
+        That is ``(A + N)^-1 N x``, what as much noise once more would take of the estimate x.
+
+        Parameters
+        ----------
+        solution : FullSolution
+        i_dq : (N, 2) float
+            As of :meth:`noise`.
+
+        Returns
+        -------
+        FullSolution, (size,) float
+            The latter what noise would take of what is given back: nearly as much as that itself where the currents
+            leave a direction to noise alone, as a ring does.
+        """
+        noise = self.noise(solution, i_dq, solution.sum_of_squares)
+        twice = self.solve(solution.choice, noise)
+        taken = solution.residual - twice.residual
+        pull = np.zeros(self.model.size)
+        pull[self.model.map] = noise @ taken[self.model.map]
+        return replace(solution, residual=solution.residual + taken), twice.moved(pull)
 
     def left_out(
         self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | IntArray | None = None
@@ -178,9 +188,9 @@ class Solver:
         The penalty is one of the map alone: all else is eliminated once per fold,
         ``S = A_mm - A_mn A_nn^-1 A_nm``, and ``S + lambda P`` is solved for each penalty lambda.
         """
-        t, voltage = basis(self.model, choice), self._voltage(choice)
+        (t, normal), voltage = self._normal(choice), self._voltage(choice)
         tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
-        normal, moment = _congruent(t, self.total), t.T @ _times(self.total, voltage)
+        moment = t.T @ _times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
 
         def errors(number: int) -> list[float]:
@@ -244,6 +254,14 @@ class Solver:
         """Return the cross products of columns, less what the unknowns of a solution take of them."""
         half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
+
+    def _normal(self, choice: Choice) -> tuple[sparse.csr_array, FloatArray]:
+        """Return T and T'Z'ZT, which neither the penalty nor the delay changes."""
+        key = replace(choice, penalty=0.0, delay=0.0)
+        if key not in self._normals:
+            t = basis(self.model, choice)
+            self._normals[key] = t, _congruent(t, self.total)
+        return self._normals[key]
 
     def _voltage(self, choice: Choice) -> FloatArray:
         """Return the combination (size,) of columns that is the integral of the voltage that acted."""

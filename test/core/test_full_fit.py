@@ -12,8 +12,9 @@ from synthetic import saturating_flux
 from drive_id.core import frames
 from drive_id.core.calibration import Calibration, corrected, rotated
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full_basis import delay_shares
+from drive_id.core.full_basis import Choice, delay_shares
 from drive_id.core.full_fit import fit_full
+from drive_id.core.full_solver import Solver
 from drive_id.core.identify import gather, identify
 from drive_id.core.windows import SHIFTS
 from drive_id.errors import ConfigurationError, DataError
@@ -74,6 +75,27 @@ def test_it_finds_the_truth_and_says_how_well(result):
     assert result.harmonics == ()
     assert result.report.warnings == ()
     assert all(sentence.endswith(".") for sentence in result.statements)
+
+
+def test_what_noise_takes_from_the_map_is_given_back():
+    """Against the fit to the same currents without noise, in the mean over other noise."""
+    clean = record(drop=even_drop, duration=4.0)
+    choice = Choice(reciprocal=True, orders=(), penalty=1e-4)
+    i_dq = 290 * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
+
+    def with_and_without(noise):
+        information = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL).windows.finished()
+        solver = Solver(information.model, information.folds, information.counts)
+        solution = solver.solve(choice)
+        whole, _ = solver.undiluted(solution, np.concatenate([part.i_dq[:, 0] for part in information.kept()]))
+        rows, columns = information.model.flux.rows(i_dq), information.model.map
+        return np.array([rows.dot(each.residual[columns]) for each in (solution, whole)])
+
+    noise = [3.0 * np.random.default_rng(seed).standard_normal(clean.i_abc.shape) for seed in range(8)]
+    diluted, whole = np.mean([with_and_without(each) for each in noise], axis=0) - with_and_without(0.0)[0]
+    foreseen = diluted - whole
+    assert 0.7 < np.sum(diluted * foreseen) / np.sum(foreseen**2) < 1.6
+    assert np.linalg.norm(whole) < 0.7 * np.linalg.norm(diluted)
 
 
 def test_deviations_grow_with_the_noise(result):

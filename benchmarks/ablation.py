@@ -22,9 +22,9 @@ from single_fit import Accumulation, Errors
 from uncertainty import DRIVES, SECONDS, WITHIN
 
 from drive_id.core.conclusion import conclude
+from drive_id.core.dilution import thinned, undiluted
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
-from drive_id.core.full_choice import thinned
 from drive_id.core.full_model import SENSOR_ORDERS
 from drive_id.core.full_solver import Solver
 from drive_id.experiments import load_machine, run_experiment
@@ -208,7 +208,7 @@ def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
     solver = Solver(data.model, data.information.folds, data.information.counts)
     solution = solver.solve(INGREDIENTS)
     visited = np.concatenate([windows.i_dq[:, 0] for windows in data.information.kept()])
-    given_back, _ = solver.undiluted(solution, thinned(visited))
+    given_back, _ = undiluted(solver, solution, thinned(visited))
     rows, columns = data.model.flux.rows(i_dq), data.model.map
     return np.stack([rows.dot(each.residual[columns]) for each in (solution, given_back)])
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.conclusion import conclude
+from drive_id.core.dilution import noise_products
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import Choice
 from drive_id.core.full_solver import Solver
@@ -194,7 +195,7 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     solver = Solver(once.model, once.folds, once.counts)
     solution = solver.solve(choice)
     delay, _, squares = solver.delay(solution)
-    noise = solver.noise(solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
+    noise = noise_products(solver, solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
     foreseen = solver.delay(solver.solve(choice, noise))[0] - delay
     solver = Solver(twice.model, twice.folds, twice.counts)
     assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)

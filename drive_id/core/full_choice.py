@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core.dilution import noise_products, thinned
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full_basis import PENALTIES, Choice
 from drive_id.core.full_model import FullModel
@@ -20,7 +21,6 @@ _DELAY_SIGNIFICANCE = 3.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
-_SOME = 1000
 _COINCIDENCE = 0.1
 _DELAY_BIAS = 0.01
 """Samples; what the estimate of a delay was seen to be off by."""
@@ -66,11 +66,6 @@ def distinct_orders(orders: Iterable[int], turn: float) -> tuple[int, ...]:
         if not np.any((multiple >= 1) & (np.abs(sums - multiple) * samples_per_turn < _COINCIDENCE)):
             chosen.append(order)
     return tuple(chosen)
-
-
-def thinned(i_dq: FloatArray) -> FloatArray:
-    """Return some of the currents, evenly over time: enough for a mean over them."""
-    return i_dq[:: -(-len(i_dq) // _SOME)]
 
 
 def choose(information: WindowInformation, settings: FitSettings, turn: float) -> Chosen:
@@ -131,7 +126,7 @@ def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[fl
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.choice, penalty=PENALTIES[-1])))[0]
-    noise = solver.noise(solution, i_dq, squares)
+    noise = noise_products(solver, solution, i_dq, squares)
     by_noise = solver.delay(solver.solve(solution.choice, noise))[0] - found
     doubts = [sigma, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - found), by_noise]
     if abs(found) >= MOST_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:

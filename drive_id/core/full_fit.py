@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from drive_id.core import frames
+from drive_id.core.dilution import thinned, undiluted
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.flux_models import BasisRows
 from drive_id.core.full_basis import Choice
-from drive_id.core.full_choice import Chosen, choose, distinct_orders, thinned
+from drive_id.core.full_choice import Chosen, choose, distinct_orders
 from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
 from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
@@ -137,7 +138,7 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
         information, chosen = _with_unexpected_orders(information, chosen, settings, turn)
     model, kept, solver = information.model, information.kept(), chosen.solver
     i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
-    solution, doubt = solver.undiluted(chosen.solution, thinned(i_dq))
+    solution, doubt = undiluted(solver, chosen.solution, thinned(i_dq))
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]

@@ -105,7 +105,7 @@ class Solver:
         self._normals: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
 
     def solve(self, choice: Choice, noise: sparse.csr_array | None = None) -> FullSolution:
-        """Fit to all folds, or to what they would be in expectation with further noise, see :meth:`noise`."""
+        """Fit to all folds, or to what further noise (P, P) would make of them, see :mod:`~drive_id.core.dilution`."""
         t, normal = self._normal(choice)
         voltage = self._voltage(choice)
         if noise is not None:
@@ -121,50 +121,6 @@ class Solver:
     def shrinkage(self, solution: FullSolution) -> FloatArray:
         """Return what the penalties change in the estimate, to first order, (size,)."""
         return solution.moved(roughness(self.model, self.total, solution.choice.penalty) @ solution.residual)
-
-    def noise(self, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
-        """Return what the noise of the currents adds to the map's cross products, ``N = sigma^2 sum dB'dB``.
-
-        With N added once more, an estimate is that of twice the noise: how it moves is how far noise has moved it
-        already (Cook and Stefanski 1994, simulation-extrapolation, by expectation in place of simulation).
-
-        Parameters
-        ----------
-        solution : FullSolution
-        i_dq : (N, 2) float
-            Some of the currents that were visited, evenly over time, A.
-        squares : float
-            Sum of squares of the residuals ``(dB gamma) n`` that the noise leaves, (Vs)^2: tells how large it is.
-        """
-        slopes = [rows.sparse(self.model.flux.parameters) for rows in self.model.flux.slope_rows(i_dq)]
-        products = sum(one.T @ one for one in slopes)
-        gamma = solution.residual[self.model.map]
-        shown = max(float(gamma @ (products @ gamma)), np.finfo(np.float64).tiny)
-        return sparse.csr_array(products * (max(squares, 0.0) / shown))
-
-    def undiluted(self, solution: FullSolution, i_dq: FloatArray) -> tuple[FullSolution, FloatArray]:
-        """Give back what noise in the currents takes from the map (regression dilution), and tell how sure that is.
-
-        That is ``(A + N)^-1 N x``, what as much noise once more would take of the estimate x.
-
-        Parameters
-        ----------
-        solution : FullSolution
-        i_dq : (N, 2) float
-            As of :meth:`noise`.
-
-        Returns
-        -------
-        FullSolution, (size,) float
-            The latter what noise would take of what is given back: nearly as much as that itself where the currents
-            leave a direction to noise alone, as a ring does.
-        """
-        noise = self.noise(solution, i_dq, solution.sum_of_squares)
-        twice = self.solve(solution.choice, noise)
-        taken = solution.residual - twice.residual
-        pull = np.zeros(self.model.size)
-        pull[self.model.map] = noise @ taken[self.model.map]
-        return replace(solution, residual=solution.residual + taken), twice.moved(pull)
 
     def left_out(
         self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | IntArray | None = None

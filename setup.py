@@ -80,7 +80,7 @@ setup(
         "rich>=13",
         "rosbags>=0.11",
         "scipy>=1.11",
-        "typer>=0.9",
+        "typer>=0.9,<0.29",  # from 0.29 on it loads pydantic with every command, which takes longer than to read a bag
         "zstandard>=0.22",
     ],
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.

@@ -4,28 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from drive_id.errors import ConfigurationError
 from drive_id.settings import from_mapping
 
 if TYPE_CHECKING:
-    from drive_id.core.identify import Progress as Tell
+    from rich.console import Console
 
-out = Console()
-err = Console(stderr=True)
+    from drive_id.core.identify import Progress as Tell
 
 Settings = TypeVar("Settings")
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, nothing else.")]
@@ -51,9 +42,25 @@ ClusterOption = Annotated[
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
 
 
-def say(sentence: str, *, to: Console = out, style: str | None = None) -> None:
+@cache
+def out() -> Console:
+    """Return standard output; rich is loaded for those only who have something to say."""
+    from rich.console import Console
+
+    return Console()
+
+
+@cache
+def err() -> Console:
+    """Return standard error."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = None) -> None:
     """Print text as it is."""
-    to.print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
+    to().print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def warn(sentence: str) -> None:
@@ -101,10 +108,22 @@ def merged_settings(
 @contextmanager
 def working(silent: bool) -> Iterator[Tell]:
     """Show a progress bar on standard error while the body works."""
+    if silent or not err().is_terminal:
+        yield lambda _what, _share: None
+        return
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )  # fmt: skip
-    with Progress(*columns, console=err, transient=True, disable=silent or not err.is_terminal) as bar:
+    with Progress(*columns, console=err(), transient=True) as bar:
         task = bar.add_task("Starting", total=1.0)
         doing = ""
 

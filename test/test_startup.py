@@ -42,7 +42,7 @@ def test_a_fit_does_not_load_what_it_has_no_use_for(bag, tmp_path):
     modules = loaded("fit", bag, "--method", "joint", "--output", tmp_path / "fit", "--quiet")
     assert "drive_id.core.regression" in modules
     unused = {"scipy.interpolate", "scipy.ndimage", "scipy.io", "scipy.special", "scipy.linalg", "asyncio"}
-    assert not modules & (unused | {"matplotlib.pyplot", "distributed", "drive_id.sim.drive"})
+    assert not modules & (unused | {"matplotlib.pyplot", "distributed", "drive_id.sim.drive", "rosbags"})
 
 
 def test_recovering_a_bag_needs_no_numerics(bag, tmp_path):

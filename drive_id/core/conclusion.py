@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from drive_id.core.bspline import Axis
 from drive_id.core.current_simulation import simulate_current, typical_inductances
 from drive_id.core.evidence import Evidence
 from drive_id.core.extension import extend
-from drive_id.core.flux_models import TensorSpline, as_tensor_spline
+from drive_id.core.flux_models import FluxModel, TensorSpline, as_tensor_spline
 from drive_id.core.identification import FitReport, FluxMap, Identification
 from drive_id.core.metrics import mean_absolute_deviation
 from drive_id.core.review import review
@@ -24,6 +25,7 @@ _LEAST_COVERAGE = 0.05
 _CURVE_POINTS = 201
 _WEAK_COEFFICIENT = 0.1
 _FINE_COUNT = 24
+_AT_A_TIME = 512
 
 
 def conclude(
@@ -38,7 +40,7 @@ def conclude(
     validation : sequence of Samples
         Samples whose currents are simulated for the MAD; NaN without any.
     on_map : callable, optional
-        Told of the flux map before that simulation, which takes its time.
+        Told of the flux map as soon as there is one, its deviations still NaN: what comes then takes its time.
 
     Returns
     -------
@@ -67,10 +69,11 @@ def conclude(
 
         return conclude_full(evidence, validation, inside, coverage, on_map)
     solution = solve(total, information.rows, with_inverter=evidence.settings.method == "joint")
+    first = _first_map(evidence, solution, inside)
+    on_map(first)
     spread = deviations(information.blocks, solution)
     extended = _extended(evidence, solution, spread, inside)
-    flux_map = _flux_map(evidence, solution, spread, inside, extended)
-    on_map(flux_map)
+    flux_map = _flux_map(first, evidence, spread, extended)
     mad = _mad(validation, extended, solution, evidence.settings.inverter_current_scale)
     curve = np.linspace(-evidence.i_max, evidence.i_max, _CURVE_POINTS)
     report = FitReport(
@@ -121,31 +124,33 @@ def _extended(
     return model, extend(model, gamma, uncertain | (gamma == 0), typical_inductances(model, gamma, i_dq))
 
 
-def _flux_map(
-    evidence: Evidence,
-    solution: Solution,
-    spread: Deviations,
-    inside: BoolArray,
-    extended: tuple[TensorSpline, FloatArray],
-) -> FluxMap:
+def _first_map(evidence: Evidence, solution: Solution, inside: BoolArray) -> FluxMap:
+    """Return the map as it was fitted, without deviations."""
     grid = evidence.visits.grid()
-    rows = evidence.model.rows(grid.reshape(-1, 2))
-    psi = rows.dot(solution.gamma).reshape(grid.shape)
+    psi = evidence.model.rows(grid.reshape(-1, 2)).dot(solution.gamma).reshape(grid.shape)
+    unknown = np.full(inside.shape, np.nan)
+    return FluxMap(evidence.visits.i_d, evidence.visits.i_q, psi[..., 0], psi[..., 1], unknown, unknown, inside)
+
+
+def _flux_map(
+    first: FluxMap, evidence: Evidence, spread: Deviations, extended: tuple[TensorSpline, FloatArray]
+) -> FluxMap:
+    """Return the map with sane values beyond the data, and with deviations where there are data."""
+    grid, inside = first.grid(), first.inside
+    psi = np.stack([first.psi_d, first.psi_q], axis=-1)
     psi[~inside] = extended[0].rows(grid[~inside]).dot(extended[1])
-    variance = np.zeros((grid.size // 2, 2))
-    for change in spread.gamma:
-        variance += rows.dot(change) ** 2
-    deviation = np.sqrt(variance).reshape(grid.shape)
-    deviation[~inside] = np.nan
-    return FluxMap(
-        i_d=evidence.visits.i_d,
-        i_q=evidence.visits.i_q,
-        psi_d=psi[..., 0],
-        psi_q=psi[..., 1],
-        sigma_d=deviation[..., 0],
-        sigma_q=deviation[..., 1],
-        inside=inside,
-    )
+    deviation = np.full(grid.shape, np.nan)
+    deviation[inside] = _deviation(evidence.model, spread, grid[inside])
+    return replace(first, psi_d=psi[..., 0], psi_q=psi[..., 1], sigma_d=deviation[..., 0], sigma_q=deviation[..., 1])
+
+
+def _deviation(model: FluxModel, spread: Deviations, i_dq: FloatArray) -> FloatArray:
+    """Return the deviations of both fluxes (N, 2), Wb, at currents (N, 2), A."""
+    out = np.empty(i_dq.shape)
+    for start in range(0, len(i_dq), _AT_A_TIME):
+        part = slice(start, start + _AT_A_TIME)
+        out[part] = np.linalg.norm(model.rows(i_dq[part]).dense(model.parameters) @ spread.gamma.T, axis=-1)
+    return out
 
 
 def _mad(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drive_id.core import bspline, frames
-from drive_id.core.compiled import COMPILING, compiled
+from drive_id.core.compiled import COMPILING, compiled, inlined
 from drive_id.core.flux_models import TensorSpline
 from drive_id.core.frames import ComplexArray
 from drive_id.types import FloatArray, Samples
@@ -20,7 +20,8 @@ _LARGEST_TURN = 0.15
 _DIVERGED = 5.0
 _DAMPING = 0.1
 _SEARCH_STEPS = 20
-_SEARCH_TOLERANCE = 1e-9
+_SEARCH_TOLERANCE = 1e-6
+"""Last change of a search over the largest current: the steps are Newton's, so that the next one is its square."""
 _FOLDED = 0.1
 """Share of the typical Jacobian's determinant below which the search takes that one, not to run to a far branch."""
 
@@ -87,8 +88,9 @@ def typical_inductances(model: TensorSpline, gamma: FloatArray, i_dq: FloatArray
 class FluxTable(NamedTuple):
     """A spline map as a polynomial per cell, continued beyond its range with the typical inductances."""
 
-    cells: Mapping[tuple[int, int], Sequence[complex]] | ComplexArray
-    """Cell in d and in q to the coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3, Wb, real part d and imaginary part q."""
+    coefficients: Sequence[complex]
+    """Of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q, Wb, real part d and imaginary part q."""
+    per_cell: int  # coefficients, 16 for each map
     low_d: float  # A
     width_d: float  # of a cell, A
     count_d: int  # of cells
@@ -134,9 +136,8 @@ def polynomials(model: TensorSpline, gamma: FloatArray) -> ComplexArray:
 def table_of(model: TensorSpline, cells: ComplexArray, inductances: tuple[float, float]) -> FluxTable:
     """Return what the kernels read, from a map's polynomials and the typical inductances of d and q, H."""
     d, q = model.d, model.q
-    table = cells if COMPILING else {cell: tuple(cells[cell].tolist()) for cell in np.ndindex(*cells.shape[:2])}
     range_d, range_q = (float(d.low), float(d.width), d.count - 3), (float(q.low), float(q.width), q.count - 3)
-    return FluxTable(table, *range_d, *range_q, *inductances)
+    return FluxTable(quick(np.ascontiguousarray(cells).ravel()), cells.shape[-1], *range_d, *range_q, *inductances)
 
 
 @compiled
@@ -155,18 +156,22 @@ def _simulate(
     psi = point.psi
     out[0] = start
     for k in range(len(u_dq) - 1):
-        phi, omega, u = angle[k], speed[k], u_dq[k]
+        omega, u = speed[k], u_dq[k]
         steps = int(abs(omega) * period / _LARGEST_TURN) + 1
         step = period / steps
-        for m in range(steps):
-            tau = m * step
-            k1 = _slope(psi, point.i, tau, u, phi, omega, electrical)
+        rotor = complex(math.cos(angle[k]), math.sin(angle[k]))
+        half_turn = complex(math.cos(0.5 * omega * step), math.sin(0.5 * omega * step))
+        back = half_turn.conjugate()
+        for _ in range(steps):
+            k1 = _slope(psi, point.i, u, rotor, omega, electrical)
+            u, rotor = u * back, rotor * half_turn
             point = _nearest(psi + 0.5 * step * k1, point, electrical, table)
-            k2 = _slope(psi + 0.5 * step * k1, point.i, tau + 0.5 * step, u, phi, omega, electrical)
+            k2 = _slope(psi + 0.5 * step * k1, point.i, u, rotor, omega, electrical)
             point = _nearest(psi + 0.5 * step * k2, point, electrical, table)
-            k3 = _slope(psi + 0.5 * step * k2, point.i, tau + 0.5 * step, u, phi, omega, electrical)
+            k3 = _slope(psi + 0.5 * step * k2, point.i, u, rotor, omega, electrical)
+            u, rotor = u * back, rotor * half_turn
             point = _nearest(psi + step * k3, point, electrical, table)
-            k4 = _slope(psi + step * k3, point.i, tau + step, u, phi, omega, electrical)
+            k4 = _slope(psi + step * k3, point.i, u, rotor, omega, electrical)
             psi += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
             point = _nearest(psi, point, electrical, table)
         if not abs(point.i) < electrical.diverged:
@@ -175,15 +180,10 @@ def _simulate(
 
 
 @compiled
-def _slope(
-    psi: complex, i: complex, tau: float, u_start: complex, phi: float, omega: float, electrical: Electrical
-) -> complex:
-    """Return d psi_dq / dt at ``tau`` after a sample, ``u_start`` being the held voltage in that sample's dq frame."""
-    turn = omega * tau
-    u = u_start * complex(math.cos(turn), -math.sin(turn))
+def _slope(psi: complex, i: complex, u: complex, rotor: complex, omega: float, electrical: Electrical) -> complex:
+    """Return d psi_dq / dt under the voltage ``u``, ``rotor`` being the unit vector of the rotor's angle."""
     if electrical.voltage_error != 0.0:
-        rotation = complex(math.cos(phi + turn), math.sin(phi + turn))
-        u -= electrical.voltage_error * _drop_vector(i * rotation, electrical.current_scale) * rotation.conjugate()
+        u -= electrical.voltage_error * _drop_vector(i * rotor, electrical.current_scale) * rotor.conjugate()
     return u - electrical.resistance * i - complex(0.0, omega) * psi
 
 
@@ -192,6 +192,7 @@ def _nearest(psi: complex, guess: Point, electrical: Electrical, table: FluxTabl
     """Return the point whose flux is nearest to ``psi``, by damped least squares from one nearby."""
     best, error = guess, psi - guess.psi
     damping, damping_least = 0.0, electrical.damping * electrical.damping
+    small = _SEARCH_TOLERANCE * electrical.diverged
     for _ in range(_SEARCH_STEPS):
         change, good = search_step(best, error, damping, table)
         if not good:
@@ -202,7 +203,7 @@ def _nearest(psi: complex, guess: Point, electrical: Electrical, table: FluxTabl
         if left.real * left.real + left.imag * left.imag <= error.real * error.real + error.imag * error.imag:
             best, error = trial, left
             damping = 0.1 * damping if damping > damping_least else 0.0
-            if abs(change) < _SEARCH_TOLERANCE * electrical.diverged:
+            if change.real * change.real + change.imag * change.imag < small * small:
                 break
         else:
             damping = max(damping_least, 10.0 * damping)
@@ -238,23 +239,42 @@ def _at(i: complex, table: FluxTable) -> Point:
     """Evaluate the map."""
     cell_d, t = bspline.locate(i.real, table.low_d, table.width_d, table.count_d)
     cell_q, s = bspline.locate(i.imag, table.low_q, table.width_q, table.count_q)
-    return point_in_cell(i, table.cells[cell_d, cell_q], t, s, table)
+    return point_in_cell(i, table.coefficients, cell_of(cell_d, cell_q, table), t, s, table)
+
+
+@inlined
+def cell_of(cell_d: int, cell_q: int, table: FluxTable) -> int:
+    """Return where the coefficients of a cell begin."""
+    return (cell_d * table.count_q + cell_q) * table.per_cell
+
+
+@inlined
+def _cubic(a: complex, b: complex, c: complex, d: complex, x: float) -> complex:
+    """Return a + b x + c x^2 + d x^3; by parts, for a compiler takes a real factor for a complex one."""
+    return complex(a.real + x * (b.real + x * (c.real + x * d.real)), a.imag + x * (b.imag + x * (c.imag + x * d.imag)))
+
+
+@inlined
+def _slope_of_cubic(b: complex, c: complex, d: complex, x: float) -> complex:
+    """Return b + 2 c x + 3 d x^2."""
+    twice, thrice = 2.0 * x, 3.0 * x * x
+    return complex(b.real + twice * c.real + thrice * d.real, b.imag + twice * c.imag + thrice * d.imag)
 
 
 @compiled
-def point_in_cell(i: complex, c: Sequence[complex], t: float, s: float, table: FluxTable) -> Point:
-    """Evaluate one cell's polynomial at its positions ``t`` in d and ``s`` in q, and continue it beyond the range."""
-    r0 = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-    r1 = c[4] + s * (c[5] + s * (c[6] + s * c[7]))
-    r2 = c[8] + s * (c[9] + s * (c[10] + s * c[11]))
-    r3 = c[12] + s * (c[13] + s * (c[14] + s * c[15]))
-    v0 = c[1] + s * (2.0 * c[2] + 3.0 * s * c[3])
-    v1 = c[5] + s * (2.0 * c[6] + 3.0 * s * c[7])
-    v2 = c[9] + s * (2.0 * c[10] + 3.0 * s * c[11])
-    v3 = c[13] + s * (2.0 * c[14] + 3.0 * s * c[15])
-    psi = r0 + t * (r1 + t * (r2 + t * r3))
-    by_d = (r1 + t * (2.0 * r2 + 3.0 * t * r3)) / table.width_d
-    by_q = (v0 + t * (v1 + t * (v2 + t * v3))) / table.width_q
+def point_in_cell(i: complex, c: Sequence[complex], k: int, t: float, s: float, table: FluxTable) -> Point:
+    """Evaluate the polynomial c[k] ... c[k + 15] of a cell at its positions ``t`` in d and ``s`` in q.
+
+    Beyond the range of the map it is continued.
+    """
+    r0, v0 = _cubic(c[k], c[k + 1], c[k + 2], c[k + 3], s), _slope_of_cubic(c[k + 1], c[k + 2], c[k + 3], s)
+    r1, v1 = _cubic(c[k + 4], c[k + 5], c[k + 6], c[k + 7], s), _slope_of_cubic(c[k + 5], c[k + 6], c[k + 7], s)
+    r2, v2 = _cubic(c[k + 8], c[k + 9], c[k + 10], c[k + 11], s), _slope_of_cubic(c[k + 9], c[k + 10], c[k + 11], s)
+    r3, v3 = _cubic(c[k + 12], c[k + 13], c[k + 14], c[k + 15], s), _slope_of_cubic(c[k + 13], c[k + 14], c[k + 15], s)
+    psi = _cubic(r0, r1, r2, r3, t)
+    by_d, by_q = _slope_of_cubic(r1, r2, r3, t), _cubic(v0, v1, v2, v3, t)
+    by_d = complex(by_d.real / table.width_d, by_d.imag / table.width_d)
+    by_q = complex(by_q.real / table.width_q, by_q.imag / table.width_q)
     beyond_d = i.real - min(max(i.real, table.low_d), table.low_d + table.count_d * table.width_d)
     beyond_q = i.imag - min(max(i.imag, table.low_q), table.low_q + table.count_q * table.width_q)
     psi += complex(table.inductance_d * beyond_d, table.inductance_q * beyond_q)

@@ -22,6 +22,7 @@ from drive_id.core.compiled import compiled
 from drive_id.core.current_simulation import (
     FluxTable,
     Point,
+    cell_of,
     point_in_cell,
     polynomials,
     quick,
@@ -285,11 +286,13 @@ def _at(i: complex, here: Slice, table: FluxTable) -> Point:
     c = here.coefficients
     if here.cell[0] != cell_d or here.cell[1] != cell_q:
         here.cell[0], here.cell[1] = cell_d, cell_q
-        parts = table.cells[cell_d, cell_q]
+        parts, first = table.coefficients, cell_of(cell_d, cell_q, table)
         for j in range(16):
-            c[j] = parts[j]
-        for m in range(len(here.factors)):
-            factor, first = here.factors[m], 16 * (m + 1)
-            for j in range(16):
-                c[j] += factor * parts[first + j]
-    return point_in_cell(i, c, t, s, table)
+            part = parts[first + j]
+            d, q = part.real, part.imag
+            for m in range(len(here.factors)):
+                part = parts[first + 16 * (m + 1) + j]
+                d += here.factors[m] * part.real
+                q += here.factors[m] * part.imag
+            c[j] = complex(d, q)
+    return point_in_cell(i, c, 0, t, s, table)

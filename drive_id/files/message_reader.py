@@ -5,23 +5,23 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.serde import SerdeError
-from rosbags.typesys.store import Typestore
 
 from drive_id.errors import MessageTypeError
 from drive_id.files.bag_storage import RawMessage, TopicInfo
 from drive_id.files.block_codec import decode_block
 from drive_id.files.field_path import FieldPath, FieldPathError, parse_field_path
-from drive_id.files.message_types import typestore_for
 from drive_id.files.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.signals import STAMP_UNITS, PhaseSource, ReferenceSource, RotorSource, SignalMap, TimeSource
 from drive_id.types import IntArray
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
 DECODE_ERRORS = (
-    SerdeError,
     struct.error,
     ValueError,
     LookupError,
@@ -75,7 +75,7 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
     columns = block_columns(topic, source, signals)
     if columns is not None:
         return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
-    return _field_reader(topic.type_name, source, _value_paths(source), typestore_for(topic, signals))
+    return _field_reader(topic.type_name, source, _value_paths(source), _typestore_for(topic, signals))
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
@@ -94,7 +94,13 @@ def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
     given = (topic.definition_format, topic.definition)
     if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
         return True
-    return typestore_for(topic, signals).fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]
+    return _typestore_for(topic, signals).fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]
+
+
+def _typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
+    from drive_id.files.message_types import typestore_for  # noqa: PLC0415  # bags of our own messages need no rosbags
+
+    return typestore_for(topic, signals)
 
 
 def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
@@ -111,6 +117,8 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
 
 def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], store: Typestore) -> Reader:
     """Read any message through its definition and the paths of a signals file."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415  # as above
+
     values = [parse_field_path(path, "fields") for path in paths]
     period = source.sample_period
     period_path = parse_field_path(period, "sample_period") if isinstance(period, str) else None
@@ -119,7 +127,10 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
     factor = STAMP_UNITS[source.stamp_unit]
 
     def read(message: RawMessage) -> Piece:
-        decoded = store.deserialize_cdr(message.data, type_name)
+        try:
+            decoded = store.deserialize_cdr(message.data, type_name)
+        except SerdeError as error:
+            raise ValueError(str(error)) from error
         columns = tuple(path.values(decoded) for path in values)
         if any(len(column) != len(columns[0]) for column in columns):
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")

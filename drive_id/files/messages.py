@@ -7,9 +7,10 @@ and write bags; the hashes are those that ROS 2 computes from the same definitio
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 PHASE_CURRENTS = "drive_id_msgs/msg/PhaseCurrents"
 PHASE_VOLTAGES = "drive_id_msgs/msg/PhaseVoltages"
@@ -62,6 +63,8 @@ def schema_text(type_name: str) -> str:
 @cache
 def message_typestore() -> Typestore:
     """Return a typestore that knows our messages and what they are made of, and nothing else."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  # our own bags need it not
+
     store = get_typestore(Stores.EMPTY)
     for name in DEFINITIONS:
         store.register(get_types_from_msg(schema_text(name), name))

@@ -174,14 +174,35 @@ def test_noise_does_not_pass_for_a_delay(late):
     assert delay.value == pytest.approx(late, abs=min(2.5 * delay.sigma, 0.3))
 
 
-def test_at_the_end_of_the_range_noise_does_not_pass_for_a_delay_either():
-    settings = replace(NOISY, current_noise=5e-3, speeds=(2500.0,), harmonics=0.0)
-    simulation = along_a_ring(machine_map("spm"), settings, 6.0, turns=-0.7, share=0.5)
+@pytest.mark.parametrize(
+    ("changes", "turns", "share"),
+    [
+        pytest.param({"current_noise": 5e-3, "speeds": (2500.0,)}, -0.7, 0.5, id="at the end of the range"),
+        pytest.param({"current_noise": 1e-3, "speeds": (1200.0,), "inverter": "none"}, 1.1, 1.0, id="of three samples"),
+    ],
+)
+def test_on_a_ring_noise_does_not_pass_for_a_delay_either(changes, turns, share):
+    settings = replace(NOISY, harmonics=0.0, **changes)
+    simulation = along_a_ring(machine_map("spm"), settings, 6.0, turns, share)
     _, joint_errors = errors(simulation, JOINT)
     found, full_errors = errors(simulation)
     assert not calibration(found, "voltage_delay").applied
     assert np.all(full_errors < joint_errors)
     assert abs(found.resistance - simulation.truth.resistance) < 2.5 * found.sigma_resistance
+
+
+def test_on_a_thin_ellipse_free_maps_do_not_win_by_following_noise():
+    """Across it, noise alone moves the current: a map that is flat there leaves less of it, and is wrong."""
+    settings = replace(NOISY, speeds=(2500.0,), inverter="none", seed=5)
+    machine = machine_map("pmsyrm")
+    t = settings.sample_period * np.arange(60_000)
+    ellipse = 0.9 * np.cos(2 * np.pi * 1.3 * t) + 0.4j * np.sin(2 * np.pi * 1.3 * t)
+    ellipse *= machine.i_max * np.minimum(t / 0.2, 1.0)
+    simulation = simulate(machine, settings, np.stack([ellipse.real, ellipse.imag], axis=-1))
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert not any("reciprocal" in warning for warning in found.report.warnings)
+    assert np.all(full_errors < joint_errors)
 
 
 def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():

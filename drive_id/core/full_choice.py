@@ -17,14 +17,16 @@ from drive_id.core.windows import MOST_DELAY
 from drive_id.types import FloatArray
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
-_DELAY_SIGNIFICANCE = 3.0
+_DELAY_SIGNIFICANCE = 2.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _COINCIDENCE = 0.1
 _DELAY_BIAS = 0.01
 """Samples; what the estimate of a delay was seen to be off by."""
-_MOST_LEFT = 0.5
+_NOISE_SHARE = 0.02
+"""What noise was seen to add to the product of voltage shifts and residuals, over the sum of squared residuals."""
+_USUAL_DELAY, _MOST_LEFT = 2.0, 0.7
 _SMOOTHING_DOUBT = 2.0
 """How far a delay is uncertain, in units of what ten times the penalty changes: on a ring, it decides, not the data."""
 _LEAST_HEATING = 5.0
@@ -86,7 +88,7 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     if settings.maps == "auto":
         free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
         advantage, clearly = _saved(solver, free, settled.error)
-        if clearly:
+        if clearly and _saved_without_noise(solver, choice, free, i_dq) > _CLEAR_GAIN:
             everything = solver.solve(replace(free, orders=orders))
             significant = _significant_orders(model, everything, i_dq)
             choice = solver.smoothest(replace(free, orders=significant))[0]
@@ -121,15 +123,17 @@ def _settle(solver: Solver, choice: Choice, i_dq: FloatArray, settings: FitSetti
 def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[float, float]:
     """Return the delay of the voltages without what noise in the currents has made of it, and its deviation, samples.
 
-    A controller answers noise with voltage, later. The deviation holds what was taken away, and what smoothing changes.
-    At the end of the range there is no minimum, and only a delay that explains most residuals is one.
+    A controller answers noise with voltage, later. The deviation holds what was taken away, what may be left where the
+    data hardly tell a delay, and what smoothing changes. A delay of more samples than is usual must explain much of the
+    residuals to be one.
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.choice, penalty=PENALTIES[-1])))[0]
     noise = noise_products(solver, solution, i_dq, squares)
     by_noise = solver.delay(solver.solve(solution.choice, noise))[0] - found
-    doubts = [sigma, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - found), by_noise]
-    if abs(found) >= MOST_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
+    left = _NOISE_SHARE * sigma**2 * solution.rows
+    doubts = [sigma, _DELAY_BIAS, _SMOOTHING_DOUBT * (smoother - found), by_noise, left]
+    if abs(found) > _USUAL_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
         doubts.append(MOST_DELAY)
     return float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(doubts))
 
@@ -147,6 +151,21 @@ def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bo
     other = np.append(other, solver.left_out(choice, folds=rest)[:, 0])
     saved = 1.0 - float(other.sum() / error[folds].sum())
     return saved, bool(saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
+
+
+def _saved_without_noise(solver: Solver, choice: Choice, other: Choice, i_dq: FloatArray) -> float:
+    """Return the share of the squared error on data left out that another choice saves beyond what it saves of noise.
+
+    Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. What they save of
+    noise doubles with it; what they save of an error of the model does not.
+    """
+    solution = solver.solve(choice)
+    noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
+    error, by_other = (solver.left_out(each)[:, 0] for each in (choice, other))
+    noisy, noisy_by_other = (solver.left_out(each, noise=noise)[:, 0] for each in (choice, other))
+    saved = 2 * (error - by_other) - (noisy - noisy_by_other)
+    folds = predictable(error)
+    return float(saved[folds].sum() / error[folds].sum())
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:

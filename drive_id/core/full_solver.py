@@ -109,8 +109,7 @@ class Solver:
         t, normal = self._normal(choice)
         voltage = self._voltage(choice)
         if noise is not None:
-            in_map = t[self.model.map]
-            normal = normal + (in_map.T @ noise @ in_map).toarray()
+            normal = normal + self._further(t, noise)
         factor, scale = _factorize(normal + self._penalty(t, choice.penalty))
         moment = t.T @ _times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
@@ -123,7 +122,11 @@ class Solver:
         return solution.moved(roughness(self.model, self.total, solution.choice.penalty) @ solution.residual)
 
     def left_out(
-        self, choice: Choice, penalties: Sequence[float] = (), folds: Sequence[int] | IntArray | None = None
+        self,
+        choice: Choice,
+        penalties: Sequence[float] = (),
+        folds: Sequence[int] | IntArray | None = None,
+        noise: sparse.csr_array | None = None,
     ) -> FloatArray:
         """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
 
@@ -134,6 +137,8 @@ class Solver:
             To try in place of the choice's own.
         folds : sequence of int
             Those to leave out, one at a time; default: each.
+        noise : (P, P) sparse
+            As for :meth:`solve`, spread evenly over the folds.
 
         Returns
         -------
@@ -148,12 +153,13 @@ class Solver:
         tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
         moment = t.T @ _times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
+        further = 0.0 if noise is None else self._further(t, noise)
 
         def errors(number: int) -> list[float]:
             fold = self.folds[number]
-            own, product = _congruent(t, fold), _times(fold, voltage)
+            own, product = _congruent(t, fold) + further / len(self.folds), _times(fold, voltage)
             own_moment, square = t.T @ product, voltage @ product
-            estimates = _penalized(normal - own, moment - own_moment, tried, in_map)
+            estimates = _penalized(normal + further - own, moment - own_moment, tried, in_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
@@ -210,6 +216,11 @@ class Solver:
         """Return the cross products of columns, less what the unknowns of a solution take of them."""
         half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
+
+    def _further(self, t: sparse.csr_array, noise: sparse.csr_array) -> FloatArray:
+        """Return what noise adds to T'Z'ZT."""
+        in_map = t[self.model.map]
+        return np.asarray((in_map.T @ noise @ in_map).toarray())
 
     def _normal(self, choice: Choice) -> tuple[sparse.csr_array, FloatArray]:
         """Return T and T'Z'ZT, which neither the penalty nor the delay changes."""

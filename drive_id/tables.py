@@ -134,4 +134,6 @@ def _drop_at_i_max(truth: GroundTruth) -> float:
 
 
 def _number(value: float, unit: str, digits: int = 4) -> str:
-    return f"{value:.{digits}g} {unit}".rstrip() if math.isfinite(value) else "diverged"
+    if math.isfinite(value):
+        return f"{value:.{digits}g} {unit}".rstrip()
+    return "unknown" if math.isinf(value) else "diverged"

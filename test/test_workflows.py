@@ -187,6 +187,8 @@ def test_the_table_says_what_was_found(fitted):
     diverged = replace(fitted.identification.report, mad_d=float("nan"))
     other = replace(fitted, identification=replace(fitted.identification, report=diverged))
     assert cells(fit_table(other))["MAD of simulated i_d / i_q"][0].startswith("diverged / ")
+    short = replace(fitted, identification=replace(fitted.identification, sigma_resistance=float("inf")))
+    assert cells(fit_table(short))["R (stator + linear inverter part)"][1] == "unknown"
 
 
 def test_the_true_drop_is_the_one_at_the_radius_of_the_disc(fitted):

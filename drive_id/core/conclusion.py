@@ -121,7 +121,8 @@ def _extended(
         return spline, extend(spline, coefficients, weak, typical_inductances(spline, coefficients, i_dq))
     largest = np.abs(model.rows(i_dq).dot(gamma)).max()
     uncertain = np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest
-    return model, extend(model, gamma, uncertain | (gamma == 0), typical_inductances(model, gamma, i_dq))
+    weak = (gamma == 0) | (uncertain if spread.known else False)
+    return model, extend(model, gamma, weak, typical_inductances(model, gamma, i_dq))
 
 
 def _first_map(evidence: Evidence, solution: Solution, inside: BoolArray) -> FluxMap:
@@ -145,8 +146,10 @@ def _flux_map(
 
 
 def _deviation(model: FluxModel, spread: Deviations, i_dq: FloatArray) -> FloatArray:
-    """Return the deviations of both fluxes (N, 2), Wb, at currents (N, 2), A."""
-    out = np.empty(i_dq.shape)
+    """Return the deviations of both fluxes (N, 2), Wb, at currents (N, 2), A; infinite where they are not known."""
+    out = np.full(i_dq.shape, np.inf)
+    if not spread.known:
+        return out
     for start in range(0, len(i_dq), _AT_A_TIME):
         part = slice(start, start + _AT_A_TIME)
         out[part] = np.linalg.norm(model.rows(i_dq[part]).dense(model.parameters) @ spread.gamma.T, axis=-1)

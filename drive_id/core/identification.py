@@ -26,7 +26,7 @@ class FluxMap:
         Wb.
     sigma_d, sigma_q : (D, Q) float
         Standard deviations of psi_d and psi_q, Wb, NaN where not inside: scatter of the data, not the error of a
-        model that is too simple.
+        model that is too simple. Infinite when the recording is too short to know them.
     inside : (D, Q) bool
         Data support the map there; elsewhere it is a continuation of typical slope.
     """

@@ -114,6 +114,11 @@ class Deviations:
     voltage_error: FloatArray
     gamma: FloatArray
 
+    @property
+    def known(self) -> bool:
+        """Whether there were blocks enough to say; otherwise all of them are infinite."""
+        return len(self.gamma) > 1
+
 
 def deviations(blocks: FloatArray, solution: Solution) -> Deviations:
     """Leave out each block of time in turn.

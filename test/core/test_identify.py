@@ -147,6 +147,37 @@ def test_leaving_a_block_out_is_what_the_deviations_say(clean):
         assert abs(spread.resistance[k]) == pytest.approx(change, rel=0.05)
 
 
+def hurried(samples, factor):
+    """The same currents so many times as fast, in a machine of so many times the resistance."""
+    return replace(
+        samples,
+        stamp=samples.stamp[0] + (samples.stamp - samples.stamp[0]) // factor,
+        sample_period=samples.sample_period / factor,
+        u_abc=samples.u_abc * factor,
+        speed=samples.speed * factor,
+    )
+
+
+@pytest.mark.parametrize("method", ["psm", "joint"])
+def test_one_block_of_time_leaves_the_deviations_unknown(method):
+    """There is nothing to leave out; the map is that of the data all the same."""
+    settings = FitSettings(method, splines_d=4, splines_q=4)
+    drop = tanh_drop if method == "joint" else np.zeros_like
+    single, several = (
+        identify([hurried(record(drop=drop, duration=duration), 20)], settings) for duration in (1.98, 3.98)
+    )
+    for result, known in ((single, False), (several, True)):
+        inside = result.flux_map.inside
+        for deviation in (result.flux_map.sigma_d, result.flux_map.sigma_q):
+            assert (np.isfinite(deviation[inside]) if known else np.isposinf(deviation[inside])).all()
+            assert np.isnan(deviation[~inside]).all()
+        assert np.isfinite(result.sigma_resistance) == known
+        assert ("too short to state deviations" in " ".join(result.report.warnings)) != known
+        assert np.isfinite(result.flux_map.psi_d).all()
+        assert max(errors(result)) < 0.02
+    assert single.report.mad_q < 5
+
+
 def test_half_a_disc_gives_half_a_map():
     samples = record(duration=4.0)
     i_dq = frames.to_dq(samples.i_abc, samples.angle)

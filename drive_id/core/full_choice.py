@@ -17,6 +17,8 @@ from drive_id.core.windows import MOST_DELAY
 from drive_id.types import FloatArray
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
+_LEAST_SAVED = 1e-4
+"""Of the voltage, rms: free maps that save less say more about splines and the simulation than about the machine."""
 _DELAY_SIGNIFICANCE = 2.0
 _LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
@@ -141,7 +143,8 @@ def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[fl
 def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bool]:
     """Return the share of a squared error (F,) on data left out that a choice saves, and whether clearly.
 
-    Clearly is more than noise does, and in nearly all folds. Where two say no, the others are not asked.
+    Clearly is more than noise does, in nearly all folds, and not next to nothing. Where two say no, the others are not
+    asked.
     """
     folds = np.flatnonzero(predictable(error))
     first, rest = folds[:2], folds[2:]
@@ -150,7 +153,8 @@ def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bo
         return 1.0 - float(other.sum() / error[first].sum()), False
     other = np.append(other, solver.left_out(choice, folds=rest)[:, 0])
     saved = 1.0 - float(other.sum() / error[folds].sum())
-    return saved, bool(saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
+    enough = (error[folds] - other).mean() > _LEAST_SAVED**2 * solver.total_voltage
+    return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
 
 
 def _saved_without_noise(solver: Solver, choice: Choice, other: Choice, i_dq: FloatArray) -> float:

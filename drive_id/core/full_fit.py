@@ -14,7 +14,7 @@ from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.flux_models import BasisRows
 from drive_id.core.full_basis import Choice
 from drive_id.core.full_choice import Chosen, choose, distinct_orders
-from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, VOLTAGE, FullModel
+from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, FullModel
 from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
 from drive_id.core.passivity import enforce_passivity, passive_points
@@ -143,7 +143,6 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
         solution = enforce_passivity(solver, solution)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
-    total_voltage = float(solver.total[VOLTAGE, VOLTAGE] / max(solver.counts.sum(), 1.0))
     batches, energy, times = batch_changes(information, solution)
     changes = np.column_stack([batches, solver.shrinkage(solution), doubt])
     durations = np.concatenate([windows.duration for windows in kept])
@@ -158,11 +157,11 @@ def fit_full(information: WindowInformation, settings: FitSettings, turn: float)
         chosen.advantage,
         speeds,
         slope,
-        total_voltage,
+        solver.total_voltage,
         float(np.median(np.abs(speeds) * durations)),
         float(np.median(durations)),
         outlying,
-        float(np.sqrt(energy.max() / max(total_voltage, np.finfo(np.float64).tiny))),
+        float(np.sqrt(energy.max() / max(solver.total_voltage, np.finfo(np.float64).tiny))),
         float(times[energy.argmax()]),
     )
 

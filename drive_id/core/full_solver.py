@@ -15,10 +15,10 @@ from scipy import linalg, sparse
 
 from drive_id.core.full_basis import PENALTIES, Choice, basis, delay_shares, roughness
 from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.normal_equations import congruent, factorize, penalized, times
 from drive_id.core.windows import SHIFTS
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-_JITTER = 1e-13
 _UNPREDICTABLE = 4.0
 
 
@@ -104,14 +104,19 @@ class Solver:
         self.total = folds.sum(axis=0)
         self._normals: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
 
+    @property
+    def total_voltage(self) -> float:
+        """Mean square of the integrated voltages, (Vs)^2."""
+        return float(self.total[VOLTAGE, VOLTAGE] / max(float(self.counts.sum()), 1.0))
+
     def solve(self, choice: Choice, noise: sparse.csr_array | None = None) -> FullSolution:
         """Fit to all folds, or to what further noise (P, P) would make of them, see :mod:`~drive_id.core.dilution`."""
         t, normal = self._normal(choice)
         voltage = self._voltage(choice)
         if noise is not None:
             normal = normal + self._further(t, noise)
-        factor, scale = _factorize(normal + self._penalty(t, choice.penalty))
-        moment = t.T @ _times(self.total, voltage)
+        factor, scale = factorize(normal + self._penalty(t, choice.penalty))
+        moment = t.T @ times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
         residual = t @ x - voltage
         squares = float(residual @ self.total @ residual)
@@ -151,15 +156,15 @@ class Solver:
         """
         (t, normal), voltage = self._normal(choice), self._voltage(choice)
         tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
-        moment = t.T @ _times(self.total, voltage)
+        moment = t.T @ times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
         further = 0.0 if noise is None else self._further(t, noise)
 
         def errors(number: int) -> list[float]:
             fold = self.folds[number]
-            own, product = _congruent(t, fold) + further / len(self.folds), _times(fold, voltage)
+            own, product = congruent(t, fold) + further / len(self.folds), times(fold, voltage)
             own_moment, square = t.T @ product, voltage @ product
-            estimates = _penalized(normal + further - own, moment - own_moment, tried, in_map)
+            estimates = penalized(normal + further - own, moment - own_moment, tried, in_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
@@ -227,7 +232,7 @@ class Solver:
         key = replace(choice, penalty=0.0, delay=0.0)
         if key not in self._normals:
             t = basis(self.model, choice)
-            self._normals[key] = t, _congruent(t, self.total)
+            self._normals[key] = t, congruent(t, self.total)
         return self._normals[key]
 
     def _voltage(self, choice: Choice) -> FloatArray:
@@ -247,55 +252,3 @@ def predictable(errors: FloatArray) -> BoolArray:
     What only one fold visits, such as the way from rest to the figure, would outweigh all else in a choice.
     """
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
-
-
-def _congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
-    """Return T' A T of a symmetric A."""
-    transposed = sparse.csr_array(t.T)
-    return np.asarray(transposed @ np.ascontiguousarray((transposed @ matrix).T))
-
-
-def _times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
-    """Return A v of a v with few entries."""
-    entries = np.flatnonzero(voltage)
-    return np.asarray(matrix[:, entries] @ voltage[entries])
-
-
-def _penalized(
-    normal: FloatArray, moment: FloatArray, penalties: Sequence[FloatArray], in_map: BoolArray
-) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ in the map's unknowns only."""
-    inner, outer = np.flatnonzero(in_map), np.flatnonzero(~in_map)
-    factor, scale = _factorize((normal + penalties[0])[np.ix_(outer, outer)])
-
-    def halved(right: FloatArray) -> FloatArray:
-        return np.asarray(linalg.solve_triangular(factor, (right.T / scale).T, lower=True, check_finite=False))
-
-    across, known = halved(normal[np.ix_(outer, inner)]), halved(moment[outer])
-    schur, reduced = normal[np.ix_(inner, inner)] - across.T @ across, moment[inner] - across.T @ known
-    estimates = []
-    for penalty in penalties:
-        inner_factor, inner_scale = _factorize(schur + penalty[np.ix_(inner, inner)])
-        x = np.empty(len(moment))
-        x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale) / inner_scale
-        rest = known - across @ x[inner]
-        x[outer] = linalg.solve_triangular(factor, rest, lower=True, trans="T", check_finite=False) / scale
-        estimates.append(x)
-    return estimates
-
-
-def _factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the Cholesky factor of the matrix scaled to a diagonal of ones, and the scale."""
-    diagonal = np.diag(normal)
-    scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
-    scaled = normal / scale[:, None]
-    scaled /= scale
-    jitter = _JITTER
-    while True:
-        scaled[np.diag_indices_from(scaled)] += jitter
-        try:
-            return np.asarray(linalg.cholesky(scaled, lower=True, check_finite=False)), scale
-        except linalg.LinAlgError:
-            if jitter > 1e-6:
-                raise
-            jitter *= 100.0

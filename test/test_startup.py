@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -49,3 +50,13 @@ def test_recovering_a_bag_needs_no_numerics(bag, tmp_path):
     modules = loaded("recover", bag, "--output", tmp_path / "recovered", "--quiet")
     assert "drive_id.files.bag_recover" in modules
     assert not modules & {"numba", "scipy", "matplotlib", "distributed"}
+
+
+def test_the_nodes_do_not_let_many_threads_wait_for_small_matrices():
+    """Unless told otherwise, and before numpy is loaded, when it is too late to say so."""
+    code = "import os, sys, drive_id.nodes; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    for told, threads in ((None, "1"), ("3", "3")):
+        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+        environment |= {"OPENBLAS_NUM_THREADS": told} if told else {}
+        ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert ran.stdout.split() == [threads, "False"]

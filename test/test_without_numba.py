@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
+from scipy import sparse
 
 from drive_id.core import current_simulation, flux_models, row_products, sample_sums, vectorized, window_kernels
 from drive_id.core.bspline import Axis
@@ -190,6 +191,12 @@ def test_products_and_ends_of_windows():
     for add, out in zip((window_kernels.add_end, vectorized.add_end), rows, strict=True):
         add(*tables[0], turn, np.array([0, 72]), factor, out)
     np.testing.assert_allclose(rows[0], rows[1], rtol=1e-13, atol=1e-14)
+    t = sparse.random_array((150, 40), density=0.05, format="csr", rng=rng)
+    forms = [np.zeros((50, 2, 40)) for _ in range(2)]
+    for add, out in zip((window_kernels.add_end_through, vectorized.add_end_through), forms, strict=True):
+        add(*tables[0], turn, np.array([0, 72]), factor, t.indptr, t.indices, t.data, out)
+    np.testing.assert_allclose(forms[0], (rows[0] - before) @ t.toarray(), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(forms[0], forms[1], rtol=1e-12, atol=1e-12)
 
 
 def test_blocks_of_a_triangle():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.dilution import thinned, undiluted
@@ -18,6 +19,7 @@ from drive_id.core.full_model import RESISTANCE, SENSOR_ORDERS, FullModel
 from drive_id.core.full_solver import FullSolution
 from drive_id.core.order_search import HIGHEST_ORDER, unexpected_orders
 from drive_id.core.passivity import enforce_passivity, passive_points
+from drive_id.core.threads import in_threads
 from drive_id.core.window_information import WindowInformation
 from drive_id.core.windows import Windows
 from drive_id.types import BoolArray, FloatArray
@@ -194,31 +196,38 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
 def batch_changes(information: WindowInformation, solution: FullSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what each batch of kept windows changes in the estimate, (size, B), and its mean square and time (B,)."""
     model, kept = information.model, information.kept()
-    batches = [batch for segment in kept for batch in _batch_scores(model, solution, segment)]
+    through = sparse.csr_array(sparse.hstack([solution.basis, solution.residual[:, None]]))
+    covariance = solution.white_covariance  # before the threads want it
+
+    def batches_of(segment: Windows) -> list[tuple[FloatArray, float, float]]:
+        return _batch_scores(solution, covariance, segment, model.forms(segment, through, solution.choice.orders))
+
+    batches = [batch for part in in_threads(batches_of, kept) for batch in part]
     scores, energy, time = (np.array(part) for part in zip(*batches, strict=True))
     share = information.windows / max(sum(len(segment) for segment in kept), 1)
     return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T)), energy, time
 
 
-def _batch_scores(model: FullModel, solution: FullSolution, segment: Windows) -> list[tuple[FloatArray, float, float]]:
-    """Return for each batch the scores Z'e (M,), the mean square residual, (Vs)^2, and its time, s.
+def _batch_scores(
+    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray
+) -> list[tuple[FloatArray, float, float]]:
+    """Return for each batch the scores (ZT)'e (M,), the mean square residual, (Vs)^2, and its time, s.
 
+    ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r.
     The residuals e are without the fit's leverage. That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the
     binomial series, which bounds what residuals of full leverage are multiplied by.
     """
-    rows = model.design(segment)
-    residuals = rows @ solution.residual
-    all_forms = solution.transposed_basis @ np.ascontiguousarray(rows.reshape(-1, model.size).T)
+    residuals = rows[..., -1]
     edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(BATCH)))), len(segment)]
     out = []
     for start, end in pairwise(edges):
-        forms = all_forms[:, 2 * start : 2 * end]
-        met = np.flatnonzero(forms.any(axis=1))
-        forms, covariance = forms[met], solution.white_covariance[np.ix_(met, met)]
-        scale, score = solution.scale[met], forms @ residuals[start:end].ravel()
+        forms = rows[start:end, :, :-1].reshape(-1, len(solution.scale))
+        met = np.flatnonzero(forms.any(axis=0))
+        forms, covered = forms[:, met], covariance[np.ix_(met, met)]
+        scale, score = solution.scale[met], forms.T @ residuals[start:end].ravel()
         total = score.copy()
         for k in range(1, _SERIES):
-            score = (k - 0.5) / k * (forms @ (forms.T @ (covariance @ score)))
+            score = (k - 0.5) / k * (forms.T @ (forms @ (covered @ score)))
             total += score
             if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
                 break

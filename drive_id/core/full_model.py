@@ -14,14 +14,17 @@ leaves just the difference.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
+from drive_id.core.flux_models import ColumnArray
 from drive_id.core.inverter import CapacitiveShapes
 from drive_id.core.potential import GradientSpline
-from drive_id.core.window_kernels import add_end
+from drive_id.core.window_kernels import add_end, add_end_through
 from drive_id.core.windows import SHIFTS, Windows
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -132,8 +135,30 @@ class FullModel:
         (N, 2, size) float
             Real parts in [:, 0], imaginary parts in [:, 1].
         """
+        out = np.zeros((len(windows), 2, self.size))
+        out[:, :, : self.map.start] = self._beside_flux(windows)
+        for turn, column, value, start, factor in self._ends(windows, self.all_orders):
+            add_end(column, value, turn, start, factor, out)
+        return out
+
+    def forms(self, windows: Windows, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
+        """Return the rows of the regression times T (size, M), without making them: (N, 2, M).
+
+        ``orders`` are the harmonics in use: the rows of T of all others are empty.
+        """
+        before = self.map.start
+        out = np.zeros((len(windows), 2, t.shape[1]))
+        beside = t[:before].toarray()
+        used = np.flatnonzero(beside.any(axis=0))
+        out[:, :, used] = self._beside_flux(windows) @ beside[:, used]
+        for turn, column, value, start, factor in self._ends(windows, orders):
+            add_end_through(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
+        return out
+
+    def _beside_flux(self, windows: Windows) -> FloatArray:
+        """Return the columns before those of the flux, (N, 2, map.start)."""
         count, drops = len(windows), self.drops
-        out = np.zeros((count, 2, self.size))
+        out = np.zeros((count, 2, self.map.start))
         known = np.concatenate(
             [windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1
         )
@@ -148,22 +173,24 @@ class FullModel:
         out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
         lag = windows.lag * windows.drop_scale[:, None]
         out[:, 0, self.lags], out[:, 1, self.lags] = lag.real, lag.imag
-        for end, sign in ((0, -1.0), (1, 1.0)):
-            self._add_end(out, windows.i_dq[:, end], windows.angle[:, end], sign)
         return out
 
-    def _add_end(self, out: FloatArray, i_dq: FloatArray, angle: FloatArray, sign: float) -> None:
-        """Add the flux at one end of all windows."""
-        turn = sign * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        for space, parts in self._parts(angle).items():
-            rows = space.rows(i_dq)
-            start, factor = np.array([start for start, _ in parts]), np.array([factor for _, factor in parts])
-            add_end(rows.column, rows.value, turn, start, factor, out)
+    def _ends(
+        self, windows: Windows, orders: Sequence[int]
+    ) -> Iterator[tuple[FloatArray, ColumnArray, FloatArray, IntArray, FloatArray]]:
+        """Yield the flux at each end of all windows, space by space, as the kernels take it."""
+        for end, sign in ((0, -1.0), (1, 1.0)):
+            angle = windows.angle[:, end]
+            turn = sign * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            for space, parts in self._parts(angle, orders).items():
+                rows = space.rows(windows.i_dq[:, end])
+                start, factor = np.array([start for start, _ in parts]), np.array([factor for _, factor in parts])
+                yield turn, rows.column, rows.value, start, factor
 
-    def _parts(self, angle: FloatArray) -> dict[GradientSpline, list[tuple[int, FloatArray]]]:
+    def _parts(self, angle: FloatArray, orders: Sequence[int]) -> dict[GradientSpline, list[tuple[int, FloatArray]]]:
         """Return for each space the first columns of the maps in it and their factors (N,)."""
         parts: dict[GradientSpline, list[tuple[int, FloatArray]]] = {self.flux: [(self.map.start, np.ones(len(angle)))]}
-        for order in self.all_orders:
+        for order in orders:
             space, start = self.space(order), self.harmonics[order].start
             parts.setdefault(space, []).append((start, np.cos(order * angle)))
             parts[space].append((start + space.parameters, np.sin(order * angle)))

@@ -16,6 +16,7 @@ from scipy import linalg, sparse
 from drive_id.core.full_basis import PENALTIES, Choice, basis, delay_shares, roughness
 from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
 from drive_id.core.normal_equations import congruent, factorize, penalized, times
+from drive_id.core.threads import in_threads
 from drive_id.core.windows import SHIFTS
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -73,11 +74,6 @@ class FullSolution:
         """Return Q (M, K) with Q'Q the covariance of ``queries' x``, (M, K) linear forms, for white unit residuals."""
         scaled = queries / self.scale[:, None]
         return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
-
-    @cached_property
-    def transposed_basis(self) -> sparse.csr_array:
-        """T' (M, size)."""
-        return sparse.csr_array(self.basis.T)
 
     @cached_property
     def white_covariance(self) -> FloatArray:
@@ -169,7 +165,7 @@ class Solver:
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
 
-        return np.array([errors(number) for number in (range(len(self.folds)) if folds is None else folds)])
+        return np.array(in_threads(errors, range(len(self.folds)) if folds is None else [int(k) for k in folds]))
 
     def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
         """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""

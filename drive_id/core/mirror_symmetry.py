@@ -44,27 +44,34 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         )
     mirror = np.array([1.0, -1.0])
 
-    def difference(angle: float, gamma: FloatArray) -> FloatArray:
-        """Return by how much the map, turned back by an angle, breaks the symmetry, (N, 2) or (N, 2, K)."""
-        sides = []
-        for sign in (np.ones(2), mirror):
-            rows = fit.model.flux.rows(rotated(i_dq * sign, -angle))
-            sides.append(sign[:, None] * _turn_pairs(rows, gamma, angle))
-        return np.asarray(sides[0] - sides[1])
+    def sides(angle: float) -> list[tuple[FloatArray, BasisRows]]:
+        return [(sign, fit.model.flux.rows(rotated(i_dq * sign, -angle))) for sign in (np.ones(2), mirror)]
 
-    gamma = fit.solution.residual[fit.model.map][:, None]
+    def difference(angle: float) -> FloatArray:
+        """Return by how much the map, turned back by an angle, breaks the symmetry, (N, 2)."""
+        one, other = (sign * rotated(rows.dot(gamma), angle) for sign, rows in sides(angle))
+        return np.asarray(one - other)
+
+    def form(angle: float, weights: FloatArray) -> FloatArray:
+        """Return what the sum of the differences times weights (N, 2) is to the map's coefficients, (P,)."""
+        one, other = (
+            rows.sparse(len(gamma)).T @ rotated(sign * weights, -angle).ravel() for sign, rows in sides(angle)
+        )
+        return np.asarray(one - other)
+
+    gamma = fit.solution.residual[fit.model.map]
     found = minimize_scalar(
-        lambda angle: float(np.sum(difference(angle, gamma) ** 2)),
+        lambda angle: float(np.sum(difference(angle) ** 2)),
         bounds=(-_LARGEST_ANGLE, _LARGEST_ANGLE),
         method="bounded",
         options={"xatol": 1e-7},
     )
     angle, step = float(found.x), 1e-4
-    slope = (difference(angle + step, gamma) - difference(angle - step, gamma)) / (2 * step)
-    moves = difference(angle, fit.changes[fit.model.map])
-    sigma = float(np.sqrt(np.sum(np.einsum("nak,na->k", moves, slope[..., 0]) ** 2)) / np.sum(slope**2))
+    slope = (difference(angle + step) - difference(angle - step)) / (2 * step)
+    moves = form(angle, slope) @ fit.changes[fit.model.map]
+    sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
-    asymmetry = float(np.sqrt(np.mean(difference(angle, gamma) ** 2))) / size
+    asymmetry = float(np.sqrt(np.mean(difference(angle) ** 2))) / size
     degrees = f"{np.rad2deg(angle):+.4f} +- {np.rad2deg(sigma):.4f} degrees"
     if asymmetry > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
         reason = (
@@ -74,8 +81,3 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         return Calibration(name, angle, sigma, unit, False, reason)
     sentence = f"The measured angle was taken to be {degrees} too large, for which the map is mirror-symmetric."
     return Calibration(name, angle, sigma, unit, True, sentence)
-
-
-def _turn_pairs(rows: BasisRows, gamma: FloatArray, angle: float) -> FloatArray:
-    psi = rows.dot(gamma)  # (N, 2, K)
-    return np.asarray(np.moveaxis(rotated(np.moveaxis(psi, 1, -1), angle), -1, 1))

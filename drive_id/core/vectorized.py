@@ -135,6 +135,27 @@ def add_end(
             out[window, row, first + column[:, component]] += term
 
 
+def add_end_through(
+    column: NDArray[np.int32],
+    value: FloatArray,
+    turn: FloatArray,
+    start: IntArray,
+    factor: FloatArray,
+    first: IntArray,
+    unknown: IntArray,
+    share: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add the flux at one end of windows, times a sparse matrix, see :mod:`drive_id.core.window_kernels`."""
+    from scipy import sparse  # noqa: PLC0415  # slow to load, and twins are loaded with the package
+
+    size = len(first) - 1
+    t = sparse.csr_array((share, unknown, first), (size, out.shape[2]))
+    rows = np.zeros((len(column), 2, size))
+    add_end(column, value, turn, start, factor, rows)
+    out += (rows.reshape(-1, size) @ t).reshape(out.shape)
+
+
 def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
     """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.window_kernels`."""
     total[np.ix_(chosen, chosen)] += np.tril(block)

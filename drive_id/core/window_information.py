@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from drive_id.core.accumulator import State
 from drive_id.core.full_model import FullModel
+from drive_id.core.threads import in_threads
 from drive_id.core.window_kernels import add_products
 from drive_id.core.windows import WindowCutter, Windows
 from drive_id.types import FloatArray, Samples
@@ -151,10 +152,13 @@ class WindowInformation:
     @property
     def folds(self) -> FloatArray:
         """Z'Z of each fold, (FOLDS, size, size), symmetric."""
-        out = np.empty((FOLDS, self.model.size, self.model.size))
-        for matrix, fold in zip(out, self._matrices(), strict=True):
-            matrix[...] = fold.T  # rows of C's order are columns of Fortran's: the upper triangle
-            mirror_upper(matrix)
+        out, matrices = np.empty((FOLDS, self.model.size, self.model.size)), self._matrices()
+
+        def fill(number: int) -> None:
+            out[number] = matrices[number].T  # rows of C's order are columns of Fortran's: the upper triangle
+            mirror_upper(out[number])
+
+        in_threads(fill, range(FOLDS))
         return out
 
     @property

@@ -112,6 +112,45 @@ def add_end(
                 out[n, 1, q] += cosine * value[n, 1, k]
 
 
+@compiled_or(vectorized.add_end_through)
+def add_end_through(
+    column: ColumnArray,
+    value: FloatArray,
+    turn: FloatArray,
+    start: IntArray,
+    factor: FloatArray,
+    first: IntArray,
+    unknown: IntArray,
+    share: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add the flux at one end of windows to the rows of the regression times a sparse matrix T.
+
+    Parameters
+    ----------
+    column, value, turn, start, factor
+        As of :func:`add_end`.
+    first : (size + 1,) int
+        Where the entries of each row of T begin.
+    unknown, share : (E,)
+        Columns and values of these entries.
+    out : (N, 2, M) float
+    """
+    for n in range(column.shape[0]):
+        for p in range(len(start)):
+            cosine, sine = turn[n, 0] * factor[p, n], turn[n, 1] * factor[p, n]
+            for k in range(column.shape[2]):
+                d, q = start[p] + column[n, 0, k], start[p] + column[n, 1, k]
+                for entry in range(first[d], first[d + 1]):
+                    term = value[n, 0, k] * share[entry]
+                    out[n, 0, unknown[entry]] += cosine * term
+                    out[n, 1, unknown[entry]] += sine * term
+                for entry in range(first[q], first[q + 1]):
+                    term = value[n, 1, k] * share[entry]
+                    out[n, 0, unknown[entry]] -= sine * term
+                    out[n, 1, unknown[entry]] += cosine * term
+
+
 @compiled_or(vectorized.add_block)
 def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
     """Add the lower triangle of a matrix (K, K) to rows and columns ``chosen`` (K,), rising, of another one."""

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from synthetic import record
 
 from drive_id.core import window_information
-from drive_id.core.full_basis import basis
+from drive_id.core.full_basis import Choice, basis
 from drive_id.core.full_model import MAGNET, SHIFT, VOLTAGE, FullModel
 from drive_id.core.window_information import WindowInformation
 from drive_id.core.windows import WindowCutter, Windows
@@ -55,6 +55,18 @@ def flux_by_scipy(space, gamma, i_dq):
         d, q = matrix(i_dq[:, 0], space.d, degree_d), matrix(i_dq[:, 1], space.q, degree_q)
         out.append(np.einsum("na,ab,nb->n", d, coefficients.reshape(d.shape[1], q.shape[1]), q))
     return out[0] + 1j * out[1]
+
+
+@pytest.mark.parametrize("reciprocal", [True, False])
+def test_forms_are_the_rows_times_the_basis(model, samples, reciprocal):
+    cutter = WindowCutter(model.shapes)
+    windows = Windows.joined([*cutter.cut(samples), *cutter.finish()]).part(np.arange(0, 1500, 47))
+    windows = dataclasses.replace(windows, heating=np.linspace(-1.0, 40.0, len(windows)))
+    for orders in ((), (1, 2), (1, 2, 6)):
+        t = basis(model, Choice(reciprocal, orders, per_phase=True, magnet=True, lag=True))
+        expected = model.design(windows) @ t.toarray()
+        scale = np.abs(expected).max(axis=(0, 1)) + 1e-300
+        assert np.abs((model.forms(windows, t, orders) - expected) / scale).max() < 1e-12
 
 
 def test_rows_say_what_the_balance_says(model, samples):

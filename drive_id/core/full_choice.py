@@ -91,7 +91,7 @@ def choose(information: WindowInformation, settings: FitSettings, turn: float) -
     if settings.maps == "auto":
         free = replace(choice, reciprocal=False, delay=0.0 if settings.calibrate_delay else choice.delay)
         advantage, clearly = _saved(solver, free, settled.error)
-        if clearly and _saved_without_noise(solver, choice, free, i_dq) > _CLEAR_GAIN:
+        if clearly and _saved_without_noise(solver, settled, free, i_dq) > _CLEAR_GAIN:
             everything = solver.solve(replace(free, orders=orders))
             significant = _significant_orders(model, everything, i_dq)
             choice = solver.smoothest(replace(free, orders=significant))[0]
@@ -158,16 +158,16 @@ def _saved(solver: Solver, choice: Choice, error: FloatArray) -> tuple[float, bo
     return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
 
 
-def _saved_without_noise(solver: Solver, choice: Choice, other: Choice, i_dq: FloatArray) -> float:
+def _saved_without_noise(solver: Solver, settled: _Settled, other: Choice, i_dq: FloatArray) -> float:
     """Return the share of the squared error on data left out that another choice saves beyond what it saves of noise.
 
     Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. What they save of
     noise doubles with it; what they save of an error of the model does not.
     """
-    solution = solver.solve(choice)
+    error, solution = settled.error, solver.solve(settled.choice)
     noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
-    error, by_other = (solver.left_out(each)[:, 0] for each in (choice, other))
-    noisy, noisy_by_other = (solver.left_out(each, noise=noise)[:, 0] for each in (choice, other))
+    by_other = solver.left_out(other)[:, 0]
+    noisy, noisy_by_other = (solver.left_out(each, noise=noise)[:, 0] for each in (settled.choice, other))
     saved = 2 * (error - by_other) - (noisy - noisy_by_other)
     folds = predictable(error)
     return float(saved[folds].sum() / error[folds].sum())

@@ -114,15 +114,6 @@ def test_cross_products_of_rows(model):
     np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
 
 
-def test_visits():
-    i_dq, edges = currents(), (np.linspace(-10, 12, 9), np.linspace(-9, 9, 8))
-    counts = [np.zeros((8, 7), np.int64) for _ in range(2)]
-    for count_visits, count in zip((sample_sums.count_visits, vectorized.count_visits), counts, strict=True):
-        count_visits(i_dq[:-2], *edges, count)
-    assert counts[0].sum() > 100
-    np.testing.assert_array_equal(*counts)
-
-
 @pytest.mark.parametrize("rest", [0, 3, 50])
 @pytest.mark.parametrize("count", [0, 1, 400])
 def test_rests(rest, count):

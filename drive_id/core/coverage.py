@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.accumulator import State, exactly
-from drive_id.core.sample_sums import count_visits
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1
@@ -31,7 +30,11 @@ class Visits:
 
     def add(self, i_dq: FloatArray) -> None:
         """Count samples (N, 2), A, each at its nearest node; those off the grid are left out."""
-        count_visits(i_dq, _edges(self.i_d), _edges(self.i_q), self.count)
+        # Without numba: the trajectory publisher counts its set-points by this, and loads no compiled kernel.
+        d, on_d = _cells(i_dq[:, 0], _edges(self.i_d))
+        q, on_q = _cells(i_dq[:, 1], _edges(self.i_q))
+        cell = (d * len(self.i_q) + q)[on_d & on_q]
+        self.count += np.bincount(cell, minlength=self.count.size).reshape(self.count.shape)
 
     def copy(self) -> Visits:
         """Return counts that go their own way from here."""
@@ -92,6 +95,13 @@ def _dilated(mask: BoolArray, ball: BoolArray) -> BoolArray:
 def _edges(axis: FloatArray) -> FloatArray:
     half = (axis[1] - axis[0]) / 2
     return np.append(axis - half, axis[-1] + half)
+
+
+def _cells(x: FloatArray, edges: FloatArray) -> tuple[IntArray, BoolArray]:
+    """Return for each value (N,) its cell between the edges (C + 1,), and whether it lies within them, both (N,)."""
+    cell = np.searchsorted(edges, x, side="right") - 1
+    cell = np.where(x == edges[-1], len(edges) - 2, cell)
+    return cell, (cell >= 0) & (cell < len(edges) - 1)
 
 
 def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> float:

@@ -68,11 +68,6 @@ def add_rows(
         gram += flat.T @ flat
 
 
-def count_visits(i_dq: FloatArray, edges_d: FloatArray, edges_q: FloatArray, count: IntArray) -> None:
-    """Count samples in the cells of a grid, see :mod:`drive_id.core.sample_sums`."""
-    count += np.histogram2d(i_dq[:, 0], i_dq[:, 1], bins=[edges_d, edges_q])[0].astype(np.int64)
-
-
 def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
     """Mark samples after a long rest, see :mod:`drive_id.core.sample_sums`."""
     step = np.arange(1, len(i_dq) + 1)

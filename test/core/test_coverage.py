@@ -27,6 +27,22 @@ def test_each_sample_counts_at_its_nearest_node():
     assert visits.count[20, 0] == 1
 
 
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 1000), d=st.integers(2, 70), low=st.sampled_from([-1.0, -313.7, 0.1]))
+def test_visits_are_numpys_histogram(seed, d, low):
+    rng = np.random.default_rng(seed)
+    visits = Visits(np.linspace(low, low + 7.3, d), np.linspace(-2, 2, 9))
+    edges = [
+        np.append(axis - (axis[1] - axis[0]) / 2, axis[-1] + (axis[1] - axis[0]) / 2)
+        for axis in (visits.i_d, visits.i_q)
+    ]
+    i_dq = np.stack([rng.uniform(low - 1, low + 8, 400), rng.normal(size=400)], axis=-1)
+    i_dq[: d + 1, 0], i_dq[d : d + 10, 1] = edges[0], edges[1][: len(i_dq[d : d + 10])]
+    i_dq = np.vstack([i_dq, [[np.inf, 0.0], [0.0, -1e300]]])
+    visits.add(i_dq)
+    np.testing.assert_array_equal(visits.count, np.histogram2d(*i_dq.T, bins=edges)[0])
+
+
 def test_samples_off_the_grid_are_left_out():
     assert at((10.6, 0.0), (0.0, -11.0), (1e30, 0.0)).count.sum() == 0
 

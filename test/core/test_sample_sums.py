@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drive_id.core.matching import constant_shift
-from drive_id.core.sample_sums import bend_square, count_visits, mark_rests
+from drive_id.core.sample_sums import bend_square, mark_rests
 from drive_id.core.scans import all_finite, apart, rising
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 1000), d=st.integers(2, 70), low=st.sampled_from([-1.0, -313.7, 0.1]))
-def test_visits_are_numpys_histogram(seed, d, low):
-    rng = np.random.default_rng(seed)
-    edges_d, edges_q = np.linspace(low, low + 7.3, d), np.linspace(-2, 2, 9)
-    i_dq = np.stack([rng.uniform(low - 1, low + 8, 400), rng.normal(size=400)], axis=-1)
-    i_dq[:d, 0], i_dq[d : d + 9, 1] = edges_d, edges_q[: len(i_dq[d : d + 9])]
-    i_dq = np.vstack([i_dq, [[np.inf, 0.0], [0.0, -1e300]]])
-    count = np.zeros((d - 1, 8), np.int64)
-    count_visits(i_dq, edges_d, edges_q, count)
-    np.testing.assert_array_equal(count, np.histogram2d(*i_dq.T, bins=[edges_d, edges_q])[0])
 
 
 def test_rests_and_bends():

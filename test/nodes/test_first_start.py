@@ -1,0 +1,59 @@
+"""The first start of fresh nodes with the parameters as shipped, in real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from ros_bench import ros_bench
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+STARTS = 4
+
+
+@pytest.fixture(scope="module")
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+@pytest.fixture(scope="module")
+def statuses(ros):
+    """A bench that everybody finds, and what all nodes say in their diagnostics."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    found = {}
+
+    def note(message):
+        found.update({status.name: {value.key: value.value for value in status.values} for status in message.status})
+
+    ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    ros.start("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"])
+    return found
+
+
+@pytest.mark.parametrize("attempt", range(STARTS))
+def test_a_fresh_publisher_runs_at_its_first_start(ros, statuses, attempt):
+    """One that is held up, by whatever it loads or compiles in a callback, trips for being too late."""
+    from std_srvs.srv import Trigger
+
+    name = f"publisher_{attempt}"
+    publisher = ros.start(
+        "drive_id.nodes.trajectory_publisher",
+        files=[CONFIG / "trajectory_publisher.yaml"],
+        arguments=["-r", f"__node:={name}"],
+    )
+    ros.wait(lambda: "Ready" in publisher.output, "the publisher says that it is ready")
+
+    def started():
+        reply = ros.call(Trigger, f"/{name}/start")
+        assert reply.success or "Nothing has arrived" in reply.message, reply.message
+        return reply.success
+
+    ros.wait(started, "the first start")
+    ros.wait(lambda: float(statuses.get(f"/{name}", {}).get("elapsed [s]", 0)) > 1.0, "a second of the trajectory")
+    assert statuses[f"/{name}"]["state"] == "running", publisher.output
+    assert "Tripped" not in publisher.output
+    loaded = Path(f"/proc/{publisher.popen.pid}/maps").read_text()
+    assert "llvmlite" not in loaded, "a compiler has no place in a node that adds sines"
+    assert publisher.interrupt()[0] == 0

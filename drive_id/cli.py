@@ -27,6 +27,7 @@ from drive_id.command_line import (
     merged_settings,
     out,
     say,
+    show,
     warn,
     working,
 )
@@ -168,7 +169,7 @@ def fit(
     if as_json:
         typer.echo(json.dumps(results_tree(result.identification, result.provenance), allow_nan=False))
     elif not quiet:
-        out().print(fit_table(result))
+        show(fit_table(result))
         for warning in result.warnings:
             warn(warning)
         say(f"Results in {output}")
@@ -233,7 +234,7 @@ def info(
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(found)))
         return
-    out().print(info_table(found))
+    show(info_table(found))
     if found.ground_truth:
         say("The recording is a simulation and carries its ground truth.")
     if found.problem:
@@ -248,7 +249,7 @@ def _print_information(path: Path, *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"path": str(path), "software": stored.software} | information_tree(stored.accumulated)))
         return
-    out().print(information_table(path, stored))
+    show(information_table(path, stored))
     for warning in stored.accumulated.warnings:
         warn(warning)
 
@@ -301,7 +302,7 @@ def reproduce(
         typer.echo(json.dumps(results.tree(), allow_nan=False))
     elif not quiet:
         for table in results.tables():
-            out().print(table)
+            show(table)
         for sentence in results.claims():
             out().print(sentence, highlight=False, soft_wrap=True)
 

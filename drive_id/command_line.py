@@ -15,10 +15,13 @@ from drive_id.settings import from_mapping
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from drive_id.core.identify import Progress as Tell
 
 Settings = TypeVar("Settings")
+_PIPE_WIDTH = 200
+"""Characters per line where no terminal limits them, whatever COLUMNS says."""
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, nothing else.")]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 SetOption = Annotated[
@@ -44,10 +47,11 @@ SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that 
 
 @cache
 def out() -> Console:
-    """Return standard output; rich is loaded for those only who have something to say."""
+    """Return standard output: as wide as the terminal, or wide enough for any table in a file or a pipe."""
     from rich.console import Console
 
-    return Console()
+    console = Console()
+    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
 
 
 @cache
@@ -61,6 +65,14 @@ def err() -> Console:
 def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = None) -> None:
     """Print text as it is."""
     to().print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def show(table: Table) -> None:
+    """Print a table; its title stays on one line, whatever the width of the terminal."""
+    if table.title:
+        out().print(table.title, style="table.title", highlight=False, soft_wrap=True)
+        table.title = None
+    out().print(table)
 
 
 def warn(sentence: str) -> None:

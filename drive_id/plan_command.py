@@ -12,8 +12,8 @@ from drive_id.command_line import (
     RadiusOption,
     SetOption,
     merged_settings,
-    out,
     say,
+    show,
     warn,
     working,
 )
@@ -67,7 +67,7 @@ def plan_experiment(
         typer.echo(json.dumps(plan_tree(found), allow_nan=False))
     elif not quiet:
         for table in plan_tables(found):
-            out().print(table)
+            show(table)
         for sentence in (found.reason(), *found.statements()):
             say(sentence)
         for warning in found.warnings():

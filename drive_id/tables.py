@@ -22,11 +22,11 @@ def fit_table(fit: Fit) -> Table:
     """Lay out a fit: value, standard deviation, and the truth where the bag carries it."""
     identification, report, truth = fit.identification, fit.identification.report, fit.recording.truth
     table = Table(title=f"Identified drive, method {identification.method}", title_justify="left")
-    table.add_column("Quantity")
-    table.add_column("Value", justify="right")
-    table.add_column("1-sigma", justify="right")
+    table.add_column("Quantity", overflow="fold")
+    table.add_column("Value", justify="right", no_wrap=True, overflow="fold")
+    table.add_column("1-sigma", justify="right", no_wrap=True, overflow="fold")
     if truth:
-        table.add_column("Truth", justify="right")
+        table.add_column("Truth", justify="right", no_wrap=True, overflow="fold")
 
     def row(name: str, value: str, sigma: str = "", true: str = "") -> None:
         table.add_row(name, value, sigma, *([true] if truth else []))
@@ -70,8 +70,8 @@ def info_table(info: BagInfo) -> Table:
     title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB, {info.duration:.3f} s"
     table = Table(title=escape(title), title_justify="left")
     for name in ("Topic", "Type"):
-        table.add_column(name)
-    table.add_column("Messages", justify="right")
+        table.add_column(name, overflow="fold")
+    table.add_column("Messages", justify="right", no_wrap=True, overflow="fold")
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
     return table
@@ -81,8 +81,8 @@ def plan_tables(plan: Plan) -> list[Table]:
     """Lay out a plan: what to do, what the drive needs for it, and what to expect beside the paper's experiment."""
     experiment, trajectory = plan.experiment, plan.experiment.trajectory
     proposal = Table(title="Proposed experiment", title_justify="left")
-    proposal.add_column("Quantity")
-    proposal.add_column("Value")
+    proposal.add_column("Quantity", overflow="fold")
+    proposal.add_column("Value", overflow="fold")
     frequencies = f"{trajectory.frequency_d:g} Hz on d, {trajectory.frequency_q:g} Hz on q, {trajectory.form}"
     proposal.add_row("Lissajous figure", f"{trajectory.i_max:g} A; {frequencies}")
     proposal.add_row("Mechanical speeds, in turn", ", ".join(f"{speed:g}" for speed in experiment.speeds) + " rpm")
@@ -93,9 +93,9 @@ def plan_tables(plan: Plan) -> list[Table]:
     )
     proposal.add_row("|di/dt|, largest", f"{trajectory.slope / 1e3:.3g} A/ms")
     expected = Table(title="Deviations to be expected", title_justify="left")
-    expected.add_column("Quantity")
+    expected.add_column("Quantity", overflow="fold")
     for name in ("Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"):
-        expected.add_column(name, justify="right")
+        expected.add_column(name, justify="right", no_wrap=True, overflow="fold")
     names = (
         "psi_d over the disc, of the largest",
         "psi_q over the disc, of the largest",
@@ -115,8 +115,8 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     duration = evidence.samples * evidence.sample_period
     seconds = sum(piece.duration for piece in found.validation)
     table = Table(title=escape(f"{path}: written by drive_id {stored.software}"), title_justify="left")
-    table.add_column("Quantity")
-    table.add_column("Value")
+    table.add_column("Quantity", overflow="fold")
+    table.add_column("Value", overflow="fold")
     table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {evidence.gaps} gaps")
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
     table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")

@@ -80,11 +80,12 @@ setup(
         "rich>=13",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "threadpoolctl>=3",
         "typer>=0.9,<0.29",  # from 0.29 on it loads pydantic with every command, which takes longer than to read a bag
         "zstandard>=0.22",
     ],
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
-    extras_require={"fleet": FLEET, "test": ["hypothesis>=6.98", "pytest>=7.4", *FLEET]},
+    extras_require={"fleet": FLEET, "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *FLEET]},
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,
 )

@@ -16,6 +16,7 @@ from drive_id.core.conclusion import conclude
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identification import FluxMap, Identification
 from drive_id.core.identify import Progress, score, silent
+from drive_id.core.threads import one_blas_thread
 from drive_id.files.information import check_information_output, write_information
 from drive_id.files.information_name import is_information
 from drive_id.files.results import PICTURE, Provenance, check_output, write_results
@@ -120,10 +121,11 @@ def _fit(
 ) -> Fit:
     if not any(is_information(bag) for bag in bags):  # these know their own
         settings.check_recordings(len(bags))
-    recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
-    tell("Solving and validating", 1.0)
-    told = partial(on_map, recording, settings) if on_map else lambda _: None
-    identification = conclude(recording.evidence, recording.validation, told)
+    with one_blas_thread(with_scipy=settings.method == "full"):
+        recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
+        tell("Solving and validating", 1.0)
+        told = partial(on_map, recording, settings) if on_map else lambda _: None
+        identification = conclude(recording.evidence, recording.validation, told)
     truth = recording.truth
     nrmse = score(identification, truth) if truth else None
     strange = ("None of the map lies in the disc of the recorded truth: check the scale of the currents.",)
@@ -161,7 +163,8 @@ def accumulate_bags(
     """
     check_information_output(output)
     gather = _gatherer(bags, cluster, skip_bad=skip_bad, apart=True)
-    accumulated = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
+    with one_blas_thread(with_scipy=settings.method == "full"):
+        accumulated = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
     tell("Writing", 0.0)
     write_information(output, accumulated)
     return accumulated

@@ -46,7 +46,7 @@ ROOMS = {
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
     "drive_id.settings": Room.of({"drive_id.errors"}, set()),
-    "drive_id.core": Room.of(NOUNS, {"numpy", "scipy", "numba"}),
+    "drive_id.core": Room.of(NOUNS, {"numpy", "scipy", "numba", "threadpoolctl"}),
     "drive_id.sim": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy"}),
     "drive_id.analysis": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy", "matplotlib"}),
     "drive_id.files": Room.of(

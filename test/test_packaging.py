@@ -31,6 +31,7 @@ LIBRARIES = {
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
+    "threadpoolctl": ("threadpoolctl", "python3-threadpoolctl"),
     "typer": ("typer", "python3-typer"),
     "yaml": ("PyYAML", "python3-yaml"),
     "zstandard": ("zstandard", "mcap-ros2-support"),

@@ -14,6 +14,7 @@ from drive_id.core.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.identification import Identification
 from drive_id.core.metrics import nrmse, true_flux
+from drive_id.core.threads import one_blas_thread
 from drive_id.errors import DataError
 from drive_id.types import FloatArray, GroundTruth, Samples
 
@@ -49,9 +50,11 @@ def identify(
     StandstillError, CoverageError, DataError
         When no trustworthy map can come of these samples.
     """
-    evidence = gather(recordings, settings or FitSettings(), tell)
-    tell("Solving and validating", 1.0)
-    return conclude(evidence, recordings)
+    settings = settings or FitSettings()
+    with one_blas_thread(with_scipy=settings.method == "full"):
+        evidence = gather(recordings, settings, tell)
+        tell("Solving and validating", 1.0)
+        return conclude(evidence, recordings)
 
 
 def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress = silent) -> Evidence:

@@ -15,7 +15,7 @@ FLEET = ["distributed>=2024.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
-    "drive-id = drive_id.cli:main",
+    "drive-id = drive_id.cli.app:main",
     "trajectory_publisher = drive_id.nodes.trajectory_publisher:main",
     "recorder = drive_id.nodes.recorder:main",
     "identification = drive_id.nodes.identification:main",

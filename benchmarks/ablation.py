@@ -21,15 +21,15 @@ from rich.console import Console
 from single_fit import Accumulation, Errors
 from uncertainty import DRIVES, SECONDS, WITHIN
 
-from drive_id.core.conclusion import conclude
-from drive_id.core.dilution import thinned, undiluted
+from drive_id.bench.drive import Simulation
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full_basis import PENALTIES, Choice
-from drive_id.core.full_model import SENSOR_ORDERS
-from drive_id.core.full_solver import Solver
-from drive_id.experiments import load_machine, run_experiment
-from drive_id.sim.drive import Simulation
-from drive_id.sim.settings import SimulationSettings
+from drive_id.core.full.basis import PENALTIES, Choice
+from drive_id.core.full.model import SENSOR_ORDERS
+from drive_id.core.full.noise_correction import thinned, undiluted
+from drive_id.core.full.solver import Solver
+from drive_id.core.result.conclusion import conclude
+from drive_id.fitting.simulated import load_machine, run_experiment
 from drive_id.types import FloatArray
 
 COLUMNS = ("psi_d", "psi_q", "R", "Inverter curve")
@@ -101,10 +101,10 @@ def windows() -> Iterator[str]:
             "Windows",
         )
         for angle in ANGLES:
-            with patch("drive_id.core.windows.WINDOW_ANGLE", np.deg2rad(angle)):  # no setting, for none is better
+            with patch("drive_id.core.full.windows.WINDOW_ANGLE", np.deg2rad(angle)):  # no setting, for none is better
                 yield line(f"of {angle:g} degrees", Accumulation(simulation).solved(INGREDIENTS))
         for stride in STRIDES:
-            with patch("drive_id.core.windows.STRIDE", stride):
+            with patch("drive_id.core.full.windows.STRIDE", stride):
                 yield line(f"every {1e3 * stride:g} ms", Accumulation(simulation).solved(INGREDIENTS))
         yield ""
 
@@ -121,7 +121,10 @@ def splines() -> Iterator[str]:
         )
         for cells in (8, 12, 16, 20):
             for bend, name in ((2.0, "bent"), (1e-3, "uniform")):
-                with patch("drive_id.core.full_model.FLUX_CELLS", cells), patch("drive_id.core.potential._BEND", bend):
+                with (
+                    patch("drive_id.core.full.model.FLUX_CELLS", cells),
+                    patch("drive_id.core.maps.coenergy._BEND", bend),
+                ):
                     data = Accumulation(simulation)
                     tried = [data.solved(replace(INGREDIENTS, penalty=penalty)) for penalty in PENALTIES]
                 yield line(f"{cells} x {cells}, {name}", min(tried, key=lambda errors: errors[0] + errors[1]))

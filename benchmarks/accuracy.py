@@ -18,11 +18,11 @@ from typing import Any
 from judging import Figures, amperes, fitted, percent, predicted
 from rich.console import Console
 
+from drive_id.bench.drive import Simulation
+from drive_id.bench.machine import default_amplitude
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.experiments import load_machine, run_experiment
-from drive_id.sim.drive import Simulation
-from drive_id.sim.machine import default_amplitude
-from drive_id.sim.settings import SimulationSettings
+from drive_id.fitting.simulated import load_machine, run_experiment
 
 METHODS = ("joint", "full")
 SECONDS = 10.0

@@ -14,13 +14,13 @@ from recordings import experiment
 from reporting import Row, Section, faster, seconds, smaller
 
 from drive_id.core import frames
-from drive_id.core.bspline import Axis
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.flux_models import TensorSpline
-from drive_id.core.identify import identify
-from drive_id.core.inverter import TanhShape
-from drive_id.core.regression import Information
-from drive_id.core.solver import Solution, solve
+from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.paper.regression import Information
+from drive_id.core.paper.solver import Solution, solve
+from drive_id.core.result.identify import identify
 from drive_id.types import Samples
 
 TITLE = "Fit in process, 10 s at 10 kHz"

@@ -18,9 +18,9 @@ from recordings import copies
 from reporting import Section, faster, show
 from rich.console import Console
 
-from drive_id.cluster import connected
 from drive_id.core.fit_settings import FitSettings
-from drive_id.fleet import accumulate_on_cluster
+from drive_id.fitting.cluster import accumulate_on_cluster
+from drive_id.fitting.dask_cluster import connected
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
 BAGS = 8

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 from single_fit import Accumulation, Errors, solved
 
+from drive_id.bench.drive import Simulation
 from drive_id.core import frames
-from drive_id.core.bspline import Axis
-from drive_id.core.flux_models import TensorSpline, fitted, sites
-from drive_id.core.full_basis import Choice, basis, roughness
-from drive_id.core.full_model import RESISTANCE, SHIFT, VOLTAGE, FullModel
-from drive_id.core.harmonic_simulation import simulate_harmonic_current
-from drive_id.core.potential import GradientSpline
-from drive_id.core.windows import SHIFTS, Windows
-from drive_id.sim.drive import Simulation
+from drive_id.core.full.basis import Choice, basis, roughness
+from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.maps.coenergy import GradientSpline
+from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.validation.harmonic_simulation import simulate_harmonic_current
 from drive_id.types import FloatArray, IntArray
 
 _LONGEST_LAG = 40  # samples

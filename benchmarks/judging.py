@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.conclusion import conclude
+from drive_id.bench.drive import Simulation
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.identification import Identification
-from drive_id.core.identify import gather, score
-from drive_id.sim.drive import Simulation
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identification import Identification
+from drive_id.core.result.identify import gather, score
 from drive_id.types import FloatArray, GroundTruth
 
 LARGE = 0.5

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.identification import Identification
-from drive_id.core.identify import identify, score
-from drive_id.core.plan import Plan, plan
-from drive_id.core.plan_candidates import Experiment
-from drive_id.core.plan_settings import PlanSettings
-from drive_id.experiments import load_machine, rough_settings, run_experiment
-from drive_id.sim.settings import SimulationSettings
+from drive_id.core.planning.candidates import Experiment
+from drive_id.core.planning.planner import Plan, plan
+from drive_id.core.planning.settings import PlanSettings
+from drive_id.core.result.identification import Identification
+from drive_id.core.result.identify import identify, score
+from drive_id.fitting.simulated import load_machine, rough_settings, run_experiment
 from drive_id.types import FloatArray, GroundTruth
 
 NAMES = ("psi_d", "psi_q", "R", "inverter")

@@ -34,17 +34,17 @@ from rich.console import Console
 from rich.table import Table
 from rosbags.rosbag2 import Reader
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.trajectories import Lissajous
-from drive_id.experiments import run_experiment
-from drive_id.files.bag import open_bag
-from drive_id.files.bag_reader import read_recording
-from drive_id.files.bag_recover import recover_bag
-from drive_id.files.bag_writer import write_recording
+from drive_id.files.read.reader import read_recording
+from drive_id.files.storage.bag import open_bag
+from drive_id.files.write.recover import recover_bag
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.workflows import fit_bags
 from drive_id.nodes.qos import STREAM
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import fit_bags
 
 TOPICS = {
     "/phase_currents": msg.PhaseCurrents,

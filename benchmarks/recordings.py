@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from drive_id.experiments import run_experiment
-from drive_id.files.bag import open_bag
-from drive_id.files.bag_writer import write_recording
-from drive_id.files.rosbag2_writer import Rosbag2McapWriter
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.files.storage.bag import open_bag
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.simulated import run_experiment
 from drive_id.types import Samples
 
 RATE = 10_000

@@ -8,13 +8,13 @@ import numpy as np
 from judging import normalized_curve
 from scipy import linalg, sparse
 
+from drive_id.bench.drive import Simulation
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full_basis import Choice, basis, roughness
-from drive_id.core.full_model import RESISTANCE, VOLTAGE, FullModel
-from drive_id.core.identify import gather
-from drive_id.core.metrics import nrmse, true_flux
-from drive_id.core.window_information import WindowInformation
-from drive_id.sim.drive import Simulation
+from drive_id.core.full.basis import Choice, basis, roughness
+from drive_id.core.full.information import WindowInformation
+from drive_id.core.full.model import RESISTANCE, VOLTAGE, FullModel
+from drive_id.core.result.identify import gather
+from drive_id.core.validation.metrics import nrmse, true_flux
 from drive_id.types import FloatArray
 
 Errors = tuple[float, float, float, float]

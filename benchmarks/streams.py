@@ -18,19 +18,19 @@ from reporting import Row, Section, faster, seconds
 from rosbags.typesys.store import Typestore
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.live_evidence import LiveEvidence
-from drive_id.files.bag import open_bag
-from drive_id.files.bag_pieces import bag_pieces
-from drive_id.files.block_codec import decode_block, encode_block
-from drive_id.files.block_stream import BlockStream
-from drive_id.files.messages import (
+from drive_id.files.messages.block_codec import decode_block, encode_block
+from drive_id.files.messages.messages import (
     BLOCK_FIELDS,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
     RESOLVER,
     message_typestore,
 )
-from drive_id.files.signals import SignalMap
+from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.read.block_stream import BlockStream
+from drive_id.files.read.pieces import bag_pieces
+from drive_id.files.storage.bag import open_bag
+from drive_id.live.live_evidence import LiveEvidence
 from drive_id.types import Samples
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from judging import normalized_curve
 
-from drive_id.core.conclusion import conclude
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.identify import gather
-from drive_id.core.metrics import true_flux
-from drive_id.experiments import run_experiment
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identify import gather
+from drive_id.core.validation.metrics import true_flux
+from drive_id.fitting.simulated import run_experiment
 
 BAND = 1.96
 WITHIN = 0.97

@@ -6,8 +6,9 @@ a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +106,77 @@ class Samples:
         ends = np.append(self.run_starts[1:], len(self))
         for start, end in zip(self.run_starts, ends, strict=True):
             yield slice(int(start), int(end))
+
+    def part(self, start: int, stop: int, *, copy: bool = False) -> Samples:
+        """Return samples ``start`` to ``stop`` (not included) with their runs and references.
+
+        Parameters
+        ----------
+        start, stop : int
+            Indices, ``0 <= start < stop <= len(self)``.
+        copy : bool
+            Own arrays instead of views, so that these samples can be freed.
+        """
+        inner = self.run_starts[(self.run_starts > start) & (self.run_starts < stop)] - start
+
+        def cut(values: NDArray[Any]) -> NDArray[Any]:
+            return values[start:stop].copy() if copy else values[start:stop]
+
+        arrays: dict[str, Any] = {name: cut(getattr(self, name)) for name in _SIGNALS}
+        return replace(
+            self,
+            **arrays,
+            run_starts=np.append(np.zeros(1, np.int64), inner),
+            i_dq_reference=None if self.i_dq_reference is None else cut(self.i_dq_reference),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Samples], continues: Sequence[bool] | None = None) -> Samples:
+        """Put samples of one period together, in the order given.
+
+        Parameters
+        ----------
+        parts : sequence of Samples
+            At least one, each later than the ones before.
+        continues : sequence of bool, optional
+            Which parts begin with the last sample of the part before, which is then taken once and no new run begins.
+            Default: none does.
+
+        Returns
+        -------
+        Samples
+            References are NaN in parts without; None where no part has any.
+
+        Raises
+        ------
+        DataError
+            When the stamps do not increase from part to part.
+        """
+        skips = [int(goes_on) for goes_on in continues or [False] * len(parts)]
+        sizes = [len(part) - skip for part, skip in zip(parts, skips, strict=True)]
+        offsets = np.cumsum([0, *sizes[:-1]])
+
+        def together(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
+            return np.concatenate([array[skip:] for array, skip in zip(arrays, skips, strict=True)])
+
+        known = any(part.i_dq_reference is not None for part in parts)
+        arrays: dict[str, Any] = {name: together(getattr(part, name) for part in parts) for name in _SIGNALS}
+        return replace(
+            parts[0],
+            **arrays,
+            run_starts=np.concatenate(
+                [part.run_starts[skip:] - skip + at for part, skip, at in zip(parts, skips, offsets, strict=True)]
+            ),
+            i_dq_reference=together(_references(part) for part in parts) if known else None,
+        )
+
+
+def _references(samples: Samples) -> FloatArray:
+    return np.full((len(samples), 2), np.nan) if samples.i_dq_reference is None else samples.i_dq_reference
+
+
+_SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed")
+"""The arrays that every sample has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,3 +298,11 @@ class GroundTruth:
         arrays = (self.psi_d, self.psi_q, self.inverter_voltage)
         if not all(np.isfinite(values).all() for values in arrays) or not self.i_max > 0:
             raise ConfigurationError(f"The truth of '{self.machine}' is not finite or its disc empty: simulate again.")
+
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and how much of it is done, 0 to 1."""
+
+
+def silent(what: str, share: float) -> None:  # a Progress
+    """Report no progress."""

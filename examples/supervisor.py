@@ -35,8 +35,8 @@ from rich.console import Console
 from rich.table import Table
 from std_srvs.srv import Trigger
 
-from drive_id.core.metrics import nrmse, true_flux
-from drive_id.files.ground_truth import decode_truth
+from drive_id.core.validation.metrics import nrmse, true_flux
+from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.types import GroundTruth
 
 IDLE, TRIPPED = "idle", "tripped"

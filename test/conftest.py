@@ -8,12 +8,12 @@ import hypothesis
 import pytest
 from drive_bags import TRAJECTORY
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.experiments import run_experiment
-from drive_id.files.bag_writer import write_recording
-from drive_id.sim.machines import machine_map
-from drive_id.sim.settings import SimulationSettings
-from drive_id.workflows import fit_bags
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.workflows import fit_bags
 
 # Tests are not timed: the machine may be busy. The examples are the same each time, so that a push is judged by what it
 # changed; to look for others: DRIVE_ID_EXPLORE=1 make test ARGS="-m hypothesis"

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.files.signals import read_signals
+from drive_id.files.messages.signals_file import read_signals
 from drive_id.settings import from_mapping
-from drive_id.sim.settings import SimulationSettings
 
 CONFIG = Path(__file__).parent.parent / "config"
 LOADERS = {

@@ -11,18 +11,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
-NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types"}
-APPLICATION = {
-    "drive_id.experiments",
-    "drive_id.fleet",
-    "drive_id.identifier",
-    "drive_id.merging",
-    "drive_id.reproduction",
-    "drive_id.streaming",
-    "drive_id.tables",
-    "drive_id.workflows",
-}
-LIBRARY_ROOMS = {"drive_id.core", "drive_id.sim", "drive_id.files", "drive_id.analysis"}
+NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types", "drive_id.health"}
 ROS = {
     "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch", "launch_ros",
     "rcl_interfaces", "rclpy", "rosgraph_msgs", "std_msgs", "std_srvs",
@@ -41,32 +30,69 @@ class Room:
         return cls(frozenset(ours), frozenset(others))
 
 
+def below(house: str, *rooms: str) -> set[str]:
+    return {f"drive_id.{house}.{room}" for room in rooms}
+
+
+CORE = {  # each with the rooms of core that it may import
+    "frames": {"numerics"},
+    "fit_settings": set(),
+    "numerics": set(),
+    "signals": {"numerics"},
+    "maps": {"numerics"},
+    "paper": {"frames", "maps", "numerics"},
+    "full": {"frames", "fit_settings", "maps", "numerics"},
+    "accumulation": {"frames", "fit_settings", "paper", "full", "maps", "numerics", "signals"},
+    "validation": {"frames", "maps", "numerics"},
+    "checks": {"accumulation", "frames", "fit_settings", "maps", "numerics", "signals"},
+    "result": {
+        "checks", "accumulation", "validation", "paper", "full", "maps", "numerics", "frames", "fit_settings",
+    },
+    "experiment": {"maps", "signals", "numerics"},
+    "planning": {"experiment", "full", "maps", "numerics", "frames"},
+}  # fmt: skip
+FILES = {
+    "storage": set(),
+    "messages": {"storage"},
+    "machines": set(),
+    "read": {"storage", "messages", "machines"},
+    "write": {"storage", "messages", "machines"},
+    "results": {"storage", "messages", "machines", "read"},
+}
+EVERY_CORE = below("core", *CORE)
+EVERY_FILE = below("files", *FILES)
+LIBRARY = EVERY_CORE | EVERY_FILE | {"drive_id.bench"}
+STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"}
+
 ROOMS = {
     "drive_id": Room.of(set(), set()),
     "drive_id.errors": Room.of(set(), set()),
+    "drive_id.health": Room.of(set(), set()),
     "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
     "drive_id.settings": Room.of({"drive_id.errors"}, set()),
-    "drive_id.core": Room.of(NOUNS, {"numpy", "scipy", "numba", "threadpoolctl"}),
-    "drive_id.sim": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy"}),
-    "drive_id.analysis": Room.of(NOUNS | {"drive_id.core"}, {"numpy", "scipy", "matplotlib"}),
-    "drive_id.files": Room.of(
-        NOUNS | {"drive_id", "drive_id.core"},
-        {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"},
-    ),
+    "drive_id.core": Room.of(set(), set()),
     **{
-        name: Room.of(NOUNS | LIBRARY_ROOMS | (APPLICATION - {name}) | {"drive_id"}, {"numpy", "rich"})
-        for name in APPLICATION
+        f"drive_id.core.{name}": Room.of(
+            NOUNS | below("core", *rooms),
+            {"numpy", "scipy"} | ({"numba", "threadpoolctl"} if name == "numerics" else set()),
+        )
+        for name, rooms in CORE.items()
     },
-    "drive_id.cluster": Room.of({"drive_id", "drive_id.errors"}, {"dask", "distributed"}),
-    "drive_id.fleet": Room.of(
-        NOUNS | LIBRARY_ROOMS | {"drive_id.cluster", "drive_id.merging", "drive_id.streaming"}, {"distributed"}
+    "drive_id.bench": Room.of(NOUNS | below("core", "experiment", "maps", "numerics", "signals"), {"numpy", "scipy"}),
+    "drive_id.files": Room.of(set(), set()),
+    **{
+        f"drive_id.files.{name}": Room.of(NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms), STORED)
+        for name, rooms in FILES.items()
+    },
+    "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
+    "drive_id.report": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "rich", "matplotlib"}),
+    "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
+    "drive_id.nodes": Room.of(
+        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.live"}, {"numpy", "yaml", *ROS}
     ),
-    "drive_id.nodes": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id"}, {"numpy", "yaml", *ROS}),
     "drive_id.cli": Room.of(
-        NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id", "drive_id.command_line", "drive_id.plan_command"}, {"typer"}
+        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"typer", "rich", "yaml"}
     ),
-    "drive_id.plan_command": Room.of(NOUNS | LIBRARY_ROOMS | APPLICATION | {"drive_id.command_line"}, {"typer"}),
-    "drive_id.command_line": Room.of(NOUNS | LIBRARY_ROOMS, {"typer", "rich", "yaml"}),
 }
 
 
@@ -88,10 +114,8 @@ def imports(source: str) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"line {node.lineno}: import absolutely."
-            if node.module == "drive_id":  # modules and names of the package
-                yield from ((node.lineno, f"drive_id.{alias.name}") for alias in node.names)
-            else:
-                yield node.lineno, str(node.module)
+            for name in (f"{node.module}.{alias.name}" for alias in node.names):
+                yield node.lineno, name if node.module == "drive_id" or name in ROOMS else str(node.module)
         elif isinstance(node, ast.Call) and called(node) in ("__import__", "import_module"):
             argument = node.args[0] if node.args else None
             assert isinstance(argument, ast.Constant), f"line {node.lineno}: import by a name that can be read here."
@@ -132,7 +156,13 @@ def test_imports_keep_the_direction_of_the_arrows(module):
 
 
 def test_the_walk_finds_the_package():
-    for name in ("drive_id", "drive_id.cli", "drive_id.workflows", "drive_id.core.identify", "drive_id.files.bag"):
+    for name in (
+        "drive_id",
+        "drive_id.cli.app",
+        "drive_id.fitting.workflows",
+        "drive_id.core.result.identify",
+        "drive_id.files.storage.bag",
+    ):
         assert name in MODULES
     assert len(MODULES) > 50
 
@@ -152,27 +182,35 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.errors", "from drive_id.types import Samples"),
         ("drive_id.types", "import drive_id.settings"),
         ("drive_id.settings", "import numpy"),
-        ("drive_id.core.identify", "from drive_id.files.bag import open_bag"),
-        ("drive_id.core.identify", "import matplotlib.pyplot as plt"),
-        ("drive_id.core.identify", "def f():\n    from drive_id.sim import drive"),
-        ("drive_id.core.identify", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rclpy"),
-        ("drive_id.core.identify", "try:\n    import yaml\nexcept ImportError:\n    yaml = None"),
-        ("drive_id.core.identify", "import importlib\nimportlib.import_module('rclpy')"),
-        ("drive_id.core.identify", "__import__('mcap')"),
-        ("drive_id.core.identify", "from drive_id import workflows"),
-        ("drive_id.sim.drive", "from drive_id.analysis.plots import to_png"),
-        ("drive_id.sim.drive", "import numba"),
-        ("drive_id.analysis.plots", "from drive_id.files.results import write_results"),
-        ("drive_id.files.bag", "import rclpy"),
-        ("drive_id.files.bag", "from drive_id_msgs.msg import Resolver"),
-        ("drive_id.files.bag", "from drive_id.sim.drive import simulate"),
-        ("drive_id.workflows", "from drive_id.cli import app"),
-        ("drive_id.workflows", "from drive_id.nodes.recorder import main"),
-        ("drive_id.reproduction", "import typer"),
-        ("drive_id.nodes.recorder", "import drive_id.cli"),
+        ("drive_id.core.result.identify", "from drive_id.files.storage.bag import open_bag"),
+        ("drive_id.core.result.identify", "import matplotlib.pyplot as plt"),
+        ("drive_id.core.result.identify", "def f():\n    from drive_id.bench import drive"),
+        ("drive_id.core.result.identify", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rclpy"),
+        ("drive_id.core.result.identify", "try:\n    import yaml\nexcept ImportError:\n    yaml = None"),
+        ("drive_id.core.result.identify", "import importlib\nimportlib.import_module('rclpy')"),
+        ("drive_id.core.result.identify", "__import__('mcap')"),
+        ("drive_id.core.result.identify", "from drive_id import fitting"),
+        ("drive_id.bench.drive", "from drive_id.report.plots import to_png"),
+        ("drive_id.bench.drive", "import numba"),
+        ("drive_id.report.plots", "from drive_id.live.identifier import Identifier"),
+        ("drive_id.fitting.workflows", "def f():\n    from drive_id.report.plots import to_png"),
+        ("drive_id.core.numerics.bspline", "from drive_id.core.maps.coverage import Visits"),
+        ("drive_id.core.maps.coenergy", "from drive_id.core import full"),
+        ("drive_id.core.paper.regression", "from drive_id.core.full.windows import windows"),
+        ("drive_id.core.accumulation.evidence", "from drive_id.core.checks.survey import Survey"),
+        ("drive_id.core.full.fit", "import numba"),
+        ("drive_id.files.storage.bag", "from drive_id.files.read.reader import read_recording"),
+        ("drive_id.files.read.reader", "import drive_id.files.results.folder"),
+        ("drive_id.files.storage.bag", "import rclpy"),
+        ("drive_id.files.storage.bag", "from drive_id_msgs.msg import Resolver"),
+        ("drive_id.files.storage.bag", "from drive_id.bench.drive import simulate"),
+        ("drive_id.fitting.workflows", "from drive_id.cli.app import app"),
+        ("drive_id.fitting.workflows", "from drive_id.nodes.recorder import main"),
+        ("drive_id.report.reproduction", "import typer"),
+        ("drive_id.nodes.recorder", "import drive_id.cli.app"),
         ("drive_id.nodes.recorder", "from drive_id import cli"),
-        ("drive_id.cli", "from drive_id.nodes.recorder import main"),
-        ("drive_id.cli", "import rclpy"),
+        ("drive_id.cli.app", "from drive_id.nodes.recorder import main"),
+        ("drive_id.cli.app", "import rclpy"),
     ],
 )
 def test_the_checker_sees_what_is_forbidden(module, source):
@@ -182,12 +220,13 @@ def test_the_checker_sees_what_is_forbidden(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("drive_id.core.identify", "import json\nimport numpy as np\nfrom drive_id.types import Samples"),
-        ("drive_id.core.identify", "from drive_id.core import checks, frames"),
-        ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.bag_writer import write_recording"),
-        ("drive_id.nodes.recorder", "from drive_id.workflows import fit_bags"),
-        ("drive_id.cli", "import drive_id\nfrom drive_id.workflows import fit_bags"),
-        ("drive_id.workflows", "def f():\n    from drive_id.analysis.plots import to_png"),
+        ("drive_id.core.result.identify", "import json\nimport numpy as np\nfrom drive_id.types import Samples"),
+        ("drive_id.core.result.identify", "from drive_id.core import checks, frames"),
+        ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.write.writer import write_recording"),
+        ("drive_id.nodes.recorder", "from drive_id.fitting.workflows import fit_bags"),
+        ("drive_id.cli.app", "import drive_id\nfrom drive_id.fitting.workflows import fit_bags"),
+        ("drive_id.report.reproduction", "def f():\n    from drive_id.fitting.workflows import fit_bags"),
+        ("drive_id.core.checks.samples", "from drive_id.core.accumulation.evidence import Evidence"),
     ],
 )
 def test_the_checker_lets_pass_what_is_allowed(module, source):
@@ -198,8 +237,8 @@ def test_the_checker_refuses_what_it_cannot_judge():
     with pytest.raises(AssertionError, match="in no room"):
         violations("drive_id.utils", "")
     with pytest.raises(AssertionError, match="in no room"):
-        violations("drive_id.cli", "import drive_id.utils")
+        violations("drive_id.cli.app", "import drive_id.utils")
     with pytest.raises(AssertionError, match="import absolutely"):
-        violations("drive_id.core.identify", "from . import frames")
+        violations("drive_id.core.result.identify", "from . import frames")
     with pytest.raises(AssertionError, match="by a name that can be read"):
-        violations("drive_id.core.identify", "import importlib\nimportlib.import_module(name)")
+        violations("drive_id.core.result.identify", "import importlib\nimportlib.import_module(name)")

@@ -187,6 +187,6 @@ def test_a_wheel_is_complete_and_its_command_goes_to_bin(tmp_path):
     assert any(name.startswith(information) and name.endswith("/LICENSE") for name in names)
     assert f"drive_id-{drive_id.__version__}.data/data/share/drive_id/package.xml" in names
     assert not [name for name in names if "lib/drive_id/" in name or ".data/scripts/" in name]
-    assert "drive-id = drive_id.cli:main" in commands
+    assert "drive-id = drive_id.cli.app:main" in commands
     assert fields["Version"] == drive_id.__version__
     assert fields["Requires-Python"] == ">=3.10"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, from_mapping, setting
-from drive_id.sim.settings import SimulationSettings
 
 
 @dataclass(frozen=True)

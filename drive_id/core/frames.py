@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.compiled import compiled_or
+from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -62,13 +62,7 @@ def rotated(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray) -> FloatArr
     return x_dq
 
 
-def _rotate_all(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
-    a, b, c = x_abc.T
-    x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
-    x_dq[:, 0], x_dq[:, 1] = x * cosine + y * sine, y * cosine - x * sine
-
-
-@compiled_or(_rotate_all)
+@compiled
 def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
     for k in range(len(x_abc)):
         a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]

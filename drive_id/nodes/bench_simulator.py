@@ -15,17 +15,17 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from drive_id.core.health import Health
+from drive_id.bench.bench import Bench, Block, Pace
+from drive_id.bench.bench_settings import BenchSettings
+from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError
-from drive_id.experiments import load_machine
-from drive_id.files.ground_truth import write_truth
+from drive_id.files.machines.ground_truth import write_truth
+from drive_id.fitting.simulated import load_machine
+from drive_id.health import Health
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.parameters import declare_settings, on_change
 from drive_id.nodes.qos import STREAM
 from drive_id.nodes.runtime import run
-from drive_id.sim.bench import Bench, Block, Pace
-from drive_id.sim.bench_settings import BenchSettings
-from drive_id.sim.settings import SimulationSettings
 
 _SHORTEST_TICK = 2e-3  # s
 _LONGEST_TICK = 2e-2

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from drive_id.core.health import Health
+from drive_id.health import Health
 
 _PERIOD = 1.0  # s
 

@@ -13,12 +13,12 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.health import Health
-from drive_id.core.identification_settings import IdentificationSettings
-from drive_id.core.warm_up import warm_up
-from drive_id.core.worker import Worker
 from drive_id.errors import DriveIdError
-from drive_id.identifier import BUSY, Identifier, Reply, failed
+from drive_id.health import Health
+from drive_id.live.identification_settings import IdentificationSettings
+from drive_id.live.identifier import BUSY, Identifier, Reply, failed
+from drive_id.live.warm_up import warm_up
+from drive_id.live.worker import Worker
 from drive_id.nodes.deferred_service import DeferredService
 from drive_id.nodes.deferred_service import Reply as Answer
 from drive_id.nodes.diagnostics import Diagnostics

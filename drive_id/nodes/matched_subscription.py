@@ -9,8 +9,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from drive_id.core.publishers import Publisher, of_type, reliable_wanted
-from drive_id.files.rosbag2_metadata import Qos
+from drive_id.files.storage.metadata import Qos
+from drive_id.live.publishers import Publisher, of_type, reliable_wanted
 from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
 
 

@@ -14,12 +14,12 @@ from drive_id_msgs.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from drive_id.core.health import Health
 from drive_id.errors import DriveIdError
-from drive_id.files.recorder_health import TopicState, recorder_health
-from drive_id.files.recording_names import recording_path
-from drive_id.files.recording_session import RecordedTopic, RecordingSession
-from drive_id.files.recording_settings import RecordingSettings
+from drive_id.health import Health
+from drive_id.live.recorder_health import TopicState, recorder_health
+from drive_id.live.recording_names import recording_path
+from drive_id.live.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording_settings import RecordingSettings
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.matched_subscription import MatchedSubscription
 from drive_id.nodes.parameters import declare_settings, on_change

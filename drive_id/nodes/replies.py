@@ -10,7 +10,7 @@ from drive_id_msgs.msg import FitReport, FluxMap
 from numpy.typing import ArrayLike
 from rclpy.time import Time
 
-from drive_id.identifier import Reply
+from drive_id.live.identifier import Reply
 
 
 def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:

@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from drive_id.core.experiment import ReferenceBlock
-from drive_id.core.experiment_settings import ExperimentSettings
-from drive_id.core.watched_experiment import WatchedExperiment
+from drive_id.core.experiment.course import ReferenceBlock
+from drive_id.core.experiment.settings import ExperimentSettings
+from drive_id.core.experiment.watched import WatchedExperiment
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.parameters import declare_settings, on_change
 from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT

@@ -13,9 +13,9 @@ import yaml
 from ros_bench import DEADLINE, require_ros, ros_bench
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.files.bag import open_bag
-from drive_id.files.bag_writer import write_recording
-from drive_id.workflows import fit_bags
+from drive_id.files.storage.bag import open_bag
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.workflows import fit_bags
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 MODULE = "drive_id.nodes.identification"
@@ -170,7 +170,7 @@ def test_method_full_needs_what_only_it_gathers(ros, player, bag):
     assert "accumulated for method joint" in live.message
     assert recorded.success, recorded.message
     assert recorded.flux_map.method == "full"
-    offline = fit_bags([bag], None, FitSettings("full", i_max=I_MAX), picture=False).identification
+    offline = fit_bags([bag], None, FitSettings("full", i_max=I_MAX)).identification
     assert recorded.flux_map.resistance == pytest.approx(offline.resistance, rel=1e-6)
     np.testing.assert_allclose(recorded.flux_map.psi_d, offline.flux_map.psi_d.ravel(), rtol=1e-6, atol=1e-9)
 
@@ -185,7 +185,7 @@ def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
     live, recorded = identify_all(ros, 20_000, name), identify(ros, bag.name, name=name)
     assert (live.success, recorded.success) == (True, True), (live.message, recorded.message)
     assert live.flux_map.method == recorded.flux_map.method == "full"
-    offline = fit_bags([bag], None, FitSettings(i_max=I_MAX), picture=False).identification
+    offline = fit_bags([bag], None, FitSettings(i_max=I_MAX)).identification
     for reply in (live, recorded):
         assert_close(reply, offline, tolerance=1e-6)
         assert (Path(reply.output) / "harmonics.npz").exists()

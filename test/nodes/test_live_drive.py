@@ -10,8 +10,8 @@ from live_drive import PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
 from ros_bench import ros_bench
 from simulated_time import SimulatedTime
 
-from drive_id.files.ground_truth import decode_truth
-from drive_id.sim.machines import machine_map
+from drive_id.bench.machines import machine_map
+from drive_id.files.machines.ground_truth import decode_truth
 
 
 @pytest.fixture(scope="module")

@@ -6,20 +6,17 @@ import errno
 import os
 import resource
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from recorder_blocks import TOPICS, block
 from ros_bench import DEADLINE, require_ros, ros_bench
 from rosbags.rosbag2 import Reader
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "files"))
-from recorder_blocks import TOPICS, block
-
-from drive_id.files.bag_reader import read_recording
-from drive_id.files.bag_recover import recover_bag
-from drive_id.files.recording_settings import RecordingSettings
+from drive_id.files.read.reader import read_recording
+from drive_id.files.write.recover import recover_bag
+from drive_id.live.recording_settings import RecordingSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config" / "recorder.yaml"
 MODULE = "drive_id.nodes.recorder"

@@ -1,1 +1,0 @@
-"""What engineers do with identified maps: pictures and derived quantities."""

@@ -1,0 +1,186 @@
+"""The simulated bench in time: which samples exist by now, and what the drive was told meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.bench.bench_settings import BenchSettings
+from drive_id.bench.drive import Drive, build_machine
+from drive_id.bench.profile import SpeedProfile
+from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
+from drive_id.bench.settings import SimulationSettings
+from drive_id.health import Health, Level
+from drive_id.types import GroundTruth, MachineMap
+
+_SAMPLES_AT_ONCE = 5000
+"""Samples to catch up with in one call, so that references and services get their turn."""
+_CLOCK_AHEAD = 0.02  # s
+_LARGEST_LAG = 0.5  # s, beyond which a delay is worth a warning
+_JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
+
+Columns = tuple[NDArray[np.float32], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A block of samples as a bench publishes it.
+
+    Parameters
+    ----------
+    stamp : int
+        Of the first sample, ns.
+    first_sample : int
+        Running count.
+    sample_period : float
+        s.
+    currents, voltages : tuple of three (N,) float32
+        A, V.
+    resolver : tuple of two (N,) float32
+        Angle, rad, and speed, rad/s.
+    """
+
+    stamp: int
+    first_sample: int
+    sample_period: float
+    currents: Columns
+    voltages: Columns
+    resolver: Columns
+
+
+class Bench:
+    """A simulated drive that runs with a clock; building it also compiles what it needs.
+
+    Parameters
+    ----------
+    machine_map : MachineMap
+    drive : SimulationSettings
+    bench : BenchSettings
+
+    Raises
+    ------
+    ConfigurationError
+        When the settings do not fit together or the machine.
+    """
+
+    def __init__(self, machine_map: MachineMap, drive: SimulationSettings, bench: BenchSettings) -> None:
+        self._settings = bench
+        self._drive = Drive(build_machine(machine_map, drive), drive)
+        self.references = ReferenceBuffer(self._drive.machine.i_max, bench.zero_slew_rate)
+        self._period = drive.sample_period
+        self._start: int | None = None
+        self._done = 0
+        self._lag = 0.0
+        self._reported = (0, 0, 0)
+
+    def truth(self) -> GroundTruth:
+        """Return what is true of the drive: for a file, never for a topic."""
+        return self._drive.truth()
+
+    @property
+    def latest(self) -> int | None:
+        """Time, ns, beyond which a clock that waits for the simulation must not go; None before the beginning."""
+        ahead = max(2 * self._settings.block_size, round(_CLOCK_AHEAD / self._period))
+        return None if self._start is None else self._stamp(self._done + ahead)
+
+    def set_speeds(self, speeds: tuple[float, ...], ramp_time: float) -> None:
+        """Ramp from the present speed to the first of these, rpm, from the next sample on, in ``ramp_time``, s."""
+        now, profile = self._drive.time, self._drive.profile
+        present = float(np.interp(now, profile.time, profile.speed))
+        self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
+
+    def advance(self, now: int) -> list[Block]:
+        """Return the blocks that are complete by ``now``, ns; if there are too many, the oldest of them.
+
+        The first call begins the time of the bench.
+
+        Raises
+        ------
+        ConfigurationError
+            When the simulation breaks off.
+        """
+        if self._start is None:
+            self._start = now
+        size = self._settings.block_size
+        exist = int((now - self._stamp(self._done)) // (self._period * NANOSECONDS))
+        self._lag = max(0.0, (exist // size - 1) * size * self._period)
+        blocks = min(exist // size, max(1, _SAMPLES_AT_ONCE // size))
+        if blocks < 1:
+            return []
+        first, count = self._done, blocks * size
+        grid = np.arange(first, first + count, dtype=np.int64)
+        stamps = self._start + np.round(grid * (self._period * NANOSECONDS)).astype(np.int64)
+        samples = self._drive.step_block(self.references.take(stamps, self._period)).samples
+        self._done += count
+        angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
+        currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
+        speed = samples.speed.astype(np.float32)
+        return [
+            Block(
+                self._stamp(first + k),
+                first + k,
+                self._period,
+                tuple(column[k : k + size] for column in currents),
+                tuple(column[k : k + size] for column in voltages),
+                (angle[k : k + size], speed[k : k + size]),
+            )
+            for k in range(0, count, size)
+        ]
+
+    def health(self) -> Health:
+        """Tell whether the bench keeps up and can follow: only what a real one could tell, too."""
+        counts, references = self.references.counts, self.references
+        now = (counts.late, counts.unusable, counts.limited)
+        late, unusable, limited = (a - b for a, b in zip(now, self._reported, strict=True))
+        self._reported = now
+        values = {
+            "samples": str(self._done),
+            "lag [s]": f"{self._lag:.3f}",
+            "references waiting": str(len(references)),
+            "references late": str(counts.late),
+            "references unusable": str(counts.unusable),
+            "references limited": str(counts.limited),
+        }
+        if self._lag > _LARGEST_LAG:
+            sentence = f"The simulation is {self._lag:.1f} s behind the clock: lower time_scale, or raise block_size."
+        elif unusable:
+            sentence = f"{unusable} set-points were not usable: different lengths, no period, NaN, or far too many."
+        elif limited:
+            sentence = f"{limited} set-points were beyond the drive's largest current and have been drawn in."
+        elif late:
+            sentence = f"{late} set-points came too late: raise the publisher's lead_time."
+        else:
+            return Health(Level.OK, "Zero current: no references." if references.dry else "Following.", values)
+        return Health(Level.WARN, sentence, values)
+
+    def _stamp(self, index: int) -> int:
+        assert self._start is not None
+        return self._start + round(index * self._period * NANOSECONDS)
+
+
+class Pace:
+    """Time for the bench, from a steady clock.
+
+    Parameters
+    ----------
+    start : int
+        First time, ns.
+    steady : int
+        The steady clock then, ns.
+    scale : float
+        Seconds per second. Other than 1, time waits for whoever is too slow, because all others follow it.
+    """
+
+    def __init__(self, start: int, steady: int, scale: float) -> None:
+        self._time = 0.0
+        self._start, self._steady, self._scale = start, steady, scale
+
+    def now(self, steady: int, latest: int | None) -> int:
+        """Return the time, ns, at ``steady``, ns; scaled time does not pass ``latest``, ns."""
+        self._time += (steady - self._steady) * self._scale
+        self._steady = steady
+        if self._scale != 1.0 and latest is not None:
+            self._time = min(self._time, float(latest - self._start))
+        return self._start + round(self._time)

@@ -1,0 +1,318 @@
+"""The simulated drive: machine, inverter, sensors and controller run together, block after block or at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.bench import kernels, parameters
+from drive_id.bench.inverter import drop_curve, phase_drop_of
+from drive_id.bench.machine import Machine
+from drive_id.bench.profile import SpeedProfile
+from drive_id.bench.settings import SimulationSettings
+from drive_id.errors import ConfigurationError, DataError
+from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
+
+SETTLING_TIME = 0.05
+"""Time that the drive runs at its first reference before the first sample is shown, s."""
+
+_TRUTH_NODES = 81
+
+_INTERRUPTIBLE = 20_000  # samples
+_FLUX_TOLERANCE = 3e-8
+"""What the bend of the inverter's drop may cost in one integration step, relative to the largest flux."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A stretch of a simulated experiment.
+
+    Parameters
+    ----------
+    samples : Samples
+        What the drive's sensors and log show.
+    i_dq_true : (N, 2) float
+        Currents at the samples in the true rotor frame, without any sensor, A.
+    angle_true : (N,) float
+        True electrical angle at the samples, not wrapped to one turn, rad.
+    """
+
+    samples: Samples
+    i_dq_true: FloatArray
+    angle_true: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated experiment and what is true about it.
+
+    Parameters
+    ----------
+    samples : Samples
+        What the drive's sensors and log show.
+    truth : GroundTruth
+    machine : Machine
+        Whose ``mean_flux`` is the truth at any current.
+    i_dq_true : (N, 2) float
+        Currents at the samples in the true rotor frame, A.
+    angle_true : (N,) float
+        True electrical angle at the samples, rad.
+    """
+
+    samples: Samples
+    truth: GroundTruth
+    machine: Machine
+    i_dq_true: FloatArray
+    angle_true: FloatArray
+
+
+class Drive:
+    """A simulated drive that runs block after block and carries its state between them.
+
+    Parameters
+    ----------
+    machine : Machine
+    settings : SimulationSettings
+    i_dq_start : (2,) tuple of float, optional
+        Reference, A, at which the drive settles before the first sample.
+    duration : float, optional
+        Of the experiment, s; needed for several speeds without durations of their own.
+
+    Raises
+    ------
+    ConfigurationError
+        When the speeds cannot be laid out in time, or the drive cannot be brought to its start.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        settings: SimulationSettings,
+        *,
+        i_dq_start: tuple[float, float] = (0.0, 0.0),
+        duration: float | None = None,
+    ) -> None:
+        self.machine = machine
+        self.settings = settings
+        self.profile = SpeedProfile.from_settings(settings, duration)
+        self.drop = phase_drop_of(settings, machine.u_dc, machine.i_max)
+        self._plant, self._controller, self._sensors = _kernel_parameters(machine, settings, self.drop)
+        self._generators = [
+            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(3)
+        ]
+        self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start)
+        self._next = 0
+        settling = np.full((max(parameters.HISTORY, round(SETTLING_TIME / settings.sample_period)), 2), i_dq_start)
+        self._run(settling, np.full(len(settling) + 1, self._speed(np.zeros(1))[0]))
+
+    @property
+    def time(self) -> float:
+        """Time of the next sample, s."""
+        return self._next * self.settings.sample_period
+
+    def step_block(self, i_dq_reference: FloatArray, mean_speed: FloatArray | None = None) -> Block:
+        """Run the drive over the samples of one block.
+
+        Parameters
+        ----------
+        i_dq_reference : (N, 2) float
+            References, each valid from its sample on, A.
+        mean_speed : (N + 1,) float, optional
+            Electrical speed without ripple at the samples and at the end of the block, rad/s, linear in between.
+            Default: that of the settings.
+
+        Returns
+        -------
+        Block
+
+        Raises
+        ------
+        DataError
+            When the references have the wrong shape or are not finite.
+        ConfigurationError
+            When the currents run away to where the machine's map cannot be inverted.
+        """
+        reference = _checked(i_dq_reference)
+        n = len(reference)
+        period = self.settings.sample_period
+        ticks = self._next + np.arange(n + 1, dtype=np.float64)
+        speed = self._speed(ticks * period) if mean_speed is None else np.ascontiguousarray(mean_speed, np.float64)
+        if speed.shape != (n + 1,) or not np.isfinite(speed).all():
+            raise DataError(f"mean_speed has shape {speed.shape}: give {n + 1} finite values for {n} samples.")
+        out = self._run(reference, speed)
+        self._next += n
+        samples = Samples(
+            stamp=np.round(ticks[:-1] * (period * 1e9)).astype(np.int64),
+            i_abc=out.i_abc,
+            u_abc=out.u_abc,
+            angle=out.angle,
+            speed=out.speed,
+            sample_period=period,
+            i_dq_reference=reference.copy(),
+        )
+        return Block(samples, out.i_dq_true, out.angle_true)
+
+    def truth(self) -> GroundTruth:
+        """Return what is true of this drive."""
+        machine = self.machine
+        axis = np.linspace(-machine.i_max, machine.i_max, _TRUTH_NODES)
+        psi = machine.mean_flux(axis[:, None], axis[None, :])
+        current, voltage = drop_curve(self.drop, machine.i_max)
+        details = {
+            field.name: value if isinstance(value, (str, int, float)) else str(value)
+            for field in dataclasses.fields(self.settings)
+            if (value := getattr(self.settings, field.name)) is not None
+        }
+        return GroundTruth(
+            machine=machine.name,
+            i_d=axis,
+            i_q=axis.copy(),
+            psi_d=psi[..., 0].copy(),
+            psi_q=psi[..., 1].copy(),
+            resistance=machine.resistance,
+            inverter_current=current,
+            inverter_voltage=voltage,
+            i_max=machine.i_max,
+            pole_pairs=machine.pole_pairs,
+            details=details,
+        )
+
+    def _speed(self, time: FloatArray) -> FloatArray:
+        return self.profile.electrical(time, self.machine.pole_pairs)
+
+    def _run(self, reference: FloatArray, speed: FloatArray) -> parameters.Block:
+        n = len(reference)
+        s = self.settings
+        deviations = (s.current_noise * self.machine.i_max, s.resolver_noise, s.speed_noise)
+        shapes: tuple[tuple[int, ...], ...] = ((n, 3), (n,), (n,))
+        noise = parameters.Noise(
+            *(
+                deviation * generator.standard_normal(shape) if deviation > 0 else np.zeros(shape)
+                for deviation, generator, shape in zip(deviations, self._generators, shapes, strict=True)
+            )
+        )
+        shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
+        out = parameters.Block(*(np.empty(shape) for shape in shapes))
+        revolution = 2 * math.pi * self.machine.pole_pairs
+        for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
+            stop = min(start + _INTERRUPTIBLE, n)
+            failed = kernels.run(
+                self._plant,
+                self._controller,
+                self._sensors,
+                self._state,
+                revolution,
+                reference[start:stop],
+                speed[start : stop + 1],
+                parameters.Noise(*(part[start:stop] for part in noise)),
+                parameters.Block(*(part[start:stop] for part in out)),
+            )
+            if failed >= 0:
+                raise ConfigurationError(
+                    f"The simulation broke off at {self.time + (start + failed) * s.sample_period:.4f} s, where no "
+                    f"current belongs to the flux on the map of machine '{self.machine.name}': check the map, or "
+                    "reduce i_max or current_bandwidth."
+                )
+        return out
+
+
+def _checked(i_dq_reference: FloatArray) -> FloatArray:
+    reference = np.ascontiguousarray(i_dq_reference, dtype=np.float64)
+    if reference.ndim != 2 or reference.shape[1] != 2 or not len(reference) or not np.isfinite(reference).all():
+        raise DataError(f"The references have shape {reference.shape}: give finite (N, 2) amperes with N >= 1.")
+    return reference
+
+
+def _kernel_parameters(
+    machine: Machine, settings: SimulationSettings, drop: parameters.PhaseDrop
+) -> tuple[parameters.Plant, parameters.Controller, parameters.Sensors]:
+    plant = parameters.Plant(
+        table=machine.table,
+        resistance=machine.resistance,
+        drop=drop,
+        ripple=settings.speed_ripple,
+        ripple_order=settings.ripple_order / machine.pole_pairs,
+        period=settings.sample_period,
+        substeps=settings.substeps,
+        current_tolerance=1e-6 * machine.i_max,
+        flux_tolerance=_FLUX_TOLERANCE * float(np.abs(machine.mean_flux(machine.i_max, machine.i_max)).max()),
+    )
+    bandwidth = min(2 * math.pi * settings.current_bandwidth, 0.2 / settings.sample_period)
+    controller = parameters.Controller(
+        table=machine.rough,
+        resistance=machine.resistance,
+        bandwidth=bandwidth,
+        integral_rate=0.2 * bandwidth,
+        u_max=machine.u_dc / math.sqrt(3),
+        compensate=settings.inverter_compensation,
+    )
+    lead = math.floor(settings.voltage_delay)
+    sensors = parameters.Sensors(
+        current_gain=np.array(settings.current_gain),
+        current_offset=np.array(settings.current_offset),
+        current_quantum=settings.current_quantization,
+        angle_offset=settings.resolver_offset,
+        log_lead=lead,
+        held_fraction=settings.voltage_delay - lead,
+    )
+    return plant, controller, sensors
+
+
+def _start(
+    plant: parameters.Plant, controller: parameters.Controller, speed: float, i_dq: tuple[float, float]
+) -> parameters.State:
+    """Return the state at angle 0 with the current on its reference and about the voltage that keeps it there."""
+    psi = kernels.evaluate(plant.table, *i_dq, 0.0)[:2]
+    resistance = controller.resistance
+    u = complex(resistance * i_dq[0] - speed * psi[1], resistance * i_dq[1] + speed * psi[0])
+    u *= min(1.0, controller.u_max / max(abs(u), 1e-9))
+    turned = u * np.exp(1j * (0.5 * speed * plant.period - 2 * np.pi / 3 * np.arange(3)))
+    return parameters.State(
+        flux=np.array(psi),
+        current=np.array(i_dq, np.float64),
+        mean_angle=np.zeros(1),
+        integral=np.zeros(2),
+        flux_reference=np.tile(np.array(psi), (3, 1)),
+        commands=np.tile(turned.real, (parameters.HISTORY, 1)),
+        compensations=np.zeros((parameters.HISTORY, 3)),
+    )
+
+
+def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_reference: FloatArray) -> Simulation:
+    """Run an experiment on a simulated drive.
+
+    Parameters
+    ----------
+    machine_map : MachineMap
+        A shipped machine (:func:`drive_id.bench.machines.machine_map`) or one from a file.
+    settings : SimulationSettings
+    i_dq_reference : (N, 2) float
+        References, one for each sample, A.
+
+    Returns
+    -------
+    Simulation
+
+    Raises
+    ------
+    ConfigurationError
+        When machine and settings do not make an experiment.
+    DataError
+        When the references have the wrong shape or are not finite.
+    """
+    machine = build_machine(machine_map, settings)
+    reference = _checked(i_dq_reference)
+    start = (float(reference[0, 0]), float(reference[0, 1]))
+    drive = Drive(machine, settings, i_dq_start=start, duration=len(reference) * settings.sample_period)
+    block = drive.step_block(reference)
+    return Simulation(block.samples, drive.truth(), machine, block.i_dq_true, block.angle_true)
+
+
+def build_machine(machine_map: MachineMap, settings: SimulationSettings) -> Machine:
+    """Build the machine that the settings ask for, see :meth:`drive_id.bench.machine.Machine.from_map`."""
+    return Machine.from_map(
+        machine_map, harmonics=settings.harmonics, sixth_harmonic=settings.sixth_harmonic, i_max=settings.i_max
+    )

@@ -1,0 +1,150 @@
+"""What the commands of ``drive-id`` share: options, settings from all sources, what is said and shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from drive_id.errors import ConfigurationError
+from drive_id.settings import from_mapping
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from drive_id.types import Progress as Tell
+
+Settings = TypeVar("Settings")
+_PIPE_WIDTH = 200
+"""Characters per line where no terminal limits them, whatever COLUMNS says."""
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, nothing else.")]
+QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by name; may be repeated.")
+]
+SourcesArgument = Annotated[
+    list[Path],
+    typer.Argument(help="Bags of one drive, or what 'accumulate' made of them.", show_default=False, metavar="BAG..."),
+]
+BagsArgument = Annotated[
+    list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False, metavar="BAG...")
+]
+SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are in the bag.")]
+NamespaceOption = Annotated[str, typer.Option(help="Of the drive, when a bag holds several.")]
+FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings of the fit.")]
+RadiusOption = Annotated[float | None, typer.Option(help="Radius of the current disc, A.")]
+ClusterOption = Annotated[
+    str,
+    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Dask cluster that does the work, or N processes here."),
+]
+SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
+
+
+@cache
+def out() -> Console:
+    """Return standard output: as wide as the terminal, or wide enough for any table in a file or a pipe."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
+
+
+@cache
+def err() -> Console:
+    """Return standard error."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = None) -> None:
+    """Print text as it is."""
+    to().print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def show(table: Table) -> None:
+    """Print a table; its title stays on one line, whatever the width of the terminal."""
+    if table.title:
+        out().print(table.title, style="table.title", highlight=False, soft_wrap=True)
+        table.title = None
+    out().print(table)
+
+
+def warn(sentence: str) -> None:
+    """Print a warning."""
+    say(f"Warning: {sentence}", style="yellow")
+
+
+def merged_settings(
+    cls: Callable[..., Settings],
+    config: Path | None,
+    assignments: list[str] | None,
+    options: dict[str, Any],
+    base: Settings | None = None,
+) -> Settings:
+    """Merge settings to start from, a YAML file, --set and named options, the later ones winning."""
+    import dataclasses
+
+    import yaml
+
+    unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
+    values: dict[str, Any] = dataclasses.asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
+    if config is not None:
+        try:
+            tree = yaml.safe_load(config.read_text(encoding="utf-8"))
+        except unreadable as error:
+            reason = getattr(error, "problem", None) or getattr(error, "strerror", None) or "it is no YAML"
+            raise ConfigurationError(f"The settings file {config} cannot be read ({reason}): check it.") from error
+        if not isinstance(tree, dict | None):
+            raise ConfigurationError(f"The settings file {config} is not a list of 'name: value' lines: rewrite it so.")
+        values |= tree or {}
+    for assignment in assignments or []:
+        name, sign, text = assignment.partition("=")
+        if not sign:
+            raise ConfigurationError(f"--set {assignment} is not of the form NAME=VALUE: write it so.")
+        try:
+            values[name.strip()] = yaml.safe_load(text)
+        except unreadable as error:
+            raise ConfigurationError(f"The value in --set {assignment:.200} is not valid YAML: quote it.") from error
+    chosen = {name: value for name, value in options.items() if value is not None}
+    where = [str(config)] if config else []
+    where += ["the options"] if assignments or chosen or not config else []
+    return from_mapping(cls, values | chosen, " and ".join(where))  # type: ignore[arg-type]  # a dataclass
+
+
+@contextmanager
+def working(silent: bool) -> Iterator[Tell]:
+    """Show a progress bar on standard error while the body works."""
+    if silent or not err().is_terminal:
+        yield lambda _what, _share: None
+        return
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    with Progress(*columns, console=err(), transient=True) as bar:
+        task = bar.add_task("Starting", total=1.0)
+        doing = ""
+
+        def tell(what: str, share: float) -> None:
+            nonlocal doing
+            name = what.partition(",")[0]
+            if name != doing:  # another task, which takes another time
+                doing = name
+                bar.reset(task)
+            bar.update(task, description=what, completed=share)
+
+        yield tell

@@ -1,0 +1,1 @@
+"""Sufficient statistics of recordings: accumulated, merged, with excerpts for pictures and MAD."""

@@ -1,0 +1,96 @@
+"""All that is kept of recordings for a fit, and how that of several becomes one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.signals.pieces import common_truth
+from drive_id.errors import ConfigurationError
+from drive_id.types import GroundTruth, Samples
+
+VALIDATION_SECONDS = 2.0
+"""How much of a recording is kept for the MAD where it travels or is stored, s."""
+
+VALIDATION_PIECES = 10
+"""Of how many recordings such a piece is kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accumulated:
+    """What was accumulated of one bag or of several.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of all samples.
+    validation : tuple of Samples
+        A bounded part of the recording, for the MAD and for pictures.
+    warnings : tuple of str
+        Sentences about the recording.
+    digests : mapping of str to str
+        Storage file to its sha256.
+    truth : GroundTruth or None
+        Of the simulation, when all bags carry one of the same machine.
+    samples : int
+        Joined samples in all bags.
+    last_stamp : int
+        Of the last sample, ns.
+    """
+
+    evidence: Evidence
+    validation: tuple[Samples, ...]
+    warnings: tuple[str, ...]
+    digests: Mapping[str, str]
+    truth: GroundTruth | None
+    samples: int
+    last_stamp: int
+
+    def merged(self, other: Accumulated) -> Accumulated:
+        """Return what was accumulated of both.
+
+        Raises
+        ------
+        ConfigurationError
+            When they hold the same recording, or were accumulated differently.
+        """
+        known = {digest: file for file, digest in self.digests.items()}
+        for file, digest in other.digests.items():
+            if digest in known:
+                raise ConfigurationError(f"{file} and {known[digest]} are the same recording: give each bag once.")
+        return Accumulated(
+            evidence=self.evidence.merged(other.evidence),
+            validation=bounded([*self.validation, *other.validation]),
+            warnings=(*self.warnings, *other.warnings),
+            digests={**self.digests, **{_unused(file, self.digests): digest for file, digest in other.digests.items()}},
+            truth=common_truth([self.truth, other.truth]),
+            samples=self.samples + other.samples,
+            last_stamp=max(self.last_stamp, other.last_stamp),
+        )
+
+
+def _unused(file: str, names: Collection[str]) -> str:
+    """Return a name for a file, for two machines may have recorded two bags under the same."""
+    candidates = (file if number == 1 else f"{file} ({number})" for number in count(1))
+    return next(name for name in candidates if name not in names)
+
+
+def bounded(pieces: Sequence[Samples]) -> tuple[Samples, ...]:
+    """Return the beginnings of recordings, and of many recordings a few.
+
+    Which few is decided by a hash of their currents: a choice like one by lot, but the same whatever the order in which
+    they come, one by one or in groups.
+    """
+    cut = [beginning(piece, VALIDATION_SECONDS) for piece in pieces]
+    if len(cut) <= VALIDATION_PIECES:
+        return tuple(cut)
+    return tuple(sorted(cut, key=lambda piece: hashlib.sha256(piece.i_abc.tobytes()).digest())[:VALIDATION_PIECES])
+
+
+def beginning(samples: Samples, seconds: float) -> Samples:
+    """Return the first seconds of a recording, at least one sample."""
+    end = max(1, round(seconds / samples.sample_period))
+    return samples if len(samples) <= end else samples.part(0, end)

@@ -1,0 +1,275 @@
+"""All that a fit needs to know of the samples, accumulated as they come: its size does not grow with them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.coverage import Visits, disc_coverage
+from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.numerics.running_sums import Accumulator, State, below, exactly, prefixed
+from drive_id.core.numerics.scans import bend_square, mark_rests
+from drive_id.core.paper.regression import Information
+from drive_id.errors import ConfigurationError
+from drive_id.types import BoolArray, FloatArray, Samples
+
+if TYPE_CHECKING:
+    from drive_id.core.full.information import WindowInformation
+
+_DOMAIN_MARGIN = 1.05
+_IDLE_CURRENT = 0.02
+REFERENCE_TEMPERATURE = 20.0
+"""Degrees Celsius at which resistance and flux map are given where temperatures are known."""
+_SHAPING = (
+    "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
+    "harmonic_orders", "grid_points",
+)  # fmt: skip  # settings that shape the sums; all others are of the solution
+_COUNTS = ("samples", "gaps", "idle", "_bends")
+_SUMS = ("_time", "_zero_sequence_square", "_bend_square", "_turn_square")
+
+
+class Evidence:
+    """The regression's information, the visited currents and the counts of a growing set of samples.
+
+    Parameters
+    ----------
+    settings : FitSettings
+    d, q : Axis
+        Ranges of the map.
+    i_max : float
+        Radius of the current disc of the experiment, A.
+    """
+
+    def __init__(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> None:
+        self.settings = settings
+        self.d = d
+        self.q = q
+        self.i_max = i_max
+        self.information = Information(_model(settings, d, q, i_max), TanhShape(settings.inverter_current_scale))
+        self.visits = Visits(
+            np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
+        )
+        self.windows = _windows(settings, d, q, i_max) if settings.method == "full" else None
+        self._recordings = 0
+        self.samples = 0
+        self.gaps = 0
+        self.idle = 0
+        self._quiet = 0  # samples since the current was last away from zero
+        self._time = 0.0
+        self._zero_sequence_square = 0.0
+        self._bend_square = 0.0  # of second differences of i_dq, per component
+        self._bends = 0
+        self._turn_square = 0.0
+
+    @classmethod
+    def within(cls, settings: FitSettings, i_max: float) -> Evidence:
+        """Prepare for samples of unknown range in a disc of known radius, A."""
+        edge = _DOMAIN_MARGIN * i_max
+        return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
+
+    def add(self, samples: Samples, done: Callable[[int], None] | None = None, *, continues: bool = False) -> None:
+        """Accumulate further samples.
+
+        Parameters
+        ----------
+        samples : Samples
+        done : callable, optional
+            Told after each part how many of them are done.
+        continues : bool
+            They continue the piece before and begin with its last sample, which counts once.
+        """
+        new = slice(1, None) if continues else slice(None)
+        rotation = np.cos(samples.angle), np.sin(samples.angle)
+        i_dq = frames.rotated(samples.i_abc, *rotation)
+        idle = self._idle(samples, i_dq, continues=continues)
+        self.idle += int(idle[new].sum())
+        self.information.add(samples, done, idle, rotation)
+        if self.windows is not None:
+            self.windows.add(samples, continues=continues)
+        self.visits.add(i_dq[new])
+        self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
+        self.samples += len(samples) - continues
+        self._time += (len(samples) - continues) * samples.sample_period
+        a, b, c = samples.i_abc[new].T
+        self._zero_sequence_square += float(np.sum((a + b + c) ** 2))
+        self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
+        for run in samples.runs():
+            self._bend_square += bend_square(i_dq[run])
+            self._bends += 2 * max(run.stop - run.start - 2, 0)
+
+    def next_recording(self) -> None:
+        """Tell that what comes now is of another recording, so that adding it is merging it.
+
+        Raises
+        ------
+        ConfigurationError
+            When temperatures or DC-link voltages are set, but none for this recording.
+        """
+        self.information.next_recording()
+        one = self.settings.of_recording(self._recordings)
+        heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
+        drop_scale = one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
+        if self.windows is not None:
+            self.windows.next_recording(heating, drop_scale)
+        self._recordings += 1
+
+    def _idle(self, samples: Samples, i_dq: FloatArray, *, continues: bool) -> BoolArray:
+        """Tell (N,) which samples come after a longer rest near zero current than the settings allow."""
+        idle = np.zeros(len(samples), np.bool_)
+        least, period, longest = _IDLE_CURRENT * self.i_max, samples.sample_period, self.settings.longest_rest
+        for run in samples.runs():
+            before = self._quiet - 1 if continues and run.start == 0 else 0
+            self._quiet = mark_rests(i_dq[run], least, period, longest, before, idle[run])
+        return idle
+
+    def copy(self, settings: FitSettings | None = None) -> Evidence:
+        """Return evidence that goes its own way from here; cheap, for what is complete is shared.
+
+        Parameters
+        ----------
+        settings : FitSettings, optional
+            Another method; what else they say must be the same.
+        """
+        other = copy.copy(self)
+        other.settings = settings or self.settings
+        if other.settings.method == "full" and self.windows is None:
+            raise ConfigurationError(
+                f"The samples were accumulated for method {self.settings.method}, which is not enough for method full: "
+                "accumulate them with method full, which serves all methods."
+            )
+        other.information = self.information.copy()
+        other.visits = self.visits.copy()
+        other.windows = None
+        if self.windows is not None and other.settings.method == "full":
+            other.windows = self.windows.copy()
+        return other
+
+    def merged(self, other: Evidence) -> Evidence:
+        """Return the evidence of both, as if the other's recordings had been added, too; both stay as they are.
+
+        Raises
+        ------
+        ConfigurationError
+            When they were accumulated differently; see :meth:`difference`.
+        """
+        both = self.copy()
+        both.merge(other)
+        return both
+
+    def merge(self, other: Evidence) -> None:
+        """Add what is known of other recordings, see :meth:`merged`."""
+        if difference := self.difference(other):
+            raise ConfigurationError(
+                f"Two recordings were accumulated differently ({difference}) and cannot be merged: accumulate both "
+                "with the same settings and the same i_max."
+            )
+        theirs = other.accumulators()
+        for name, accumulator in self.accumulators().items():
+            accumulator.merge(theirs[name])
+        self.gaps += self.samples > 0 and other.samples > 0
+        for name in (*_COUNTS, *_SUMS):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self._quiet = 0
+
+    def suits(self, settings: FitSettings) -> bool:
+        """Tell whether what was gathered is what these settings would have gathered."""
+        shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
+        same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
+        return same and (settings.method != "full" or self.windows is not None)
+
+    def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
+        """Tell in what this evidence and that one differ that keeps them from being merged; empty if they can be."""
+        for name in _SHAPING:
+            mine, theirs = (getattr(settings, name) for settings in (self.settings, other.settings))
+            if mine != theirs:
+                return f"{name} is {mine} {this} and {theirs} {that}"
+        if (self.windows is None) != (other.windows is None):
+            return f"method is {self.settings.method} {this} and {other.settings.method} {that}"
+        if self.i_max != other.i_max:
+            return f"i_max is {self.i_max:.6g} A {this} and {other.i_max:.6g} A {that}"
+        if (self.d, self.q) != (other.d, other.q):
+            return "their maps have different ranges"
+        return ""
+
+    def state(self) -> State:
+        """Return all that was gathered; settings, ranges and radius are not part of it."""
+        own: State = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet")}
+        for name, accumulator in self.accumulators().items():
+            own |= prefixed(name, accumulator.state())
+        return own
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        for name in (*_COUNTS, *_SUMS, "_quiet"):
+            setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
+        for name, accumulator in self.accumulators().items():
+            accumulator.restore(below(name, state))
+
+    def accumulators(self) -> dict[str, Accumulator]:
+        """Return the parts that gather for themselves, by name."""
+        parts: dict[str, Accumulator] = {"information": self.information, "visits": self.visits}
+        return parts if self.windows is None else parts | {"windows": self.windows}
+
+    @property
+    def model(self) -> FluxModel:
+        """The flux model whose parameters the information is about."""
+        return self.information.model
+
+    @property
+    def sample_period(self) -> float:
+        """Mean sample period, s."""
+        return self._time / max(self.samples, 1)
+
+    @property
+    def zero_sequence(self) -> float:
+        """Root mean square of the sum of the phase currents, A."""
+        return float(np.sqrt(self._zero_sequence_square / max(self.samples, 1)))
+
+    @property
+    def turn(self) -> float:
+        """Root mean square of the angle turned per sample, rad."""
+        return float(np.sqrt(self._turn_square / max(self.samples, 1)))
+
+    @property
+    def noise_share(self) -> float:
+        """Energy that noise adds to the differences of a basis function, per energy of its rotation.
+
+        Noise of deviation sigma in i_dq, estimated from second differences, changes a function by about sigma / h from
+        sample to sample, h being the width of a cell; the voltage tells of the function itself by omega T.
+        """
+        variance = self._bend_square / max(self._bends, 1) / 6
+        return float(2 * variance / max(self.turn * min(self.d.width, self.q.width), np.finfo(np.float64).tiny) ** 2)
+
+    def inside(self) -> BoolArray:
+        """Tell where on the grid of the visits data support a map of this resolution."""
+        if self.settings.method == "full":
+            from drive_id.core.full.model import FLUX_CELLS  # noqa: PLC0415  # see below
+
+            return self.visits.inside((self.d.high - self.d.low) / FLUX_CELLS, (self.q.high - self.q.low) / FLUX_CELLS)
+        return self.visits.inside(self.d.width, self.q.width)
+
+    def coverage(self) -> float:
+        """Return the share of the current disc with data, 0 to 1."""
+        return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
+
+
+def _windows(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> WindowInformation:
+    from drive_id.core.full.information import WindowInformation  # noqa: PLC0415
+    from drive_id.core.full.model import FullModel  # noqa: PLC0415  # scipy takes longer to load than a fit without it
+
+    low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
+    return WindowInformation(FullModel(low, high, i_max, settings.harmonic_orders))
+
+
+def _model(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> FluxModel:
+    if settings.flux_model == "spline":
+        return TensorSpline(d, q)
+    return Polynomial(settings.polynomial_degree if settings.flux_model == "polynomial" else 1, i_max)

@@ -1,0 +1,63 @@
+"""Parts of a recording of any length, evenly spread over it, in bounded memory: to simulate and to draw."""
+
+from __future__ import annotations
+
+from drive_id.core.signals.stream_join import Piece, joined
+from drive_id.types import Samples
+
+SPAN = 1 << 14
+"""Samples of one part."""
+SPANS = 8
+"""Most parts: a recording of up to ``SPAN x SPANS`` samples is kept whole."""
+
+
+class Spans:
+    """Keeps every sample of a short recording, and every second, fourth, ... part of a longer one.
+
+    Parameters
+    ----------
+    span : int
+        Samples of a part.
+    most : int
+        Parts to keep; even.
+    """
+
+    def __init__(self, span: int = SPAN, most: int = SPANS) -> None:
+        self._span = span
+        self._most = most
+        self._stride = 1
+        self._count = 0
+        self._parts: dict[int, list[Piece]] = {}
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was left out so far."""
+        return self._stride == 1
+
+    def add(self, piece: Piece) -> None:
+        """Take further samples."""
+        start = int(piece.continues)
+        while start < len(piece.samples):
+            number, filled = divmod(self._count, self._span)
+            stop = min(start + self._span - filled, len(piece.samples))
+            if number % self._stride == 0:
+                within = start > 0 and start not in piece.samples.run_starts
+                goes_on = within and (number - 1 in self._parts or filled > 0)
+                self._keep(number, Piece(piece.samples.part(start - goes_on, stop, copy=True), goes_on))
+            self._count += stop - start
+            start = stop
+
+    def samples(self) -> tuple[Samples, ...]:
+        """Return what was kept, parts without a gap between them put together."""
+        pieces = [piece for number in sorted(self._parts) for piece in self._parts[number]]
+        return (joined(pieces),) if pieces else ()
+
+    def _keep(self, number: int, piece: Piece) -> None:
+        self._parts.setdefault(number, []).append(piece)
+        if len(self._parts) > self._most:
+            self._stride *= 2
+            self._parts = {
+                number: [Piece(part[0].samples, False), *part[1:]]
+                for number, part in self._parts.items()
+                if number % self._stride == 0
+            }

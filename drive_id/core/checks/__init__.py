@@ -1,0 +1,1 @@
+"""Checks before a fit: errors where a map would be wrong."""

@@ -1,0 +1,1 @@
+"""Driving a machine through its current plane: trajectories, limits, course and watch."""

@@ -1,0 +1,320 @@
+"""The course of an experiment on a drive: when which current reference is published, and how it ends safely.
+
+Set-points are published ahead of time on a grid of stamps. Two rules bind whoever consumes them: a block replaces all
+set-points that are due at or after its stamp (so that a stop takes effect at once, whatever has been published ahead),
+and when set-points run out, the current goes to zero (so that a dead publisher leaves no current behind).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.experiment.limits import approach, follow, inside_disc
+from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
+from drive_id.core.experiment.trajectories import Trajectory
+from drive_id.core.maps.coverage import Visits, disc_coverage
+from drive_id.types import FloatArray
+
+NANOSECONDS = 1_000_000_000
+LARGEST_BLOCK = 1000
+"""Most set-points in one block."""
+_COVERAGE_NODES = 21
+_COVERAGE_STEP = 10
+
+
+class State(Enum):
+    """Where an experiment is."""
+
+    IDLE = "idle"
+    RAMP_IN = "ramp_in"
+    RUNNING = "running"
+    RAMP_OUT = "ramp_out"
+    TRIPPED = "tripped"
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceBlock:
+    """A block of set-points.
+
+    Parameters
+    ----------
+    stamp : int
+        When the first is due, ns.
+    first_sample : int
+        Running count of all set-points ever published.
+    sample_period : float
+        s.
+    i_dq : (N, 2) float32
+        A.
+    """
+
+    stamp: int
+    first_sample: int
+    sample_period: float
+    i_dq: NDArray[np.float32]
+
+
+class Experiment:
+    """One experiment after the other, as a state machine without clock, thread or ROS.
+
+    Times are integer nanoseconds of whatever clock stamps the blocks. All set-points lie in the disc of ``i_max``, and
+    neighbours differ by at most ``slew_rate`` times the sample period (but for a trip that asks for zero at once).
+
+    Parameters
+    ----------
+    settings : ExperimentSettings
+    trajectory : Trajectory, optional
+        Instead of the one that the settings name.
+    """
+
+    def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
+        self.trip_reason = ""
+        self.stop_reason = ""
+        self._first_sample = 0
+        self._active = False
+        self._pending = False  # whether the next set-points are due at once, not ahead
+        self._cut = False  # whether the reference has gone to zero without a ramp
+        self._epoch = 0
+        self._last_now: int | None = None
+        self._next = 0
+        self._phase = State.IDLE
+        self._marks: list[tuple[int, State]] = []
+        self._point = np.zeros(2)
+        self._run_start = 0
+        self._rest = 0
+        self._ahead: FloatArray = np.zeros((0, 2))
+        self.configure(settings, trajectory)
+
+    def configure(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
+        """Take other settings for the next start; only while no experiment is active."""
+        assert not self._active
+        self.settings = settings
+        self._trajectory = trajectory or make_trajectory(settings)
+        self._step = settings.slew_rate * settings.sample_period
+        total = total_duration(settings, self._trajectory) / settings.sample_period
+        self._total = None if math.isinf(total) else round(total)
+        axis = np.linspace(-settings.i_max, settings.i_max, _COVERAGE_NODES)
+        self._visits = Visits(axis, axis)
+
+    @property
+    def active(self) -> bool:
+        """Whether set-points are being published, ramps and final zeros included."""
+        return self._active
+
+    @property
+    def coverage(self) -> float:
+        """Share (0 to 1) of the disc that the set-points of the last experiment have come close to."""
+        visits = self._visits
+        return disc_coverage(visits.i_d, visits.i_q, visits.count > 0, self.settings.i_max)
+
+    def state(self, now: int) -> State:
+        """Return the state of the set-point that is due now."""
+        if self.trip_reason:
+            return State.TRIPPED
+        if not self._active:
+            return State.IDLE
+        return self._due_state(now)
+
+    def elapsed(self, now: int) -> float:
+        """Return the time since the trajectory began, s; 0 before."""
+        if not self._active or self._run_start < 0:
+            return 0.0
+        return max(0.0, (self._index(now) - self._run_start) * self.settings.sample_period)
+
+    def current(self, now: int) -> FloatArray:
+        """Return the set-point (2,) that is due now, A."""
+        position = self._index(now) - (self._next - len(self._ahead))
+        return self._ahead[position].copy() if 0 <= position < len(self._ahead) else np.zeros(2)
+
+    def start(self, now: int) -> None:
+        """Begin an experiment; forgets an earlier trip. Only while none is active."""
+        assert not self._active
+        self.trip_reason = self.stop_reason = ""
+        self._active = self._pending = True
+        self._cut = False
+        self._epoch = now + self._nanoseconds(self.settings.lead_time) // 2
+        self._last_now = now
+        self._next = 0
+        self._point = np.zeros(2)
+        self._ahead = np.zeros((0, 2))
+        self._marks = []
+        self._run_start = -1
+        self._visits.count[:] = 0
+        self._enter(State.RAMP_IN)
+
+    def stop(self, now: int, reason: str) -> None:
+        """Ramp down from the set-point that is due now, instead of what has been published ahead."""
+        if self._active and self._due_state(now) in {State.RAMP_IN, State.RUNNING}:
+            self.stop_reason = reason
+            self._override(now, immediate=False)
+
+    def trip(self, now: int, reason: str, *, immediate: bool) -> None:
+        """Stop because something is wrong, and remember why.
+
+        Parameters
+        ----------
+        now : int
+            ns.
+        reason : str
+            A sentence; the first one is kept.
+        immediate : bool
+            Go to zero without a ramp.
+        """
+        if not self._active:
+            return
+        self.trip_reason = self.trip_reason or reason
+        if (immediate and not self._cut) or self._due_state(now) in {State.RAMP_IN, State.RUNNING}:
+            self._override(now, immediate=immediate)
+
+    def advance(self, now: int) -> list[ReferenceBlock]:
+        """Return the blocks that are to be published now, so that set-points reach ``lead_time`` ahead."""
+        if not self._active:
+            return []
+        self._check_clock(now)
+        horizon = self._index(now + self._nanoseconds(self.settings.lead_time)) + 1
+        blocks = self._blocks(max(0, horizon - self._next))
+        if self._phase is State.IDLE and self._index(now) >= self._next:
+            self._active = False
+        self._forget(now)
+        return blocks
+
+    def finish(self, now: int, reason: str) -> list[ReferenceBlock]:
+        """Stop, and return all blocks down to the last zero at once: for a process that is about to end."""
+        if not self._active:
+            return []
+        self._check_clock(now)
+        self.stop(now, reason)
+        blocks = []
+        while self._phase is not State.IDLE:
+            blocks += self._blocks(LARGEST_BLOCK)
+        self._active = False
+        return blocks
+
+    # The grid of stamps
+
+    def _nanoseconds(self, seconds: float) -> int:
+        return round(seconds * NANOSECONDS)
+
+    def _index(self, now: int) -> int:
+        """Return the number of the last set-point that is due at or before ``now``."""
+        return math.floor((now - self._epoch) / (self.settings.sample_period * NANOSECONDS) + 1e-3)
+
+    def _stamp(self, index: int) -> int:
+        return self._epoch + round(index * self.settings.sample_period * NANOSECONDS)
+
+    def _check_clock(self, now: int) -> None:
+        """Trip when the set-points ran out before this call, or when the clock was set back."""
+        last, self._last_now = self._last_now, now
+        assert last is not None
+        late = now - self._stamp(self._next)
+        if now < last - self._nanoseconds(self.settings.lead_time):
+            self._epoch, self._next, self._ahead = now, 0, np.zeros((0, 2))
+            self._marks = [(0, self._phase)]
+            self.trip(now, f"The clock went back by {(last - now) / NANOSECONDS:.3f} s.", immediate=True)
+        elif late <= 0 or self._pending or self._phase is State.IDLE:
+            return
+        elif self._cut:
+            self._phase = State.IDLE  # the drive is at zero without further set-points
+        else:
+            self.trip(
+                now,
+                f"The publisher came {late / NANOSECONDS:.3f} s too late to publish ahead: its process was held up, or "
+                "the clock jumped; raise lead_time.",
+                immediate=True,
+            )
+
+    # Set-points
+
+    def _due_state(self, now: int) -> State:
+        """Return the state of the set-point that is due now, trips aside."""
+        due = [state for first, state in self._marks if first <= self._index(now)]
+        return due[-1] if due else self._marks[0][1]
+
+    def _enter(self, state: State) -> None:
+        self._phase = state
+        self._marks.append((self._next, state))
+        if state is State.RUNNING:
+            self._run_start = self._next
+
+    def _override(self, now: int, *, immediate: bool) -> None:
+        """Take back what is due from now on, and go to zero from the set-point that is due now."""
+        self._cut = immediate
+        self._point = np.zeros(2) if immediate else self.current(now)
+        first = max(self._index(now) + 1, 0)
+        kept = len(self._ahead) - (self._next - first)
+        self._ahead = self._ahead[: max(kept, 0)] if first <= self._next else self._ahead[:0]
+        self._next = first
+        self._marks = [(first, state) for first, state in self._marks if first < self._next]
+        self._enter(State.RAMP_OUT)
+        self._rest = self._resting()
+        self._pending = True
+
+    def _resting(self) -> int:
+        """Return the number of zeros that end an experiment."""
+        return math.ceil(self.settings.lead_time / self.settings.sample_period)
+
+    def _blocks(self, count: int) -> list[ReferenceBlock]:
+        self._pending = False
+        first = self._next
+        pieces = []
+        while count > 0 and self._phase is not State.IDLE:
+            piece = self._piece(count)
+            if len(piece):
+                self._point = piece[-1]
+                self._next += len(piece)
+                count -= len(piece)
+                pieces.append(piece)
+        if not pieces:
+            return []
+        values = inside_disc(np.concatenate(pieces), self.settings.i_max)
+        self._ahead = np.concatenate((self._ahead, values))
+        self._visits.add(values[::_COVERAGE_STEP].astype(np.float64))
+        blocks = []
+        for start in range(0, len(values), LARGEST_BLOCK):
+            part = values[start : start + LARGEST_BLOCK]
+            blocks.append(
+                ReferenceBlock(self._stamp(first + start), self._first_sample, self.settings.sample_period, part)
+            )
+            self._first_sample += len(part)
+        return blocks
+
+    def _piece(self, count: int) -> FloatArray:
+        """Return up to ``count`` further set-points of the present phase; none when it is over."""
+        if self._phase is State.RAMP_IN:
+            target = inside_disc(self._trajectory(np.zeros(1)), self.settings.i_max)[0].astype(np.float64)
+            points = approach(self._point, target, self._step, count)
+            if not len(points):
+                self._enter(State.RUNNING)
+            return points
+        if self._phase is State.RUNNING:
+            return self._running(count)
+        points = approach(self._point, np.zeros(2), self._step, count)
+        if not len(points):
+            points = np.zeros((min(count, self._rest), 2))
+            self._rest -= len(points)
+            if self._rest == 0:
+                self._phase = State.IDLE
+        return points
+
+    def _running(self, count: int) -> FloatArray:
+        passed = self._next - self._run_start
+        left = count if self._total is None else min(count, self._total - passed)
+        if left <= 0:
+            self._enter(State.RAMP_OUT)
+            self._rest = self._resting()
+            return np.zeros((0, 2))
+        times = (passed + np.arange(left, dtype=np.float64)) * self.settings.sample_period
+        return follow(self._point, self._trajectory(times), self._step)
+
+    def _forget(self, now: int) -> None:
+        """Drop what nobody will ask for any more."""
+        begin = self._next - len(self._ahead)
+        old = min(max(self._index(now) - begin, 0), len(self._ahead))
+        self._ahead = self._ahead[old:]
+        due = [k for k, (first, _) in enumerate(self._marks) if first <= self._index(now)]
+        self._marks = self._marks[due[-1] :] if due else self._marks

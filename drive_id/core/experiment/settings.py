@@ -1,0 +1,130 @@
+"""Everything that can be chosen about a live experiment: the trajectory, its publication, and when to stop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Trajectory
+from drive_id.errors import ConfigurationError
+from drive_id.settings import check, setting
+
+TRAJECTORIES = ("lissajous", "stair", "spiral")
+_MOST_AHEAD = 100_000  # set-points
+_LONGEST_RAMP = 10.0  # s
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """Settings of the trajectory publisher."""
+
+    trajectory: str = setting(
+        "lissajous",
+        "Curve in the current disc: the paper's Lissajous figure, a stair of steady operating points, or a spiral",
+        choices=TRAJECTORIES,
+    )
+    i_max: float = setting(
+        100.0, "Radius of the current disc, which no reference ever leaves", unit="A", minimum=1e-3, maximum=1e6
+    )
+    frequency_d: float = setting(
+        3.7, "Lissajous: frequency of the d reference, Phi_d / 2 pi", unit="Hz", minimum=0.0, maximum=1e4
+    )
+    frequency_q: float = setting(
+        1.1, "Lissajous: frequency of the q reference, Phi_q / 2 pi", unit="Hz", minimum=0.0, maximum=1e4
+    )
+    form: str = setting(
+        "smooth", "Lissajous: root without kinks, or as the paper prints it", choices=("smooth", "printed")
+    )
+    duration: float = setting(
+        10.0, "Lissajous: of the whole figure; spiral: out and back", unit="s", minimum=1e-2, maximum=1e5
+    )
+    stair_points: int = setting(9, "Stair: grid points per axis", minimum=3, maximum=101)
+    dwell_time: float = setting(0.2, "Stair: time at each operating point", unit="s", minimum=1e-3, maximum=1e4)
+    spiral_turns: float = setting(10.0, "Spiral: turns from the centre to the rim", minimum=0.5, maximum=1000.0)
+    repeat: int = setting(1, "How often the trajectory runs; 0: until it is stopped", minimum=0, maximum=1_000_000)
+    slew_rate: float = setting(
+        10000.0, "Largest |di/dt| of the references, also when ramping in and out", unit="A/s", minimum=1.0, maximum=1e9
+    )
+    sample_period: float = setting(
+        1e-4, "Time between two set-points: the control period of the drive", unit="s", minimum=1e-6, maximum=1e-1
+    )
+    publish_rate: float = setting(50.0, "How often blocks are published", unit="Hz", minimum=1.0, maximum=1000.0)
+    lead_time: float = setting(
+        0.3,
+        "How far ahead of time set-points are published; a drive follows the last ones for as long if this node dies",
+        unit="s",
+        minimum=5e-3,
+        maximum=10.0,
+    )
+    frame_id: str = setting("drive", "Name of the drive in the blocks' headers")
+    watch: bool = setting(
+        True, "Whether to run only while resolver and phase_currents arrive and are in order; false: without feedback"
+    )
+    watch_timeout: float = setting(
+        0.5, "Longest silence of resolver or phase_currents", unit="s", minimum=1e-2, maximum=60.0
+    )
+    speed_min: float | None = setting(None, "Lowest electrical speed allowed; default: any", unit="rad/s")
+    speed_max: float | None = setting(None, "Highest electrical speed allowed; default: any", unit="rad/s")
+    current_limit: float | None = setting(
+        None, "Largest measured phase current allowed; default: 1.25 i_max", unit="A", minimum=0.0
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.speed_min is not None and self.speed_max is not None and self.speed_min >= self.speed_max:
+            raise ConfigurationError(
+                f"speed_min is {self.speed_min:g} rad/s and speed_max {self.speed_max:g} rad/s: the band must not be "
+                "empty."
+            )
+        if self.current_limit is not None and self.current_limit < self.i_max:
+            raise ConfigurationError(
+                f"current_limit is {self.current_limit:g} A, below i_max, {self.i_max:g} A: the trajectory itself "
+                "would stop the experiment."
+            )
+        if self.lead_time < 2 / self.publish_rate:
+            raise ConfigurationError(
+                f"lead_time is {self.lead_time:g} s at {self.publish_rate:g} blocks per second: it must be at least "
+                "two intervals, or set-points come too late."
+            )
+        if self.lead_time < 10 * self.sample_period:
+            raise ConfigurationError(
+                f"lead_time is {self.lead_time:g} s: it must be at least ten sample periods of "
+                f"{self.sample_period:g} s."
+            )
+        if self.lead_time > _MOST_AHEAD * self.sample_period:
+            raise ConfigurationError(
+                f"lead_time is {self.lead_time:g} s: it must be at most {_MOST_AHEAD} sample periods of "
+                f"{self.sample_period:g} s."
+            )
+        if self.i_max > _LONGEST_RAMP * self.slew_rate:
+            raise ConfigurationError(
+                f"slew_rate is {self.slew_rate:g} A/s: it must bring i_max, {self.i_max:g} A, to zero within "
+                f"{_LONGEST_RAMP:g} s."
+            )
+        steepest = make_trajectory(self).slope
+        if steepest > self.slew_rate * (1 + 1e-9):
+            raise ConfigurationError(
+                f"The {self.trajectory} trajectory needs up to {steepest:.4g} A/s where slew_rate allows "
+                f"{self.slew_rate:.4g} A/s: make it slower or smaller, or raise slew_rate."
+            )
+
+    @property
+    def largest_phase_current(self) -> float:
+        """The current limit in force, A."""
+        return 1.25 * self.i_max if self.current_limit is None else self.current_limit
+
+
+def make_trajectory(settings: ExperimentSettings) -> Trajectory:
+    """Return the trajectory that the settings ask for."""
+    if settings.trajectory == "stair":
+        return Stair(settings.i_max, settings.stair_points, settings.dwell_time, settings.slew_rate)
+    if settings.trajectory == "spiral":
+        return Spiral(settings.i_max, settings.spiral_turns, settings.duration)
+    return Lissajous(settings.i_max, settings.frequency_d, settings.frequency_q, settings.form)
+
+
+def total_duration(settings: ExperimentSettings, trajectory: Trajectory) -> float:
+    """Return the time of a trajectory with its repetitions, without the ramps, s; infinite: until it is stopped."""
+    if settings.repeat == 0:
+        return math.inf
+    return settings.repeat * (trajectory.duration if math.isfinite(trajectory.duration) else settings.duration)

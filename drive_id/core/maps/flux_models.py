@@ -1,0 +1,251 @@
+"""Flux models that are linear in their parameters, ``f(i) = B(i) gamma`` (``eq:splines``).
+
+The regression asks a model only for the rows of B; the paper's remark on other linear-in-the-parameters models is the
+:class:`FluxModel` protocol. Rows are sparse: per sample and per axis (d, q), ``width`` columns and their values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.numerics import bspline
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.numerics.compiled import compiled
+from drive_id.errors import ConfigurationError
+from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+ColumnArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class BasisRows:
+    """Rows of B at N currents.
+
+    Parameters
+    ----------
+    column : (N, 2, K) int32
+        Parameters that act on psi_d and psi_q; a column may stand twice, its values add.
+    value : (N, 2, K) float
+        Their basis functions' values (unit: Wb per unit of the parameter).
+    """
+
+    column: ColumnArray
+    value: FloatArray
+
+    def dot(self, gamma: FloatArray) -> FloatArray:
+        """Return B gamma: (N, 2) for parameters (P,), (N, 2, M) for parameters (P, M)."""
+        if gamma.ndim == 1:
+            return np.asarray(np.einsum("nak,nak->na", self.value, gamma[self.column]))
+        return np.asarray((self.sparse(len(gamma)) @ gamma).reshape(*self.column.shape[:2], -1))
+
+    def sparse(self, parameters: int) -> sparse.csr_array:
+        """Return the matrices as a sparse one, (2 N, parameters), rows of one current next to each other."""
+        from scipy import sparse  # noqa: PLC0415  # takes longer to load than a fit without it
+
+        ends = np.arange(0, self.column.size + 1, self.column.shape[2])
+        shape = (len(ends) - 1, parameters)
+        return sparse.csr_array((self.value.ravel(), self.column.ravel(), ends), shape=shape)
+
+    def dense(self, parameters: int) -> FloatArray:
+        """Return the matrices as (N, 2, parameters)."""
+        out = np.zeros((*self.column.shape[:2], parameters))
+        n, axis = np.indices(self.column.shape)[:2]
+        np.add.at(out, (n, axis, self.column), self.value)
+        return out
+
+
+class FluxModel(Protocol):
+    """Flux linkages as a function of i_dq that is linear in ``parameters`` coefficients."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return B at currents (N, 2), A."""
+
+    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
+        """Return dB/di_d and dB/di_q at currents (N, 2), A: with gamma, the columns of the Jacobian D_f."""
+
+    def contains(self, i_dq: FloatArray) -> BoolArray:
+        """Tell (N,) which of the currents (N, 2), A, lie where the model is defined."""
+
+
+@dataclass(frozen=True)
+class TensorSpline:
+    """Tensor-product cubic B-splines (the paper's model), gamma_d before gamma_q, each row-major in [i_d, i_q].
+
+    Parameters
+    ----------
+    d, q : Axis
+        Range and number of functions along i_d and i_q.
+    """
+
+    d: Axis
+    q: Axis
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients, for both fluxes."""
+        return 2 * self.d.count * self.q.count
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return B at currents (N, 2), A; currents outside the range count as on its edge."""
+        return self._rows(i_dq, 0, 0)
+
+    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
+        """Return the analytic dB/di_d and dB/di_q at currents (N, 2), A."""
+        return self._rows(i_dq, 1, 0), self._rows(i_dq, 0, 1)
+
+    def _rows(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
+        column = np.empty((len(i_dq), 2, 16), np.int32)
+        value = np.empty((len(i_dq), 2, 16))
+        axes = np.array([[self.d.low, self.d.width], [self.q.low, self.q.width]])
+        _tensor_rows(np.ascontiguousarray(i_dq), axes, self.d.count, self.q.count, order_d, order_q, column, value)
+        return BasisRows(column, value)
+
+    def contains(self, i_dq: FloatArray) -> BoolArray:
+        """Tell (N,) which of the currents (N, 2), A, lie in the rectangle of the axes."""
+        low, high = np.array([self.d.low, self.q.low]), np.array([self.d.high, self.q.high])
+        return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
+
+
+@compiled
+def _tensor_rows(
+    i_dq: FloatArray,
+    axes: FloatArray,
+    count_d: int,
+    count_q: int,
+    order_d: int,
+    order_q: int,
+    column: ColumnArray,
+    value: FloatArray,
+) -> None:
+    w_d, w_q = np.empty(4), np.empty(4)
+    functions = count_d * count_q
+    for n in range(len(i_dq)):
+        cell_d, t_d = bspline.locate(i_dq[n, 0], axes[0, 0], axes[0, 1], count_d - 3)
+        cell_q, t_q = bspline.locate(i_dq[n, 1], axes[1, 0], axes[1, 1], count_q - 3)
+        if order_d == 0:
+            bspline.weights(t_d, w_d)
+        else:
+            bspline.slopes(t_d, axes[0, 1], w_d)
+        if order_q == 0:
+            bspline.weights(t_q, w_q)
+        else:
+            bspline.slopes(t_q, axes[1, 1], w_q)
+        k = 0
+        for a in range(4):
+            for b in range(4):
+                index = (cell_d + a) * count_q + cell_q + b
+                w = w_d[a] * w_q[b]
+                column[n, 0, k], column[n, 1, k] = index, index + functions
+                value[n, 0, k], value[n, 1, k] = w, w
+                k += 1
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, for psi_d and psi_q each.
+
+    Degree 1 is the classical linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees saturate.
+
+    Parameters
+    ----------
+    degree : int
+        1 to 12.
+    scale : float
+        Current that becomes 1, A; keeps the powers well conditioned.
+
+    Raises
+    ------
+    ConfigurationError
+        When the degree or the scale is out of range.
+    """
+
+    degree: int
+    scale: float
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.degree <= 12:
+            raise ConfigurationError(f"A polynomial flux model of degree {self.degree}: give a degree from 1 to 12.")
+        if not self.scale > 0:
+            raise ConfigurationError(f"The polynomial's current scale is {self.scale} A: it must be positive.")
+
+    def _exponents(self) -> NDArray[np.int64]:
+        pairs = [(m, n) for m in range(self.degree + 1) for n in range(self.degree + 1 - m)]
+        return np.array(pairs)
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients, for both fluxes."""
+        return (self.degree + 1) * (self.degree + 2)
+
+    def _monomials(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
+        m, n = self._exponents().T
+        x, y = np.moveaxis(i_dq / self.scale, -1, 0)[:, :, None]
+        factor = (m if order_d else 1) * (n if order_q else 1) / self.scale ** (order_d + order_q)
+        values = factor * x ** np.maximum(m - order_d, 0) * y ** np.maximum(n - order_q, 0)
+        columns = np.arange(self.parameters, dtype=np.int32).reshape(2, -1)
+        shape = (len(i_dq), 2, len(m))
+        return BasisRows(
+            np.ascontiguousarray(np.broadcast_to(columns, shape)),
+            np.ascontiguousarray(np.broadcast_to(values[:, None, :], shape)),
+        )
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return B at currents (N, 2), A."""
+        return self._monomials(i_dq, 0, 0)
+
+    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
+        """Return dB/di_d and dB/di_q at currents (N, 2), A."""
+        return self._monomials(i_dq, 1, 0), self._monomials(i_dq, 0, 1)
+
+    def contains(self, i_dq: FloatArray) -> BoolArray:
+        """Tell (N,) that a polynomial is defined everywhere."""
+        return np.ones(len(i_dq), np.bool_)
+
+
+def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> tuple[TensorSpline, FloatArray]:
+    """Return the same map as splines: itself if it is one, otherwise interpolated on the axes.
+
+    Parameters
+    ----------
+    model : FluxModel
+    gamma : (P,) float
+        Its parameters, Wb.
+    d, q : Axis
+        Where to interpolate a model of another kind.
+
+    Returns
+    -------
+    TensorSpline, (2 * d.count * q.count,) float
+        Model and parameters.
+    """
+    if isinstance(model, TensorSpline):
+        return model, gamma
+    psi = model.rows(sites(d, q).reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
+    return TensorSpline(d, q), fitted(psi, d, q)
+
+
+def sites(d: Axis, q: Axis, density: int = 1) -> FloatArray:
+    """Return currents, A, equally spaced over both axes, ``density`` for each function: (density d.count, ..., 2)."""
+    points = [np.linspace(axis.low, axis.high, density * axis.count) for axis in (d, q)]
+    return np.stack(np.meshgrid(*points, indexing="ij"), axis=-1)
+
+
+def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
+    """Return the parameters (2 * d.count * q.count,) of the tensor spline nearest to psi_dq (..., 2), Wb, at sites."""
+    matrices = [
+        axis.collocation(np.linspace(axis.low, axis.high, count))
+        for axis, count in zip((d, q), psi.shape[:2], strict=True)
+    ]
+    inverse_d, inverse_q = (np.linalg.pinv(matrix) for matrix in matrices)
+    return np.asarray(np.einsum("ax,xyk,by->kab", inverse_d, psi, inverse_q, optimize=True).ravel())

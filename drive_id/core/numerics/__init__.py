@@ -1,0 +1,1 @@
+"""Splines, kernels, threads, normal equations and running sums: no drive in here yet."""

@@ -1,0 +1,73 @@
+"""Passes over whole arrays without temporary arrays of their size: order, shifts, rests, second differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drive_id.core.numerics.compiled import compiled
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+
+def all_finite(values: FloatArray) -> bool:
+    """Tell whether all values are finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = values.sum()  # of finite values it is finite, unless they are absurd
+    return bool(np.isfinite(total) or np.isfinite(values).all())
+
+
+@compiled
+def rising(stamp: IntArray) -> bool:
+    """Tell whether each stamp (N,) exceeds the one before."""
+    falls = 0
+    for k in range(1, len(stamp)):
+        falls += stamp[k] <= stamp[k - 1]
+    return falls == 0
+
+
+@compiled
+def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
+    """Tell whether the first stamps (M,) lie ``shift`` behind the entries of the clock (N,), one by one."""
+    others = 0
+    for k in range(len(clock)):
+        others += stamp[k] - clock[k] != shift
+    return others == 0
+
+
+@compiled
+def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
+    """Mark in ``idle`` (N,) the samples that come after a longer rest than allowed.
+
+    Parameters
+    ----------
+    i_dq : (N, 2) float
+        Of one run, A.
+    least : float
+        Amplitude below which the current rests, A.
+    period, longest : float
+        Sample period, and how long a rest may last, s.
+    rest : int
+        Samples of rest before these.
+    idle : (N,) bool
+
+    Returns
+    -------
+    int
+        Samples of rest at the end.
+    """
+    for k in range(len(i_dq)):
+        rest = rest + 1 if math.hypot(i_dq[k, 0], i_dq[k, 1]) < least else 0
+        idle[k] = rest * period > longest
+    return rest
+
+
+@compiled
+def bend_square(i_dq: FloatArray) -> float:
+    """Return the sum of the squared second differences of the currents (N, 2) of one run, A^2."""
+    total = 0.0
+    for k in range(2, len(i_dq)):
+        for axis in range(2):
+            bend = i_dq[k, axis] - 2.0 * i_dq[k - 1, axis] + i_dq[k - 2, axis]
+            total += bend * bend
+    return total

@@ -1,0 +1,221 @@
+"""The paper's regression ``eq:ls_regression``: its rows, and their information accumulated without stacking them.
+
+For each pair of neighbouring samples ``eq:single_row`` gives two rows, ``v = R q_1 + (Q_2 + Q_3) gamma + u_e q_4``.
+Only their cross products are kept, Z'Z with Z = [q_1, q_4, v, Q_2 + Q_3], per block of time: sums of blocks merge by
+addition, and leaving one block out at a time gives the uncertainty.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.maps.flux_models import FluxModel, TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.numerics.running_sums import State
+from drive_id.core.numerics.time_blocks import TimeBlocks
+from drive_id.core.paper.row_products import add_rows
+from drive_id.core.paper.sample_integrals import FLUX, SampleIntegrals, sample_integrals
+from drive_id.core.paper.spline_rows import add_spline_rows
+from drive_id.types import BoolArray, FloatArray, Samples
+
+CHUNK = 8192
+"""Samples worked on at a time: bounds the memory whatever the length of the recording."""
+
+_BLOCK_MEMORY = 2e8
+
+
+class Information:
+    """What a recording says about the parameters: Z'Z per block of time, independent of the recording's length.
+
+    Parameters
+    ----------
+    model : FluxModel
+    shape : TanhShape
+    block_duration : float
+        Initial length of a block, s; doubled by merging neighbours whenever there are more than ``max_blocks``.
+    max_blocks : int, optional
+        Even, at least 4. Default: 128, or fewer where the model is large.
+
+    Notes
+    -----
+    Samples may arrive in pieces of any size. A row needs two neighbours: a piece that continues another one begins
+    with the last sample of that one.
+    """
+
+    def __init__(
+        self, model: FluxModel, shape: TanhShape, block_duration: float = 0.1, max_blocks: int | None = None
+    ) -> None:
+        self.model = model
+        self.shape = shape
+        self.block_duration = block_duration
+        self.rows = 0
+        self.outside = 0
+        self._size = FLUX + model.parameters
+        affordable = int(_BLOCK_MEMORY / (8 * self._size**2)) // 2 * 2
+        self.max_blocks = max_blocks or min(max(affordable, 8), 128)
+        self._blocks: list[FloatArray] = []
+        self._starts: list[int] = []  # first block of each of several recordings that were merged
+        self._filled = np.inf  # time in the last block, s; infinite: a new recording begins
+
+    @property
+    def blocks(self) -> FloatArray:
+        """Z'Z of each block, (blocks, 3 + P, 3 + P), symmetric."""
+        return np.array(self._blocks).reshape(-1, self._size, self._size)
+
+    @property
+    def total(self) -> FloatArray:
+        """Z'Z of all rows, (3 + P, 3 + P), symmetric."""
+        total = np.zeros((self._size, self._size))
+        for block in self._blocks:
+            total += block
+        return total
+
+    def copy(self) -> Information:
+        """Return information that goes its own way from here; only the last block of time is still growing."""
+        other = copy.copy(self)
+        growing = [block.copy() for block in self._blocks[-1:]]
+        other._blocks = [*self._blocks[:-1], *growing]  # noqa: SLF001  # of its own class
+        other._starts = [*self._starts]  # noqa: SLF001
+        return other
+
+    def next_recording(self) -> None:
+        """Put what comes now into blocks of its own, as merging does."""
+        self._filled = np.inf
+
+    def merge(self, other: Information) -> None:
+        """Add what is known of other recordings, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        self.rows += other.rows
+        self.outside += other.outside
+        self._take(self._time_blocks().joined(other.copy()._time_blocks(), self.max_blocks))  # noqa: SLF001
+        self.next_recording()
+
+    def state(self) -> State:
+        """Return all that was gathered."""
+        counts = {"rows": np.array(self.rows), "outside": np.array(self.outside), "filled": np.array(self._filled)}
+        return self._time_blocks().state() | counts
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        self._take(TimeBlocks.of_state(state, self._size).within(self.max_blocks))
+        self.rows, self.outside, self._filled = int(state["rows"]), int(state["outside"]), float(state["filled"])
+
+    def _time_blocks(self) -> TimeBlocks:
+        return TimeBlocks(tuple(self._blocks), tuple(self._starts), self.block_duration)
+
+    def _take(self, blocks: TimeBlocks) -> None:
+        self._blocks, self._starts, self.block_duration = list(blocks.sums), list(blocks.starts), blocks.duration
+
+    def add(
+        self,
+        samples: Samples,
+        done: Callable[[int], None] | None = None,
+        left_out: BoolArray | None = None,
+        rotation: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        """Accumulate the rows of further samples.
+
+        Parameters
+        ----------
+        samples : Samples
+        done : callable, optional
+            Told after each part how many of them are done.
+        left_out : (N,) bool, optional
+            Samples of which nothing is to be used.
+        rotation : (N,) float, (N,) float, optional
+            Cosine and sine of the angle, where they are known already.
+        """
+        left_out = np.zeros(len(samples), np.bool_) if left_out is None else left_out
+        for run in samples.runs():
+            for part in _parts(run):
+                if isinstance(self.model, TensorSpline):
+                    turned = rotation and (rotation[0][part], rotation[1][part])
+                    self._accumulate_splines(self.model, samples, part, left_out[part], turned)
+                else:
+                    integrals = sample_integrals(samples, part, self.model, self.shape, left_out)
+                    self._accumulate(integrals, samples.sample_period)
+                if done:
+                    done(part.stop)
+
+    def _accumulate_splines(
+        self,
+        model: TensorSpline,
+        samples: Samples,
+        part: slice,
+        left_out: BoolArray,
+        rotation: tuple[FloatArray, FloatArray] | None,
+    ) -> None:
+        """Accumulate what :func:`sample_integrals` gives, in one pass that forms no rows."""
+        i_abc, u_abc, angle, speed = (
+            array[part] for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)
+        )
+        cosine, sine = rotation or (np.cos(angle), np.sin(angle))
+        drop = self.shape(i_abc)
+        axes = np.array([[axis.low, axis.high, axis.width] for axis in (model.d, model.q)])
+        counts = np.array([model.d.count, model.q.count], np.int64)
+        for pairs in self._spans(len(angle) - 1, samples.sample_period):
+            own = slice(pairs.start, pairs.stop + 1)
+            rows, outside = add_spline_rows(
+                i_abc[own],
+                u_abc[own],
+                drop[own],
+                cosine[own],
+                sine[own],
+                speed[own],
+                left_out[own],
+                samples.sample_period,
+                axes,
+                counts,
+                self._blocks[-1],
+            )
+            self.rows += rows
+            self.outside += outside
+
+    def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
+        self.rows += 2 * int(integrals.valid.sum())
+        self.outside += int((~integrals.inside).sum())
+        known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
+        for pairs in self._spans(len(integrals.v), period):
+            own = slice(pairs.start, pairs.stop + 1)
+            add_rows(
+                known[pairs],
+                integrals.half_turn[pairs],
+                integrals.valid[pairs],
+                integrals.rows.column[own],
+                integrals.rows.value[own],
+                self._blocks[-1],
+            )
+
+    def _spans(self, count: int, period: float) -> Iterator[slice]:
+        """Divide so many pairs of samples into those of the last block of time, and those of further ones."""
+        start = 0
+        while start < count:
+            if self._filled >= self.block_duration - period / 2:
+                self._open_block()
+            room = max(1, round((self.block_duration - self._filled) / period))
+            stop = min(count, start + room)
+            yield slice(start, stop)
+            self._filled += (stop - start) * period
+            start = stop
+
+    def _open_block(self) -> None:
+        if len(self._blocks) == self.max_blocks:
+            own, before = len(self._blocks) - self._starts[-1], self.block_duration
+            self._take(self._time_blocks().within(self.max_blocks - 1))
+            rest = own % round(self.block_duration / before)
+            if rest and np.isfinite(self._filled):  # the last block of this recording is not full at its new length
+                self._filled = rest * before
+                return
+        if np.isinf(self._filled):
+            self._starts.append(len(self._blocks))
+        self._blocks.append(np.zeros((self._size, self._size)))
+        self._filled = 0.0
+
+
+def _parts(run: slice) -> Iterator[slice]:
+    for start in range(run.start, run.stop - 1, CHUNK):
+        yield slice(start, min(start + CHUNK + 1, run.stop))

@@ -1,0 +1,161 @@
+"""Solution of the accumulated normal equations: scaled, rank-revealing, with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.paper.sample_integrals import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
+from drive_id.types import FloatArray, IntArray
+
+RANK_TOLERANCE = 1e-6
+"""Singular values of the column-scaled rows below this share of the largest count as zero."""
+
+_LEVERAGE_FLOOR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least-squares estimate.
+
+    Parameters
+    ----------
+    resistance : float
+        R, ohm.
+    voltage_error : float
+        u_e in the drop convention, V; 0 for a method without it.
+    gamma : (P,) float
+        Flux parameters, Wb; 0 for functions that never saw data.
+    rank : int
+        Unknowns that the data determine.
+    condition : float
+        Of the column-scaled rows, within the rank.
+    residual_rms : float
+        Of the rows, Vs.
+    columns : (C,) int
+        Columns of Z that were unknowns.
+    factor : (C, rank) float
+        W with W'NW = 1 on the determined part of the normal matrix N: WW' is its pseudo-inverse.
+    """
+
+    resistance: float
+    voltage_error: float
+    gamma: FloatArray
+    rank: int
+    condition: float
+    residual_rms: float
+    columns: IntArray
+    factor: FloatArray
+
+
+def solve(total: FloatArray, rows: int, with_inverter: bool) -> Solution:
+    """Solve ``eq:ls_regression`` from the cross products of its rows.
+
+    Parameters
+    ----------
+    total : (3 + P, 3 + P) float
+        Z'Z, see :class:`~drive_id.core.paper.regression.Information`.
+    rows : int
+        Number of rows accumulated.
+    with_inverter : bool
+        Estimate the voltage error (method ``joint``) or leave its column out (``psm``).
+
+    Returns
+    -------
+    Solution
+        Of least norm in the scaled unknowns where the data leave freedom, as functions without data do.
+    """
+    size = len(total)
+    columns = np.array([RESISTANCE, *([VOLTAGE_ERROR] if with_inverter else []), *range(FLUX, size)], dtype=np.int64)
+    factor, condition = _whitening(total[np.ix_(columns, columns)])
+    residual = np.zeros(size)
+    residual[VOLTAGE] = -1.0
+    residual[columns] = factor @ (factor.T @ total[columns, VOLTAGE])
+    square_sum = max(float(residual @ total @ residual), 0.0)
+    return Solution(
+        resistance=float(residual[RESISTANCE]),
+        voltage_error=float(residual[VOLTAGE_ERROR]),
+        gamma=residual[FLUX:],
+        rank=factor.shape[1],
+        condition=condition,
+        residual_rms=float(np.sqrt(square_sum / max(rows, 1))),
+        columns=columns,
+        factor=factor,
+    )
+
+
+def _whitening(normal: FloatArray) -> tuple[FloatArray, float]:
+    """Return W and the condition of the rows, see :class:`Solution`."""
+    norm = np.sqrt(np.diag(normal))
+    inverse = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
+    eigenvalues, vectors = np.linalg.eigh(normal * inverse[:, None] * inverse)
+    kept = eigenvalues > RANK_TOLERANCE**2 * max(eigenvalues[-1], np.finfo(np.float64).tiny)
+    eigenvalues, vectors = eigenvalues[kept], vectors[:, kept]
+    condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if len(eigenvalues) else float("inf")
+    return inverse[:, None] * vectors / np.sqrt(eigenvalues), condition
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Uncertainty of the estimate as what each block of time would change: the delete-a-block jackknife.
+
+    The variance of a linear function of the unknowns is the sum over blocks of its squared values here.
+
+    Parameters
+    ----------
+    resistance, voltage_error : (B,) float
+        Ohm and V.
+    gamma : (B, P) float
+        Wb.
+    """
+
+    resistance: FloatArray
+    voltage_error: FloatArray
+    gamma: FloatArray
+
+    @property
+    def known(self) -> bool:
+        """Whether there were blocks enough to say; otherwise all of them are infinite."""
+        return len(self.gamma) > 1
+
+
+def deviations(blocks: FloatArray, solution: Solution) -> Deviations:
+    """Leave out each block of time in turn.
+
+    Blocks of many samples take the correlation of the residuals along, and the leverage of a block that alone saw a
+    region is not hidden as it would be by a sandwich estimate. With noise in the regressors, which biases the paper's
+    estimate by another amount in each block, the result is wider than the scatter of repeated experiments.
+
+    Parameters
+    ----------
+    blocks : (B, 3 + P, 3 + P) float
+        Z'Z per block.
+    solution : Solution
+        Of their sum.
+
+    Returns
+    -------
+    Deviations
+        Infinite when there are fewer than two blocks.
+    """
+    count, size = blocks.shape[:2]
+    columns, factor = solution.columns, solution.factor
+    residual = np.zeros(size)
+    residual[[RESISTANCE, VOLTAGE_ERROR, VOLTAGE]] = solution.resistance, solution.voltage_error, -1.0
+    residual[FLUX:] = solution.gamma
+    identity = (1 + _LEVERAGE_FLOOR) * np.eye(factor.shape[1])
+    changes = np.zeros((count, size))
+    for change, block in zip(changes, blocks, strict=True):
+        leverage = factor.T @ block[np.ix_(columns, columns)] @ factor
+        change[columns] = factor @ np.linalg.solve(identity - leverage, factor.T @ (block[columns] @ residual))
+    if count < 2:
+        changes[:, columns] = np.inf
+    else:
+        changes *= np.sqrt((count - 1) / count)
+    return Deviations(changes[:, RESISTANCE], changes[:, VOLTAGE_ERROR], changes[:, FLUX:])
+
+
+def sigma(changes: FloatArray) -> float:
+    """Return the standard deviation of a quantity from its changes (B,), see :class:`Deviations`."""
+    return float(np.sqrt(np.sum(changes**2)))

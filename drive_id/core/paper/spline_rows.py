@@ -1,0 +1,250 @@
+"""The regression's rows for tensor-product splines, accumulated in one pass over the samples without forming them.
+
+With D = w^{k+1} - w^k and S = omega T / 2 (w^{k+1} + w^k), w being the 16 values of the splines that are not zero, the
+rows of ``eq:single_row`` hold [D, -S] and [S, D] in the columns of gamma_d and gamma_q. Their cross products are
+
+    D D' + S S'   for gamma_d and for gamma_q alike,        S D' - D S'   for gamma_d with gamma_q:
+
+the symmetric and the antisymmetric part of (D + S) D' + (S - D) S', so that one matrix of 16 x 16 is all to be summed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core.numerics import bspline
+from drive_id.core.numerics.compiled import compiled, inlined
+from drive_id.core.paper.pair_integrals import rotate, write_known
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+_PAIRS = 4
+"""Pairs of samples whose products are added at once."""
+
+
+@compiled
+def add_spline_rows(
+    i_abc: FloatArray,
+    u_abc: FloatArray,
+    drop: FloatArray,
+    cosine: FloatArray,
+    sine: FloatArray,
+    speed: FloatArray,
+    left_out: BoolArray,
+    period: float,
+    axes: FloatArray,
+    counts: IntArray,
+    gram: FloatArray,
+) -> tuple[int, int]:
+    """Add the cross products Z'Z of the rows of N - 1 pairs of neighbouring samples to ``gram``.
+
+    Parameters
+    ----------
+    i_abc, u_abc : (N, 3) float
+        A, V.
+    drop : (N, 3) float
+        The inverter's shape at the currents, dimensionless.
+    cosine, sine : (N,) float
+        Of the electrical angle.
+    speed : (N,) float
+        Electrical, rad/s.
+    left_out : (N,) bool
+        Samples of which nothing is to be used.
+    period : float
+        s.
+    axes : (2, 3) float
+        Of i_d and i_q: lower end, upper end and width of a cell, A.
+    counts : (2,) int
+        Splines along i_d and i_q.
+    gram : (3 + P, 3 + P) float
+        See :class:`~drive_id.core.paper.regression.Information`.
+
+    Returns
+    -------
+    rows, outside : int
+        Rows that were added, and pairs beyond the range of the splines.
+    """
+    functions = counts[0] * counts[1]
+    weights, column = np.zeros((2, 16)), np.zeros((2, 16), np.int64)  # of this sample and the one before, in turn
+    vectors, known, w_d, w_q = np.zeros((2, 4)), np.empty((2, 3)), np.empty(4), np.empty(4)
+    left, right, terms = np.zeros((2 * _PAIRS, 16)), np.zeros((2 * _PAIRS, 16)), np.zeros((2 * _PAIRS, 6))
+    square, mixed, scalar = np.zeros((16, 16)), np.zeros((6, 16)), np.zeros((3, 3))
+    rows, outside, waiting = 0, 0, 0
+    last_cell, was_valid, was_inside = -1, False, True
+    for k in range(len(i_abc)):
+        now, last = k % 2, 1 - k % 2
+        i_d, i_q = rotate(i_abc, drop, k, cosine[k], sine[k], vectors, now)
+        inside = axes[0, 0] <= i_d <= axes[0, 1] and axes[1, 0] <= i_q <= axes[1, 1]
+        valid = inside and not left_out[k]
+        cell = _write_weights(i_d, i_q, axes, counts, w_d, w_q, weights, now)
+        if cell != last_cell:
+            if last_cell >= 0:
+                _add_products(left, right, terms, waiting, square, mixed)
+                _scatter(square, mixed, column[last], functions, gram)
+                waiting = 0
+            for j in range(16):
+                column[now, j] = cell + j // 4 * counts[1] + j % 4
+        else:
+            for j in range(16):
+                column[now, j] = column[last, j]
+        outside += k > 0 and not (inside and was_inside)
+        if valid and was_valid:
+            rows += 2
+            half = speed[k - 1] * (0.5 * period)
+            write_known(u_abc, k - 1, cosine[k - 1], sine[k - 1], half, period, vectors, known)
+            _add_known(known, scalar)
+            if cell == last_cell:
+                _write_pair(weights, now, half, known, left, right, terms, waiting)
+                waiting += 1
+                if waiting == _PAIRS:
+                    _add_products(left, right, terms, waiting, square, mixed)
+                    waiting = 0
+            else:
+                _add_crossing(weights, column, now, half, known, functions, gram)
+        last_cell, was_valid, was_inside = cell, valid, inside
+    _add_products(left, right, terms, waiting, square, mixed)
+    _scatter(square, mixed, column[(len(i_abc) - 1) % 2], functions, gram)
+    for a in range(3):
+        for b in range(a + 1):
+            gram[a, b] += scalar[a, b]
+            gram[b, a] = gram[a, b]
+    return rows, outside
+
+
+@inlined
+def _write_weights(
+    i_d: float,
+    i_q: float,
+    axes: FloatArray,
+    counts: IntArray,
+    w_d: FloatArray,
+    w_q: FloatArray,
+    weights: FloatArray,
+    now: int,
+) -> int:
+    """Write the 16 splines that are not zero at a current, and return the first of them."""
+    cell_d, t_d = bspline.locate(i_d, axes[0, 0], axes[0, 2], counts[0] - 3)
+    cell_q, t_q = bspline.locate(i_q, axes[1, 0], axes[1, 2], counts[1] - 3)
+    bspline.weights(t_d, w_d)
+    bspline.weights(t_q, w_q)
+    for a in range(4):
+        for b in range(4):
+            weights[now, 4 * a + b] = w_d[a] * w_q[b]
+    first: int = cell_d * counts[1] + cell_q
+    return first
+
+
+@inlined
+def _write_pair(
+    weights: FloatArray,
+    now: int,
+    half: float,
+    known: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    terms: FloatArray,
+    pair: int,
+) -> None:
+    """Write D + S and S - D on the left, D and S on the right, and beside them what is known, of a pair in one cell."""
+    for j in range(16):
+        change = weights[now, j] - weights[1 - now, j]
+        total = half * (weights[now, j] + weights[1 - now, j])
+        left[2 * pair, j], left[2 * pair + 1, j] = change + total, total - change
+        right[2 * pair, j], right[2 * pair + 1, j] = change, total
+    _write_terms(known, terms, 2 * pair)
+
+
+@inlined
+def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
+    """Write what stands beside D, and below it what beside S, in the products with q_1, q_4 and v."""
+    for a in range(3):
+        terms[row, a], terms[row, 3 + a] = known[0, a], known[1, a]
+        terms[row + 1, a], terms[row + 1, 3 + a] = known[1, a], -known[0, a]
+
+
+@compiled
+def _add_crossing(
+    weights: FloatArray,
+    column: IntArray,
+    now: int,
+    half: float,
+    known: FloatArray,
+    functions: int,
+    gram: FloatArray,
+) -> None:
+    """Add the products of a pair of samples in two cells."""
+    right, terms, both = np.empty((2, 32)), np.empty((2, 6)), np.empty(32, np.int64)
+    square, mixed = np.empty((32, 32)), np.empty((6, 32))
+    for j in range(16):
+        before, after = weights[1 - now, j], weights[now, j]
+        both[j], both[16 + j] = column[1 - now, j], column[now, j]
+        right[0, j], right[0, 16 + j], right[1, j], right[1, 16 + j] = -before, after, half * before, half * after
+    _write_terms(known, terms, 0)
+    for a in range(32):
+        x, y = right[0, a] + right[1, a], right[1, a] - right[0, a]
+        for b in range(32):
+            square[a, b] = x * right[0, b] + y * right[1, b]
+    for a in range(6):
+        for b in range(32):
+            mixed[a, b] = terms[0, a] * right[0, b] + terms[1, a] * right[1, b]
+    _scatter(square, mixed, both, functions, gram)
+
+
+@inlined
+def _add_known(known: FloatArray, scalar: FloatArray) -> None:
+    """Add the products of q_1, q_4 and v with each other to the lower triangle."""
+    for a in range(3):
+        for b in range(a + 1):
+            scalar[a, b] += known[0, a] * known[0, b] + known[1, a] * known[1, b]
+
+
+@compiled
+def _add_products(
+    left: FloatArray, right: FloatArray, terms: FloatArray, pairs: int, square: FloatArray, mixed: FloatArray
+) -> None:
+    """Add the products left' right to ``square`` and terms' right to ``mixed``, of the first ``pairs`` of four pairs.
+
+    Written out, because compilers keep the sums in registers then: three times as fast as the loop.
+    """
+    left[2 * pairs :], right[2 * pairs :], terms[2 * pairs :] = 0.0, 0.0, 0.0
+    r0, r1, r2, r3, r4, r5, r6, r7 = right[0], right[1], right[2], right[3], right[4], right[5], right[6], right[7]
+    for a in range(16):
+        line = square[a]
+        x0, x1, x2, x3 = left[0, a], left[1, a], left[2, a], left[3, a]
+        x4, x5, x6, x7 = left[4, a], left[5, a], left[6, a], left[7, a]
+        for b in range(16):
+            first = (x0 * r0[b] + x1 * r1[b]) + (x2 * r2[b] + x3 * r3[b])
+            line[b] += first + ((x4 * r4[b] + x5 * r5[b]) + (x6 * r6[b] + x7 * r7[b]))
+    for a in range(6):
+        line = mixed[a]
+        x0, x1, x2, x3 = terms[0, a], terms[1, a], terms[2, a], terms[3, a]
+        x4, x5, x6, x7 = terms[4, a], terms[5, a], terms[6, a], terms[7, a]
+        for b in range(16):
+            first = (x0 * r0[b] + x1 * r1[b]) + (x2 * r2[b] + x3 * r3[b])
+            line[b] += first + ((x4 * r4[b] + x5 * r5[b]) + (x6 * r6[b] + x7 * r7[b]))
+
+
+@compiled
+def _scatter(square: FloatArray, mixed: FloatArray, column: IntArray, functions: int, gram: FloatArray) -> None:
+    """Add the products to ``gram``, symmetrically, and clear them."""
+    d, q = 3, 3 + functions
+    for a in range(len(square)):
+        for b in range(a + 1):
+            same, turned = 0.5 * (square[a, b] + square[b, a]), 0.5 * (square[a, b] - square[b, a])
+            m, n = column[a], column[b]
+            gram[d + m, d + n] += same
+            gram[q + m, q + n] += same
+            gram[d + m, q + n] += turned
+            gram[q + n, d + m] += turned
+            if a != b:
+                gram[d + n, d + m] += same
+                gram[q + n, q + m] += same
+                gram[d + n, q + m] -= turned
+                gram[q + m, d + n] -= turned
+            square[a, b] = square[b, a] = 0.0
+    for j in range(3):
+        for a in range(len(square)):
+            gram[j, d + column[a]] += mixed[j, a]
+            gram[d + column[a], j] += mixed[j, a]
+            gram[j, q + column[a]] += mixed[3 + j, a]
+            gram[q + column[a], j] += mixed[3 + j, a]
+            mixed[j, a] = mixed[3 + j, a] = 0.0

@@ -1,0 +1,1 @@
+"""Which experiment tells most: candidates, predicted standard errors, planner."""

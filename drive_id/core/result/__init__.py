@@ -1,0 +1,1 @@
+"""The identified drive: maps, resistance, inverter, standard errors and warnings."""

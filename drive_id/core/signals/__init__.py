@@ -1,0 +1,1 @@
+"""Recorded signals: their sample period, gaps and partners, joined on one clock."""

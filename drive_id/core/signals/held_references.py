@@ -1,0 +1,75 @@
+"""Current references as they arrive, each held until the next one: the join's, without having all at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core.numerics.scans import all_finite, rising
+from drive_id.core.signals.matching import constant_shift
+from drive_id.core.signals.signal import Signal, finite_rows
+from drive_id.types import FloatArray, IntArray
+
+
+class HeldReferences:
+    """References that stand, and are not past yet.
+
+    Parameters
+    ----------
+    period : float
+        Time between them, s: each is held for at most 1.5 of it.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._hold = 1.5e9 * period
+        self._stamp: IntArray = np.zeros(0, np.int64)
+        self._values: FloatArray = np.zeros((0, 2))
+
+    def add(self, piece: Signal) -> None:
+        """Take further references; they take back what is due at or after their stamps."""
+        stamp, values = piece.stamp, piece.values
+        if not all_finite(values):
+            known = finite_rows(values)
+            stamp, values = stamp[known], values[known]
+        if not len(stamp):
+            return
+        if not rising(stamp):
+            stands = np.append(stamp[:-1] < np.minimum.accumulate(stamp[::-1])[::-1][1:], True)
+            stamp, values = stamp[stands], values[stands]
+        kept = int(np.searchsorted(self._stamp, stamp[0]))
+        self._stamp = np.concatenate([self._stamp[:kept], stamp])
+        self._values = np.concatenate([self._values[:kept], values])
+
+    def at(self, stamp: IntArray, period: float) -> FloatArray | None:
+        """Return the references that hold at increasing stamps.
+
+        What lies before the last stamp is forgotten.
+
+        Parameters
+        ----------
+        stamp : (N,) int64
+            ns.
+        period : float
+            Of the samples, s, a tenth of which a reference may come late.
+
+        Returns
+        -------
+        (N, 2) float or None
+            A, NaN where there are none; ``None`` as long as there were none at all.
+        """
+        if not len(self._stamp):
+            return None
+        late = int(0.1e9 * period)
+        begin, count = int(np.searchsorted(self._stamp, stamp[0])), len(stamp)
+        near = self._stamp[begin : begin + count + 1]
+        if constant_shift(stamp, near) == 0 and np.diff(near).min(initial=2 * late + 1) > late:
+            values: FloatArray = self._values[begin : begin + count].copy()
+            past = begin + count - 1
+        else:
+            index = np.searchsorted(self._stamp, stamp + late, side="right") - 1
+            first = np.maximum(index, 0)
+            valid = (index >= 0) & (stamp - self._stamp[first] <= self._hold)
+            values = self._values[first]
+            values[~valid] = np.nan
+            past = int(first[-1])
+        self._stamp, self._values = self._stamp[past:], self._values[past:]
+        return values

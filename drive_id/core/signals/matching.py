@@ -1,0 +1,150 @@
+"""Partners of samples in another signal: equal instants but for a constant offset below half a sample period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.numerics.scans import apart
+from drive_id.errors import DataError
+from drive_id.types import BoolArray, IntArray
+
+_LEAST_DIRECTION = 0.5
+_LARGEST_OFFSET = 0.45
+
+
+def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
+    """Index of the entry of ``stamp`` (M,), increasing, nearest to each entry of ``clock`` (N,)."""
+    right = np.clip(np.searchsorted(stamp, clock), 0, len(stamp) - 1)
+    left = np.maximum(right - 1, 0)
+    closer: IntArray = np.where(np.abs(stamp[left] - clock) <= np.abs(stamp[right] - clock), left, right)
+    return closer
+
+
+def constant_shift(clock: IntArray, stamp: IntArray, offset: int = 0) -> int | None:
+    """Return by how much ``stamp`` (M,) lies behind ``clock`` (N,), both increasing, ns, one by one.
+
+    Parameters
+    ----------
+    clock : (N,) int64
+    stamp : (M,) int64
+    offset : int
+        How far partners are expected to be apart, ns.
+
+    Returns
+    -------
+    int or None
+        ``None`` unless the k-th stamp is the one nearest to the k-th entry of the clock, and always as far from it.
+    """
+    count = len(clock)
+    if not 0 < count <= len(stamp):
+        return None
+    shift = int(stamp[0]) - int(clock[0])
+    if int(stamp[count - 1]) - int(clock[-1]) != shift or not apart(clock, stamp, shift):
+        return None
+    least = np.diff(stamp[: count + 1]).min() if len(stamp) > 1 else np.iinfo(np.int64).max
+    return shift if 2 * abs(shift - offset) < least else None
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Where the stamps of a signal lie between those of the clock, as a mean direction on the circle of one period.
+
+    Parameters
+    ----------
+    total : complex
+        Sum of unit vectors.
+    count : int
+        Number of pairs of samples within one period of each other.
+    """
+
+    total: complex = 0j
+    count: int = 0
+
+    @classmethod
+    def of(cls, clock: IntArray, stamp: IntArray, step: float) -> Phase:
+        """Measure the phase of ``stamp`` (M,), increasing, on ``clock`` (N,), ns, of period ``step``, ns."""
+        if not len(clock) or not len(stamp):
+            return cls()
+        shift = constant_shift(clock, stamp)
+        if shift is not None:
+            return cls.constant(shift, len(clock), step)
+        away = stamp[nearest(clock, stamp)] - clock
+        near = np.abs(away) <= step
+        return cls(complex(np.exp(2j * np.pi * away[near] / step).sum()), int(near.sum()))
+
+    @classmethod
+    def constant(cls, shift: int, count: int, step: float) -> Phase:
+        """Return the phase of so many stamps, each ``shift``, ns, behind that of the clock."""
+        return cls(count * complex(np.exp(2j * np.pi * shift / step)), count) if abs(shift) <= step else cls()
+
+    def __add__(self, other: Phase) -> Phase:
+        return Phase(self.total + other.total, self.count + other.count)
+
+    def offset(self, step: float, name: str, clock_name: str) -> int:
+        """Return the constant offset of the stamps, ns.
+
+        Parameters
+        ----------
+        step : float
+            Sample period, ns.
+        name, clock_name : str
+            Of both signals, for messages.
+
+        Raises
+        ------
+        DataError
+            When the offset is not constant, or about half a period.
+        """
+        if not self.count:
+            return 0
+        direction = self.total / self.count
+        names = f"the stamps of {name} and {clock_name}"
+        if abs(direction) < _LEAST_DIRECTION:
+            raise DataError(
+                f"The offset between {names} wanders by more than a sample period: stamp both with one clock, or take "
+                "another stamp source in a signals file."
+            )
+        offset = int(np.rint(np.angle(direction) / (2 * np.pi) * step))
+        if abs(offset) > _LARGEST_OFFSET * step:
+            raise DataError(
+                f"Between {names} lies half a sample period ({offset * 1e-3:.1f} us), so that their order is a guess: "
+                "give the true stamp_offset in a signals file."
+            )
+        return offset
+
+
+def partners(
+    clock: IntArray, stamp: IntArray, offset: int, step: float, taken: int | None = None
+) -> tuple[IntArray, BoolArray]:
+    """Find the partner of each sample of the clock; none serves two samples.
+
+    Parameters
+    ----------
+    clock : (N,) int64
+        ns, increasing.
+    stamp : (M,) int64
+        ns, increasing.
+    offset : int
+        Of ``stamp`` from the clock, ns.
+    step : float
+        Sample period, ns.
+    taken : int, optional
+        Stamp of the last partner of an earlier part of the clock, which is not to be had again.
+
+    Returns
+    -------
+    index : (N,) int64
+        Into ``stamp``, valid where ``found``.
+    found : (N,) bool
+    """
+    if not len(clock) or not len(stamp):
+        return np.zeros(len(clock), np.int64), np.zeros(len(clock), np.bool_)
+    index = nearest(clock + offset, stamp)
+    found = np.abs(stamp[index] - clock - offset) <= 0.5 * step
+    candidates = np.flatnonzero(found)
+    found[candidates[1:][np.diff(index[candidates]) == 0]] = False
+    if taken is not None and len(candidates) and int(stamp[index[candidates[0]]]) == taken:
+        found[candidates[0]] = False
+    return index, found

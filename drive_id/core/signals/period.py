@@ -1,0 +1,162 @@
+"""The sample period on which the signals of a drive agree: declared, and shown by the stamps."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import numpy as np
+
+from drive_id.core.signals.join_report import period_text
+from drive_id.core.signals.signal import Signal
+from drive_id.errors import SamplePeriodError
+from drive_id.types import IntArray
+
+PERIOD_TOLERANCE = 0.01
+"""Largest relative difference between sample periods that count as equal."""
+
+
+def measured_period(signal: Signal) -> float | None:
+    """Estimate the true sample period of a signal from the stamps of its messages.
+
+    Returns
+    -------
+    float or None
+        s; the mean over all neighbouring messages between which nothing is missing. ``None`` with fewer than three.
+    """
+    starts = np.arange(len(signal.stamp)) if signal.block_start is None else signal.block_start
+    return usual_period(np.diff(signal.stamp[starts]), np.diff(starts))
+
+
+def usual_period(elapsed: IntArray, count: IntArray) -> float | None:
+    """Estimate the sample period, s, from the times (B,), ns, and samples (B,) between neighbouring messages.
+
+    Returns
+    -------
+    float or None
+        ``None`` with fewer than two times that are positive.
+    """
+    forward = elapsed > 0
+    elapsed, count = elapsed[forward], count[forward]
+    if len(elapsed) < 2:
+        return None
+    middle = np.median(elapsed / count)
+    usual = np.abs(elapsed - count * middle) < 0.5 * middle
+    if not usual.any():
+        return float(middle) * 1e-9
+    return float(elapsed[usual].sum() / count[usual].sum()) * 1e-9
+
+
+class Spacings:
+    """Times between neighbouring messages of a recording of any length, to measure its sample period by.
+
+    The first ones are kept; of later ones, the sum of those that the first ones call usual.
+    """
+
+    def __init__(self, kept: int = 1 << 16) -> None:
+        self._most = kept
+        self._kept: list[IntArray] = []
+        self._count = 0
+        self._middle = 0.0
+        self._sum: IntArray = np.zeros(2, np.int64)
+        self._last: tuple[int, int] | None = None
+
+    def copy(self) -> Spacings:
+        """Return spacings that go their own way."""
+        other = copy.copy(self)
+        other._kept = list(self._kept)  # noqa: SLF001  # of its own class
+        return other
+
+    def add(self, stamp: IntArray, count: IntArray) -> None:
+        """Take further messages, by the stamp (B,), ns, and the number (B,) of their samples."""
+        if not len(stamp):
+            return
+        if self._last is not None:
+            stamp, count = np.append(self._last[0], stamp), np.append(self._last[1], count)
+        self._last = int(stamp[-1]), int(count[-1])
+        pairs = np.stack([np.diff(stamp), count[:-1]])
+        room = max(self._most - self._count, 0)
+        if room:
+            self._kept.append(pairs[:, :room])
+            self._count += min(pairs.shape[1], room)
+        later = pairs[:, room:]
+        if later.shape[1]:
+            if not self._middle:
+                elapsed, number = self._first()
+                self._middle = float(np.median((elapsed / number)[elapsed > 0]))
+            elapsed, number = later
+            usual = (elapsed > 0) & (np.abs(elapsed - number * self._middle) < 0.5 * self._middle)
+            self._sum = self._sum + later[:, usual].sum(axis=1)
+
+    def period(self) -> float | None:
+        """Return the sample period, s; see :func:`usual_period`."""
+        if not self._kept:
+            return None
+        elapsed, count = self._first()
+        if not self._sum[1]:
+            return usual_period(elapsed, count)
+        usual = (elapsed > 0) & (np.abs(elapsed - count * self._middle) < 0.5 * self._middle)
+        return float((elapsed[usual].sum() + self._sum[0]) / (count[usual].sum() + self._sum[1])) * 1e-9
+
+    def _first(self) -> IntArray:
+        self._kept = [np.concatenate(self._kept, axis=1)]
+        return self._kept[0]
+
+
+def common_period(signals: Sequence[Signal]) -> float:
+    """Return the sample period on which all signals agree, s.
+
+    Raises
+    ------
+    SamplePeriodError
+        When a period is not positive, not known, or two differ by more than 1 %.
+    """
+    claims = declared_periods(signals)
+    for signal in signals:
+        measured = measured_period(signal)
+        if measured is not None:
+            claims.append((f"the stamps of {signal.name} show", measured))
+    if not claims:
+        raise SamplePeriodError(
+            f"The sample period is unknown, for {signals[0].name} declares none and holds too few messages to measure "
+            "it: give sample_period in a signals file."
+        )
+    check_agreement(claims)
+    return claims[0][1]
+
+
+def check_declared_periods(signals: Sequence[Signal]) -> None:
+    """Refuse declared periods that are none, or that disagree, before any stamp is looked at.
+
+    Raises
+    ------
+    SamplePeriodError
+    """
+    check_agreement(declared_periods(signals))
+
+
+def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
+    """Return who declares which sample period, s."""
+    claims = []
+    for signal in signals:
+        period = signal.sample_period
+        if period is None:
+            continue
+        if not (np.isfinite(period) and 1e-9 <= period < 1e4):
+            raise SamplePeriodError(
+                f"{signal.name} declares a sample period of {period} s: correct its publisher or give the period in a "
+                "signals file."
+            )
+        claims.append((f"{signal.name} declares", period))
+    return claims
+
+
+def check_agreement(claims: Sequence[tuple[str, float]]) -> None:
+    """Refuse sample periods that differ by more than the tolerance."""
+    for other, value in claims[1:]:
+        said, period = claims[0]
+        if abs(value / period - 1.0) > PERIOD_TOLERANCE:
+            raise SamplePeriodError(
+                f"The sample periods disagree, {said} {period_text(period)} but {other} {period_text(value)}: "
+                "record all signals at one rate, or correct sample_period or the stamp source in a signals file."
+            )

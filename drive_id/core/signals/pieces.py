@@ -1,0 +1,120 @@
+"""Several recordings of one drive as one, at once or piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from drive_id.core.signals.join_report import period_text
+from drive_id.core.signals.period import PERIOD_TOLERANCE
+from drive_id.core.signals.stream_join import Piece
+from drive_id.errors import DataError, SamplePeriodError
+from drive_id.types import GroundTruth, Samples
+
+_DISTANCE = 1_000_000_000
+"""Put between recordings that overlap, ns."""
+
+
+def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
+    """Put recordings one behind the other; each begins a new run, so nothing reaches from one into the next.
+
+    Parameters
+    ----------
+    parts : sequence of Samples
+        At least one, of equal sample period.
+
+    Returns
+    -------
+    samples : Samples
+    moved : tuple of int
+        Which parts lay in time before the end of an earlier one, as simulations do, and were moved behind it.
+
+    Raises
+    ------
+    SamplePeriodError
+        When the periods differ by more than 1 %.
+    """
+    several, placed = SeveralRecordings(), []
+    for part in parts:
+        several.begin()
+        placed.append(several.placed(Piece(part, continues=False)).samples)
+    return Samples.joined(placed), tuple(several.moved)
+
+
+class SeveralRecordings:
+    """Does to pieces of recordings what :func:`merge` does to all at once.
+
+    Attributes
+    ----------
+    end : int or None
+        Stamp of the last sample so far, ns.
+    moved : list of int
+        See :func:`merge`.
+    """
+
+    def __init__(self) -> None:
+        self.end: int | None = None
+        self.moved: list[int] = []
+        self._period: float | None = None
+        self._number = -1
+        self._shift: int | None = None
+
+    def begin(self) -> None:
+        """Begin a further recording."""
+        self._number += 1
+        self._shift = None
+
+    def placed(self, piece: Piece) -> Piece:
+        """Return the next piece of the recording, in its place behind those before.
+
+        Raises
+        ------
+        SamplePeriodError
+            When the periods of two recordings differ by more than 1 %.
+        """
+        samples = piece.samples
+        if self._period is None:
+            self._period = samples.sample_period
+        _check_period(self._period, samples.sample_period, self._number)
+        if self._shift is None:
+            self._shift = 0
+            if self.end is not None and int(samples.stamp[0]) <= self.end + 2e9 * self._period:
+                self._shift = self.end + _DISTANCE - int(samples.stamp[0])
+                self.moved.append(self._number)
+        if self._shift or samples.sample_period != self._period:
+            samples = replace(samples, stamp=samples.stamp + self._shift, sample_period=self._period)
+            piece = replace(piece, samples=samples)
+        self.end = int(samples.stamp[-1])
+        return piece
+
+
+def _check_period(first: float, period: float, number: int) -> None:
+    if abs(period / first - 1.0) > PERIOD_TOLERANCE:
+        raise SamplePeriodError(
+            f"The sample periods of the recordings disagree, {period_text(first)} in the first and "
+            f"{period_text(period)} in number {number + 1}: fit them separately."
+        )
+
+
+def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:
+    """Return the truth that all recordings carry, None where one has none.
+
+    Raises
+    ------
+    DataError
+        When they are simulations of different machines, whose fit together means nothing.
+    """
+    known = [truth for truth in truths if truth is not None]
+    machines = sorted({truth.machine for truth in known})
+    if len(machines) > 1:
+        named = ", ".join(machines)
+        raise DataError(f"The recordings are simulations of different machines ({named}): fit each by itself.")
+    return known[0] if known and len(known) == len(truths) else None
+
+
+def overlap_warning(name: object) -> str:
+    """Say that a recording begins before another one has ended."""
+    return (
+        f"{name} overlaps in time with the bags before it and was put behind them: make sure that it is not the same "
+        "recording again."
+    )

@@ -1,0 +1,209 @@
+"""One signal as it arrives: put in order, counted, and kept until its samples have found their partners."""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+
+import numpy as np
+
+from drive_id.core.numerics.scans import all_finite, rising
+from drive_id.core.signals.join_report import SignalReport
+from drive_id.core.signals.period import Spacings, declared_periods, usual_period
+from drive_id.core.signals.signal import LARGEST_CUT, Signal, finite_rows, non_finite_error, order_error
+from drive_id.errors import DataError, EmptyTopicError, SamplePeriodError
+from drive_id.types import FloatArray, IntArray
+
+_SAME_PERIOD = 1e-6
+_SPACINGS = 1000
+
+
+class SignalTrack:
+    """What is known of one signal, and its samples that still wait.
+
+    Parameters
+    ----------
+    name : str
+        Topic, for messages.
+    recorded : bool
+        It is read from a recording: all of its messages count for the measured period, not only the latest.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Waiting samples after :meth:`fold`, strictly increasing, ns.
+    values : (N, K) float
+    period : float or None
+        As declared, s.
+    read : int
+        Samples that arrived.
+    given_up : int
+        Samples dropped because their partners kept them waiting.
+    fault : DataError or None
+        Why the signal cannot be used any more.
+    """
+
+    def __init__(self, name: str, *, recorded: bool = False) -> None:
+        self.name = name
+        self.stamp: IntArray = np.zeros(0, np.int64)
+        self.values: FloatArray = np.zeros((0, 0))
+        self.period: float | None = None
+        self.read = self.repeated = self.backward = self.lost = self.losses = self.given_up = 0
+        self.fault: DataError | None = None
+        self._raw: list[Signal] = []
+        self._raw_count = 0
+        self._not_finite = 0
+        self._first_not_finite = 0  # ns after the start
+        self._first_cut = (0, 0)  # ns by which it lies behind, ns after the start
+        self._start: int | None = None
+        self._previous = 0  # stamp of the last sample, ns
+        self._latest = 0  # largest stamp seen, ns
+        self._spacings: deque[tuple[int, int]] = deque(maxlen=_SPACINGS)
+        self._whole = Spacings() if recorded else None
+        self._last_message: tuple[int, int] | None = None
+
+    @property
+    def fresh(self) -> int:
+        """Samples that arrived since the last :meth:`fold`."""
+        return self._raw_count
+
+    @property
+    def measured_period(self) -> float | None:
+        """Sample period by the stamps of the latest messages, or of all of a recording, s."""
+        if self._whole is not None:
+            return self._whole.period()
+        elapsed, count = np.array(self._spacings, np.int64).reshape(-1, 2).T
+        return usual_period(elapsed, count)
+
+    @property
+    def range(self) -> tuple[int, int]:
+        """First and largest stamp, ns."""
+        return self._start or 0, self._latest
+
+    def copy(self) -> SignalTrack:
+        """Return a track that goes its own way."""
+        other = copy.copy(self)
+        other._raw, other._spacings = list(self._raw), self._spacings.copy()  # noqa: SLF001  # of its own class
+        other._whole = self._whole and self._whole.copy()  # noqa: SLF001
+        return other
+
+    def add(self, piece: Signal) -> None:
+        """Take what arrived; a signal with a fault is counted, but not kept."""
+        count = len(piece.stamp)
+        self.lost += piece.lost
+        self.losses += piece.losses
+        if not count:
+            return
+        self.read += count
+        self._check_period(piece)
+        self._space(piece)
+        if self.fault is None:
+            self._raw.append(piece)
+            self._raw_count += count
+
+    def fold(self) -> None:
+        """Put in order what arrived: leave out samples that are not finite, and cut repeated and backward stamps."""
+        if not self._raw:
+            return
+        stamp, values = self._raw[0].stamp, self._raw[0].values
+        if len(self._raw) > 1:
+            stamp = np.concatenate([piece.stamp for piece in self._raw])
+            values = np.concatenate([piece.values for piece in self._raw])
+        self._raw, self._raw_count = [], 0
+        if self._start is None:
+            self._start = int(stamp[0])
+            self._latest = self._previous = self._start - 1
+        if not all_finite(values):
+            finite = finite_rows(values)
+            if not self._not_finite:
+                self._first_not_finite = int(stamp[np.argmin(finite)]) - self._start
+            self._not_finite += len(finite) - int(finite.sum())
+            stamp, values = stamp[finite], values[finite]
+        if len(stamp) and stamp[0] > self._latest and rising(stamp):
+            self._latest = self._previous = int(stamp[-1])
+        else:
+            kept = self._in_order(stamp)
+            stamp, values = stamp[kept], values[kept]
+        if len(self.stamp):
+            stamp, values = np.concatenate([self.stamp, stamp]), np.concatenate([self.values, values])
+        self.stamp, self.values = stamp, values
+
+    def drop(self, count: int) -> None:
+        """Forget the oldest samples."""
+        self.stamp, self.values = self.stamp[count:], self.values[count:]
+
+    def check(self) -> None:
+        """Raise what the offline join would have found in this signal.
+
+        Raises
+        ------
+        EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
+        """
+        if not self.read:
+            raise EmptyTopicError(f"No sample of {self.name} has arrived: start the drive, or remap the topic.")
+        if self._not_finite:
+            raise non_finite_error(self.name, self._not_finite, self._first_not_finite)
+        if self.fault is not None:
+            raise self.fault
+        cut = self.repeated + self.backward
+        if cut > LARGEST_CUT * self.read:
+            raise order_error(self.name, cut, self.read, *self._first_cut)
+
+    def report(self, used: int, offset: int) -> SignalReport:
+        """Return what became of the signal; ``offset`` in ns."""
+        return SignalReport(
+            topic=self.name,
+            read=self.read,
+            used=used,
+            repeated=self.repeated,
+            backward=self.backward,
+            lost=self.lost,
+            losses=self.losses,
+            offset=offset * 1e-9,
+            declared_period=self.period,
+            measured_period=self.measured_period,
+        )
+
+    def _in_order(self, stamp: IntArray) -> IntArray:
+        """Return the indices of stamps (N,) that exceed all before them, and count the others."""
+        if not len(stamp):
+            return np.zeros(0, np.int64)
+        seen = np.maximum.accumulate(np.concatenate(([self._latest], stamp)))
+        before = np.concatenate(([self._previous], stamp[:-1]))
+        behind = stamp <= seen[:-1]
+        if behind.any():
+            if not self.repeated + self.backward:
+                k = int(np.argmax(behind))
+                self._first_cut = int(seen[k]) - int(stamp[k]), int(before[k]) - (self._start or 0)
+            repeated = int(np.sum(behind & ((stamp == seen[:-1]) | (stamp == before))))
+            self.repeated += repeated
+            self.backward += int(behind.sum()) - repeated
+        self._latest, self._previous = int(seen[-1]), int(stamp[-1])
+        return np.flatnonzero(~behind)
+
+    def _check_period(self, piece: Signal) -> None:
+        if self.period is None:
+            self.period = piece.sample_period
+            try:
+                declared_periods([piece])
+            except SamplePeriodError as error:
+                self.fault = error
+            if self.period is None:
+                self.fault = SamplePeriodError(f"{self.name} declares no sample period: correct its publisher.")
+        elif not abs((piece.sample_period or 0.0) - self.period) <= _SAME_PERIOD * self.period and self.fault is None:
+            self.fault = SamplePeriodError(
+                f"The sample period of {self.name} changes from {self.period} to {piece.sample_period} s at stamp "
+                f"{int(piece.stamp[0])} ns: reset the live samples after a change of rate."
+            )
+
+    def _space(self, piece: Signal) -> None:
+        """Note the time from message to message."""
+        starts = np.arange(len(piece.stamp)) if piece.block_start is None else piece.block_start
+        if self._whole is not None:
+            self._whole.add(piece.stamp[starts], np.diff(np.append(starts, len(piece.stamp))))
+            return
+        for start, end in zip(starts, np.append(starts[1:], len(piece.stamp)), strict=True):
+            stamp = int(piece.stamp[start])
+            if self._last_message is not None:
+                self._spacings.append((stamp - self._last_message[0], self._last_message[1]))
+            self._last_message = stamp, int(end - start)

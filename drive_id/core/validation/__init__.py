@@ -1,0 +1,1 @@
+"""Is the identified model right? Open-loop simulation of the current; MAD and NRMSE."""

@@ -1,0 +1,1 @@
+"""Messages: definitions, types, fields, and blocks of samples to and from CDR."""

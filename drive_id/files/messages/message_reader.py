@@ -1,0 +1,180 @@
+"""One message to its part of a signal: which fields, which time."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.errors import MessageTypeError
+from drive_id.files.messages.block_codec import decode_block
+from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
+from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
+from drive_id.files.messages.signals_file import (
+    STAMP_UNITS,
+    PhaseSource,
+    ReferenceSource,
+    RotorSource,
+    SignalMap,
+    TimeSource,
+)
+from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.types import IntArray
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+DECODE_ERRORS = (
+    struct.error,
+    ValueError,
+    LookupError,
+    TypeError,
+    AssertionError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+)
+"""What a message that is not what its type says can raise in :data:`Reader`."""
+STAMP_LIMIT = 2**61
+"""ns; stamps beyond it (73 years) could overflow in differences."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """What one message gives to one signal.
+
+    Parameters
+    ----------
+    stamp : int or (n,) int64
+        ns, of the first sample or of each.
+    first_sample : int or None
+    sample_period : float or None
+        s.
+    columns : tuple of (n,) float32 or float64
+    """
+
+    stamp: int | IntArray
+    first_sample: int | None
+    sample_period: float | None
+    columns: tuple[NDArray[np.floating], ...]
+
+
+Reader = Callable[[RawMessage], Piece]
+
+
+def _value_paths(source: TimeSource) -> tuple[str, ...]:
+    if isinstance(source, RotorSource):
+        return (source.angle, source.speed) if source.speed else (source.angle,)
+    assert isinstance(source, (PhaseSource, ReferenceSource))
+    return source.fields
+
+
+def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
+    """Choose how to read one signal from the messages of a topic."""
+    if topic.encoding != "cdr":
+        raise MessageTypeError(
+            f"{topic.name} is encoded as '{topic.encoding}', not as CDR: record it with ROS 2, or convert the bag."
+        )
+    columns = block_columns(topic, source, signals)
+    if columns is not None:
+        return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
+    return _field_reader(topic.type_name, source, _value_paths(source), _typestore_for(topic, signals))
+
+
+def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
+    """Return which arrays of our own messages the signal is in; ``None`` when it is not to be read from such."""
+    paths = _value_paths(source)
+    arrays = BLOCK_FIELDS.get(topic.type_name, ())
+    usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
+    usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
+    if usual and _is_ours(topic, signals):
+        return [arrays.index(path) for path in paths]
+    return None
+
+
+def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
+    """Tell whether a topic's messages have the fields of ours of that name; the very text need not be parsed."""
+    given = (topic.definition_format, topic.definition)
+    if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
+        return True
+    return _typestore_for(topic, signals).fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]
+
+
+def _typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
+    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # bags of our own messages need no rosbags
+
+    return typestore_for(topic, signals)
+
+
+def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
+    """Read our own messages, without a Python object per message field."""
+    logged = source.stamp == "log_time"
+
+    def read(message: RawMessage) -> Piece:
+        block = decode_block(message.data, count)
+        stamp = message.log_time if logged else block.stamp
+        return Piece(stamp, block.first_sample, block.sample_period, tuple(block.values[k] for k in columns))
+
+    return read
+
+
+def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], store: Typestore) -> Reader:
+    """Read any message through its definition and the paths of a signals file."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415  # as above
+
+    values = [parse_field_path(path, "fields") for path in paths]
+    period = source.sample_period
+    period_path = parse_field_path(period, "sample_period") if isinstance(period, str) else None
+    count_path = parse_field_path(source.first_sample, "first_sample") if source.first_sample else None
+    stamp_path = parse_field_path("header.stamp" if source.stamp in ("header", "log_time") else source.stamp, "stamp")
+    factor = STAMP_UNITS[source.stamp_unit]
+
+    def read(message: RawMessage) -> Piece:
+        try:
+            decoded = store.deserialize_cdr(message.data, type_name)
+        except SerdeError as error:
+            raise ValueError(str(error)) from error
+        columns = tuple(path.values(decoded) for path in values)
+        if any(len(column) != len(columns[0]) for column in columns):
+            raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
+        stamp = message.log_time if source.stamp == "log_time" else _time(stamp_path, decoded, factor)
+        if not isinstance(stamp, int) and len(stamp) != len(columns[0]):
+            raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {len(columns[0])} samples")
+        count = None if count_path is None else int(_one(count_path, decoded))
+        declared = _one(period_path, decoded) if period_path else period
+        return Piece(stamp, count, None if declared is None else float(declared), columns)
+
+    return read
+
+
+def _one(path: FieldPath, decoded: object) -> float:
+    values = path.values(decoded)
+    if len(values) != 1 or not np.isfinite(values[0]):
+        raise FieldPathError(f"'{path.text}' is not one finite number")
+    return float(values[0])
+
+
+def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
+    """Return the time at a path, ns: one for a stamp or number, one per sample for an array of numbers."""
+    found = path.find(decoded)
+    seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
+    if isinstance(seconds, int) and isinstance(nanoseconds, int):
+        return seconds * 1_000_000_000 + nanoseconds
+    if isinstance(found, int):
+        return found * int(factor)
+    raw = np.asarray(found)
+    if raw.dtype.kind in "iu":
+        limit = STAMP_LIMIT // int(factor)
+        if raw.size and (int(raw.max()) > limit or int(raw.min()) < -limit):
+            raise FieldPathError(f"'{path.text}' is no time")
+        exact: IntArray = raw.astype(np.int64) * int(factor)
+    else:
+        values = path.values(decoded) * factor
+        if not (np.abs(values) < STAMP_LIMIT).all():
+            raise FieldPathError(f"'{path.text}' is no time")
+        exact = np.rint(values).astype(np.int64)
+    return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact

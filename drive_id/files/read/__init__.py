@@ -1,0 +1,1 @@
+"""Recordings to samples: signals files, extraction, joined pieces."""

@@ -1,0 +1,70 @@
+"""The messages of one topic, as they arrive, to parts of a signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core.signals.sample_count import SampleCount
+from drive_id.core.signals.signal import Signal
+from drive_id.errors import MessageTypeError, SamplePeriodError
+from drive_id.files.messages.block_codec import decode_block
+from drive_id.files.messages.messages import BLOCK_FIELDS
+
+_LONGEST_PERIOD = 1e4
+
+
+class BlockStream:
+    """Decodes blocks and follows their running count.
+
+    Parameters
+    ----------
+    topic : str
+        For messages.
+    type_name : str
+        One of our sample messages.
+    """
+
+    def __init__(self, topic: str, type_name: str) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.count = SampleCount()
+        self._fields = len(BLOCK_FIELDS[type_name])
+
+    def decode(self, data: bytes) -> Signal:
+        """Return the samples of one serialized message.
+
+        Returns
+        -------
+        Signal
+            Its losses are those since the message before.
+
+        Raises
+        ------
+        MessageTypeError
+            When it is no such message.
+        SamplePeriodError
+            When it declares a period that is no time.
+        """
+        try:
+            block = decode_block(data, self._fields)
+        except ValueError as error:
+            raise MessageTypeError(
+                f"A message on {self.topic} cannot be read as {self.type_name} ({error}): correct its publisher."
+            ) from error
+        period = block.sample_period
+        if not 0.0 < period < _LONGEST_PERIOD:
+            raise SamplePeriodError(
+                f"A message on {self.topic} stamped {block.stamp} ns declares a sample period of {period} s: correct "
+                "its publisher."
+            )
+        lost, losses = self.count.lost, self.count.losses
+        self.count.add(block.first_sample, len(block))
+        return Signal(
+            name=self.topic,
+            stamp=block.stamp + np.rint(np.arange(len(block)) * (period * 1e9)).astype(np.int64),
+            values=np.column_stack(block.values).astype(np.float64),
+            sample_period=period,
+            block_start=np.zeros(1, np.int64),
+            lost=self.count.lost - lost,
+            losses=self.count.losses - losses,
+        )

@@ -1,0 +1,106 @@
+"""What a recording holds, told without reading its messages, and without loading numpy: it is asked from a shell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from drive_id.errors import BagError, DriveIdError
+from drive_id.files.storage.bag import Bag, open_bag
+from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo, file_size
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What a recording holds, as far as it can be told without reading its messages.
+
+    Parameters
+    ----------
+    path : str
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    compression : str
+        Empty for none; ``(file)`` marks that of whole files.
+    files : tuple of str
+    size : int
+        Of all files, bytes.
+    topics : tuple of TopicInfo
+    messages : int
+    start : int
+        Log time of the first message, ns.
+    duration : float
+        Between first and last message, s.
+    complete : bool
+    problem : str
+        What is wrong with an incomplete one.
+    ground_truth : bool
+        Whether it carries the truth of a simulation.
+    """
+
+    path: str
+    storage: str
+    compression: str
+    files: tuple[str, ...]
+    size: int
+    topics: tuple[TopicInfo, ...]
+    messages: int
+    start: int
+    duration: float
+    complete: bool
+    problem: str
+    ground_truth: bool
+
+
+def bag_info(path: Path) -> BagInfo:
+    """Describe a recording, also one that breaks off.
+
+    Raises
+    ------
+    BagError
+        When nothing of it can be read.
+    """
+    with printable_errors(), open_bag(path, salvage=True) as bag:
+        problems = [text for storage in bag.storages if (text := getattr(storage, "damage", ""))]
+        declared = bag.metadata.counts if bag.metadata else {}
+        for name, topic in bag.topics.items():
+            if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:
+                problems.append(f"metadata.yaml declares {declared[name]} messages on {name}, the files {topic.count}")
+        counts = [topic.count or 0 for topic in bag.topics.values()]
+        times = [(storage.start, storage.end) for storage in bag.storages if storage.end]
+        start = min((first for first, _ in times), default=0)
+        end = max((last for _, last in times), default=0)
+        return BagInfo(
+            path=str(path),
+            storage="+".join(sorted({storage.kind for storage in bag.storages})),
+            compression=bag.compression,
+            files=tuple(str(file) for file in bag.files),
+            size=sum(file_size(file) for file in bag.files),
+            topics=tuple(sorted(bag.topics.values(), key=lambda topic: topic.name)),
+            messages=sum(counts),
+            start=start,
+            duration=(end - start) * 1e-9,
+            complete=not problems,
+            problem="; ".join(problems),
+            ground_truth=_has_truth(bag),
+        )
+
+
+@contextmanager
+def printable_errors() -> Iterator[None]:
+    """Keep errors in one line, whatever a damaged bag has for names."""
+    try:
+        yield
+    except DriveIdError as error:
+        text = "".join(character if character.isprintable() else " " for character in str(error))
+        if text == str(error):
+            raise
+        raise type(error)(text) from error
+
+
+def _has_truth(bag: Bag) -> bool:
+    try:
+        return bag.attachment(TRUTH_ATTACHMENT) is not None
+    except BagError:
+        return False

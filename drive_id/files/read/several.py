@@ -1,0 +1,160 @@
+"""Several bags of one drive as one stream of joined samples, as often as needed, with all there is to know of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+
+from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overlap_warning
+from drive_id.core.signals.stream_join import Piece
+from drive_id.errors import ConfigurationError, DriveIdError
+from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.read.pieces import BagFacts, bag_pieces
+from drive_id.files.storage.bag import file_digest
+from drive_id.files.storage.folder import storage_files
+from drive_id.types import GroundTruth, Progress
+
+_LONG = 1 << 18
+"""Samples from which on the progress says how fast they are read."""
+
+
+class SeveralBags:
+    """Reads bags, one behind the other.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+    signals : SignalMap
+    namespace : str
+        Of the drive, when a bag holds several.
+    tell : callable
+        Told the progress.
+    threads : bool
+        Let other threads read meanwhile.
+    """
+
+    def __init__(
+        self, bags: Sequence[Path], signals: SignalMap, namespace: str, tell: Progress, *, threads: bool = True
+    ) -> None:
+        self.samples = 0
+        """Read since they were begun last."""
+        self._bags = bags
+        self._signals = signals
+        self._namespace = namespace
+        self._tell = tell
+        self._threads = threads
+        self._whole: set[int] = set()
+        self._number = 0
+        self._facts: list[BagFacts] = []
+        self._several = SeveralRecordings()
+        self._start = 0.0
+
+    @property
+    def last_stamp(self) -> int:
+        """Stamp of the last sample, ns."""
+        return self._several.end or 0
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """The truth that all bags carry, if they do."""
+        return common_truth([facts.truth for facts in self._facts])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about the recordings."""
+        if len(self._bags) == 1:
+            return self._facts[0].warnings
+        known = zip(self._bags, self._facts, strict=True)
+        moved = [overlap_warning(self._bags[k]) for k in self._several.moved]
+        return (*(f"{path}: {text}" for path, facts in known for text in facts.warnings), *moved)
+
+    def read_whole(self) -> None:
+        """Read the bag that raised UnusualError as a whole from now on."""
+        self._whole.add(self._number)
+
+    def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
+        """Yield the samples of all bags, and whether they are the first ones of a bag.
+
+        Parameters
+        ----------
+        what : str
+            To tell with the progress.
+
+        Raises
+        ------
+        DriveIdError, UnusualError
+            See :func:`~drive_id.files.read.pieces.bag_pieces`.
+        """
+        self._facts, self._several = [], SeveralRecordings()
+        self.samples, self._start = 0, time.monotonic()
+        for number, path in enumerate(self._bags):
+            self._number = number
+            self._several.begin()
+            self._facts.append((yield from self._of_bag(number, path, what)))
+
+    def _of_bag(self, number: int, path: Path, what: str) -> Generator[tuple[Piece, bool], None, BagFacts]:
+        def tell(share: float) -> None:
+            self._tell(self._said(what), (number + share) / len(self._bags))
+
+        tell(0.0)
+        whole = number in self._whole
+        pieces = bag_pieces(path, self._signals, self._namespace, whole=whole, threads=self._threads, tell=tell)
+        first = True
+        while True:
+            try:
+                piece = next(pieces)
+            except StopIteration as end:
+                tell(1.0)
+                facts: BagFacts = end.value
+                return facts
+            self.samples += len(piece.samples) - piece.continues
+            yield self._several.placed(piece), first
+            first = False
+
+    def _said(self, what: str) -> str:
+        elapsed = time.monotonic() - self._start
+        if self.samples < _LONG or not elapsed:
+            return what
+        return f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"
+
+
+@contextmanager
+def digests_of(bags: Sequence[Path], *, threads: bool = True) -> Iterator[Future[dict[str, str]]]:
+    """Read the digests of all files meanwhile: file to its sha256, in order.
+
+    The future raises ConfigurationError when two bags hold the same file. Without ``threads``, they are read at once.
+    """
+    left = Event()
+
+    def work() -> dict[str, str]:
+        found: dict[str, str] = {}
+        for bag in bags:
+            try:
+                files, _ = storage_files(bag)
+            except DriveIdError:  # the reader says so, with more to it
+                return found
+            own = {str(file): file_digest(file, lambda: not left.is_set()) for file in files}
+            for file, digest in own.items():
+                for other, known in found.items():
+                    if digest == known:
+                        raise ConfigurationError(f"{file} and {other} are the same recording: give each bag once.")
+            found |= own
+        return found
+
+    if not threads:
+        done: Future[dict[str, str]] = Future()
+        try:
+            done.set_result(work())
+        except ConfigurationError as error:
+            done.set_exception(error)
+        yield done
+        return
+    with ThreadPoolExecutor(1, "digest") as pool:
+        try:
+            yield pool.submit(work)
+        finally:
+            left.set()

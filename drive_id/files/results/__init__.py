@@ -1,0 +1,1 @@
+"""Results, information files, checkpoints and plans on disk."""

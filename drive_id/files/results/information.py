@@ -1,0 +1,240 @@
+"""Information files: what was accumulated of recordings, to be merged and fitted later, on any machine.
+
+An ``.npz`` without pickled objects. ``header`` is a JSON text: format, versions, settings, ranges, warnings and the
+digests of the bags; ``evidence/...`` are the sums, ``validation/<number>/...`` the first 2 s of each recording, for the
+MAD, and ``truth`` is the truth of a simulation.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import drive_id
+from drive_id.core.accumulation.accumulated import Accumulated, bounded
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.numerics.running_sums import State, below, prefixed
+from drive_id.errors import DriveIdError, InformationError, OutputError
+from drive_id.files.machines.ground_truth import decode_truth, encode_truth
+from drive_id.files.results.folder import check_absent
+from drive_id.settings import from_mapping
+from drive_id.types import Samples
+
+FORMAT = "drive_id/information"
+FORMAT_VERSION = 2
+_SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
+_DAMAGE = (
+    DriveIdError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    EOFError,
+    MemoryError,
+    RecursionError,
+    NotImplementedError,
+    OverflowError,
+    RuntimeError,  # zipfile's, of an encrypted member
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredInformation:
+    """What an information file holds.
+
+    Parameters
+    ----------
+    accumulated : Accumulated
+    software : str
+        Version of drive_id that wrote it.
+    """
+
+    accumulated: Accumulated
+    software: str
+
+
+def check_information_output(path: Path) -> None:
+    """Check, before the work is done, that an information file may be written to a path.
+
+    Raises
+    ------
+    OutputError
+        When there is something else than an information file, or the path cannot be written.
+    """
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            if _header(file)["format"] == FORMAT:
+                return
+    except (OSError, *_DAMAGE):
+        pass  # not ours
+    check_absent(path)
+
+
+def write_information(path: Path, accumulated: Accumulated) -> None:
+    """Write an information file, all of it or nothing; an earlier one is replaced.
+
+    Parameters
+    ----------
+    path : Path
+    accumulated : Accumulated
+        Of its validation, only the first 2 s of each of at most 10 recordings are kept.
+
+    Raises
+    ------
+    OutputError
+        When there is something else under this name, or it cannot be written.
+    """
+    check_information_output(path)
+    data = encode_information(accumulated)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".drive_id-") as temporary:
+            staged = Path(temporary) / "information"
+            staged.write_bytes(data)
+            staged.replace(path)
+    except OSError as error:
+        raise OutputError(
+            f"The output {path} cannot be written ({error.strerror or error}): make room or give another name."
+        ) from error
+
+
+def read_information(path: Path) -> StoredInformation:
+    """Read an information file.
+
+    Raises
+    ------
+    InformationError
+        When it cannot be read, breaks off, is of another kind, or was written by a newer version.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InformationError(f"{path} cannot be read ({error.strerror or error}): check the name.") from error
+    return decode_information(data, str(path))
+
+
+def encode_information(accumulated: Accumulated) -> bytes:
+    """Return the content of an information file."""
+    evidence, validation = accumulated.evidence, bounded(accumulated.validation)
+    header = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "software": drive_id.__version__,
+        "settings": asdict(evidence.settings),
+        "i_max": evidence.i_max,
+        "ranges": [[axis.low, axis.high] for axis in (evidence.d, evidence.q)],
+        "samples": accumulated.samples,
+        "last_stamp": accumulated.last_stamp,
+        "inputs": dict(accumulated.digests),
+        "warnings": list(accumulated.warnings),
+        "validation_periods": [piece.sample_period for piece in validation],
+    }
+    arrays = prefixed("evidence", evidence.state())
+    for number, piece in enumerate(validation):
+        signals = {name: getattr(piece, name) for name in (*_SIGNALS, "i_dq_reference")}
+        arrays |= prefixed(f"validation/{number}", {name: x for name, x in signals.items() if x is not None})
+    if accumulated.truth is not None:
+        arrays["truth"] = np.frombuffer(encode_truth(accumulated.truth), np.uint8)
+    arrays["header"] = np.array(json.dumps(header))
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]  # numpy types them as bool
+    return stream.getvalue()
+
+
+def decode_information(data: bytes, where: str) -> StoredInformation:
+    """Read the content of an information file.
+
+    Raises
+    ------
+    InformationError
+        See :func:`read_information`; naming ``where``.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            header = _header(file)
+            _check_version(header, where)
+            arrays = {name: file[name] for name in file.files}
+        return StoredInformation(_accumulated(header, arrays, where), str(header["software"]))
+    except InformationError:
+        raise
+    except _DAMAGE as error:
+        raise InformationError(
+            f"{where} is not an information file of drive_id, or it is damaged: accumulate the bags again."
+        ) from error
+
+
+def information_tree(accumulated: Accumulated) -> dict[str, Any]:
+    """Return what is worth telling of an information file, for programs."""
+    evidence = accumulated.evidence
+    return {
+        "samples": accumulated.samples,
+        "duration": evidence.samples * evidence.sample_period,
+        "gaps": evidence.gaps,
+        "i_max": evidence.i_max,
+        "coverage": evidence.coverage(),
+        "machine": accumulated.truth.machine if accumulated.truth else "",
+        "settings": asdict(evidence.settings),
+        "inputs": [{"file": file, "sha256": digest} for file, digest in accumulated.digests.items()],
+        "warnings": list(accumulated.warnings),
+    }
+
+
+def _header(file: Mapping[str, Any]) -> dict[str, Any]:
+    header = json.loads(str(file["header"]))
+    if not isinstance(header, dict) or header["format"] != FORMAT:
+        raise TypeError("no header of ours")
+    return header
+
+
+def _check_version(header: Mapping[str, Any], where: str) -> None:
+    version = int(header["format_version"])
+    if version < FORMAT_VERSION:
+        raise InformationError(
+            f"{where} was written by drive_id {header['software']} in version {version} of the format, which holds "
+            "less than this one needs: accumulate its bags again."
+        )
+    if version > FORMAT_VERSION:
+        raise InformationError(
+            f"{where} was written by drive_id {header['software']} in version {version} of the "
+            f"format, and this drive_id, {drive_id.__version__}, knows it up to version {FORMAT_VERSION}: update it."
+        )
+
+
+def _accumulated(header: Mapping[str, Any], arrays: State, where: str) -> Accumulated:
+    settings = from_mapping(FitSettings, header["settings"], where)
+    counts = (settings.splines_d, settings.splines_q)
+    d, q = (Axis(float(low), float(high), count) for (low, high), count in zip(header["ranges"], counts, strict=True))
+    evidence = Evidence(settings, d, q, float(header["i_max"]))
+    evidence.restore(below("evidence", arrays))
+    validation = tuple(
+        _piece(below(f"validation/{number}", arrays), period)
+        for number, period in enumerate(header["validation_periods"])
+    )
+    return Accumulated(
+        evidence=evidence,
+        validation=validation,
+        warnings=tuple(map(str, header["warnings"])),
+        digests={str(file): str(digest) for file, digest in header["inputs"].items()},
+        truth=decode_truth(arrays["truth"].tobytes(), where) if "truth" in arrays else None,
+        samples=int(header["samples"]),
+        last_stamp=int(header["last_stamp"]),
+    )
+
+
+def _piece(arrays: State, period: float) -> Samples:
+    signals = {name: arrays[name] for name in _SIGNALS}
+    return Samples(**signals, sample_period=float(period), i_dq_reference=arrays.get("i_dq_reference"))

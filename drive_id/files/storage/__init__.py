@@ -1,0 +1,1 @@
+"""Containers: MCAP and sqlite3 files, folders of them, ``metadata.yaml``."""

@@ -1,0 +1,145 @@
+"""sqlite3 recordings, the default storage of older ROS 2 distributions.
+
+Read with plain SQL in the order of the rows, which is the order of arrival.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from urllib.parse import quote
+
+from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
+from drive_id.files.storage.storage import (
+    RawMessage,
+    TopicInfo,
+    file_size,
+)
+
+_SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
+_INT64 = 2**63
+
+
+class SqliteStorage:
+    """Storage back-end for sqlite3 files; see :class:`~drive_id.files.storage.storage.Storage`."""
+
+    kind = "sqlite3"
+
+    def __init__(self, path: Path, shown: Path) -> None:
+        self._shown = shown
+        self.compression = ""
+        self.topics: tuple[TopicInfo, ...] = ()
+        self.start, self.end = 0, 0
+        for ending in ("-wal", "-journal"):
+            if file_size(path.with_name(path.name + ending)):
+                raise TruncatedBagError(
+                    f"{shown} was not closed, for {path.name}{ending} lies beside it: recover it first, for instance "
+                    f"with 'sqlite3 {path.name} \"PRAGMA wal_checkpoint(TRUNCATE)\"'."
+                )
+        try:
+            self._database = sqlite3.connect(
+                f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
+            )
+        except sqlite3.Error as error:
+            raise NotABagError(f"{shown} cannot be opened ({error}): check its permissions.") from error
+        try:
+            self._check_size(path)
+            self._open()
+        except _SQL_ERRORS as error:
+            self._database.close()
+            raise self._damaged(error) from error
+        except BaseException:
+            self._database.close()
+            raise
+
+    def close(self) -> None:
+        """Release the file."""
+        self._database.close()
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Yield the messages of ``topics`` in the order of the rows; checks the declared counts.
+
+        Raises
+        ------
+        TruncatedBagError
+            When the file is damaged.
+        MessageCountError
+            When a message is there that belongs to no topic, or a count differs.
+        """
+        keys = {key: name for key, name in self._keys.items() if name in topics}
+        found: Counter[str] = Counter()
+        marks = ",".join("?" * len(keys))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id"
+        try:
+            for key, log_time, data in self._database.execute(query, tuple(keys)):
+                if not isinstance(log_time, int) or not isinstance(data, bytes):
+                    raise sqlite3.DatabaseError(f"a message on {keys[key]} is not a blob with a time")
+                found[keys[key]] += 1
+                yield RawMessage(keys[key], log_time, data)
+        except _SQL_ERRORS as error:
+            raise self._damaged(error) from error
+        for topic in self.topics:
+            if topic.name in topics and found[topic.name] != topic.count:
+                raise MessageCountError(
+                    f"{self._shown} counts {topic.count} messages on {topic.name} but yields {found[topic.name]}: "
+                    "copy the file again from its origin, or rebuild its index with 'sqlite3 ... REINDEX'."
+                )
+
+    def attachment(self, name: str) -> bytes | None:  # noqa: ARG002  # asked for by the protocol
+        """Return None: sqlite3 recordings have no attachments."""
+        return None
+
+    def _check_size(self, path: Path) -> None:
+        """Compare the size of the file with its header: sqlite itself reads missing pages as zeros."""
+        with path.open("rb") as stream:
+            head = stream.read(100)
+        if len(head) < 100:
+            raise sqlite3.DatabaseError("it breaks off within its header")
+        (page,), (pages,) = struct.unpack_from(">H", head, 16), struct.unpack_from(">I", head, 28)
+        size = 65536 if page == 1 else page
+        if size == 0 or file_size(path) % size or file_size(path) < pages * size:
+            raise sqlite3.DatabaseError("it breaks off before its end")
+
+    def _open(self) -> None:
+        tables = {row[0] for row in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"topics", "messages"} <= tables:
+            raise NotABagError(
+                f"{self._shown} is a sqlite3 file without the tables 'topics' and 'messages': give a rosbag2 recording."
+            )
+        check = self._database.execute("PRAGMA quick_check(1)").fetchone()
+        if check is None or check[0] != "ok":
+            raise sqlite3.DatabaseError("its structure is inconsistent")
+        rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
+        if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
+            raise sqlite3.DatabaseError("its table of topics holds other things than texts")
+        self._keys: dict[int, str] = {row[0]: row[1] for row in rows}
+        counts = dict(self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+        if not set(counts) <= set(self._keys):
+            raise MessageCountError(
+                f"{self._shown} holds messages that belong to none of its topics: copy it again from its origin."
+            )
+        definitions = self._definitions() if "message_definitions" in tables else {}
+        infos: dict[str, TopicInfo] = {}
+        for key, name, type_name, encoding in rows:
+            before = infos[name].count or 0 if name in infos else 0
+            form, text = definitions.get(type_name, ("", ""))
+            infos[name] = TopicInfo(name, type_name, before + counts.get(key, 0), encoding, form, text)
+        self.topics = tuple(infos.values())
+        first, last = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+        if isinstance(first, int) and isinstance(last, int):
+            self.start, self.end = first, last
+
+    def _definitions(self) -> dict[str, tuple[str, str]]:
+        rows = self._database.execute(
+            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        )
+        return {str(name): (str(form), str(text)) for name, form, text in rows}
+
+    def _damaged(self, error: BaseException) -> TruncatedBagError:
+        return TruncatedBagError(
+            f"{self._shown} is not a complete recording ({error}): recover it first, for instance with "
+            f"'sqlite3 {self._shown.name} .recover'."
+        )

@@ -1,0 +1,1 @@
+"""Samples and messages to recordings; recovery of damaged ones."""

@@ -1,0 +1,235 @@
+"""Making a whole recording of one that breaks off or is damaged, without touching it."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, cast
+
+import yaml
+from mcap import records
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+
+from drive_id.errors import EmptyTopicError, NotABagError, OutputError
+from drive_id.files.storage.folder import present_files
+from drive_id.files.storage.mcap_records import MESSAGE, DamageError, McapRecords, Record, chunk_records, parsed
+from drive_id.files.storage.mcap_stream import McapStream
+from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
+from drive_id.files.storage.storage import MCAP_MAGIC, read_magic, reason, unpack_file
+
+_LIBRARY = "drive_id recover"
+_CHUNK_SIZE = 512 * 1024
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was recovered.
+
+    Parameters
+    ----------
+    output : Path
+        The whole recording.
+    topics : dict of str to int
+        Messages by topic.
+    duration : float
+        Between the first and the last message, s.
+    damage : tuple of str
+        Sentences about what could not be recovered; empty when the recording was whole.
+    """
+
+    output: Path
+    topics: dict[str, int]
+    duration: float
+    damage: tuple[str, ...]
+
+
+def recover_bag(path: Path, output: Path | None = None) -> Recovery:
+    """Write what can be read of an MCAP recording as a new, whole one; the given one is not touched.
+
+    Parameters
+    ----------
+    path : Path
+        Storage file or folder; a ``metadata.yaml`` is not believed.
+    output : Path, optional
+        Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
+
+    Raises
+    ------
+    NotABagError
+        When it is no MCAP recording.
+    EmptyTopicError
+        When there is no message to recover.
+    OutputError
+        When the output exists or cannot be written.
+    """
+    files = present_files(path)
+    absolute = path.absolute()
+    output = output or absolute.with_name((absolute.name if path.is_dir() else absolute.stem) + "_recovered")
+    if output.exists() or output.is_symlink():
+        raise OutputError(f"{output} exists already: choose another name with --output, or remove it.")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{output.name}.partial-", dir=output.parent))
+    except OSError as error:
+        raise _refused(output, error) from error
+    try:
+        folder = partial / output.name
+        folder.mkdir()
+        recovery = _recover_files(files, path, folder, output)
+        folder.rename(output)
+    except OSError as error:
+        raise _refused(output, error) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return recovery
+
+
+def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Path) -> Recovery:
+    topics: dict[str, TopicEntry] = {}
+    entries: list[FileEntry] = []
+    damage: list[str] = []
+    distro = ""
+    for file in files:
+        with ExitStack() as stack:
+            plain, _ = unpack_file(file, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_"))))
+            if not read_magic(plain, file).startswith(MCAP_MAGIC):
+                raise NotABagError(f"{file} is no MCAP file: only those can be recovered here.")
+            copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
+            stack.callback(copy.release)
+            copy.run()
+        damage += copy.damage
+        distro = distro or copy.distro
+        if copy.entry.count:
+            entries.append(copy.entry)
+        else:
+            (folder / copy.entry.name).unlink()
+    if not entries:
+        said = f": {damage[0]}" if damage else "."
+        raise EmptyTopicError(f"{path} holds no message that could be recovered{said}")
+    information = bag_information(list(topics.values()), entries, distro, None)
+    write_metadata(folder, information)
+    counts = {name: sum(entry.counts.get(name, 0) for entry in entries) for name in topics}
+    return Recovery(output, counts, information["duration"]["nanoseconds"] * 1e-9, tuple(damage))
+
+
+class _Copy:
+    """The copy of all whole records of one file."""
+
+    def __init__(self, source: Path, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
+        self.entry = FileEntry(target.name)
+        self.damage: list[str] = []
+        self.distro = ""
+        self._shown = shown
+        self._topics = topics
+        self._schemas: dict[int, int] = {0: 0}
+        self._types: dict[int, str] = {}
+        self._channels: dict[int, tuple[int, str]] = {}
+        self._file = McapRecords(source, shown)
+        self._stream = McapStream(target)
+        self._writer = Writer(
+            cast(IO[Any], self._stream),
+            chunk_size=_CHUNK_SIZE,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+
+    def release(self) -> None:
+        self._file.close()
+        self._stream.close()
+
+    def run(self) -> None:
+        """Copy what there is, and complete the copy."""
+        header = self._file.header()
+        self._writer.start(profile=header.profile if header else "", library=_LIBRARY)
+        try:
+            for record in self._file.data_section():
+                self._copy_record(record)
+        except DamageError as damage:
+            lost = self._file.size - self._file.whole
+            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+        information = bag_information(list(self._topics.values()), [self.entry], self.distro, None)
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.sync()
+
+    def _copy_record(self, record: Record) -> None:
+        """Copy one record; a damaged one is left out and named."""
+        try:
+            if record.opcode == Opcode.CHUNK:
+                for opcode, body in list(chunk_records(record)[1]):
+                    self._copy_content(opcode, body, record.position)
+            else:
+                self._copy_content(record.opcode, memoryview(record.body), record.position)
+        except DamageError as damage:
+            self.damage.append(f"{self._shown}: {damage}; it is left out.")
+
+    def _copy_content(self, opcode: int, body: memoryview, position: int) -> None:
+        if opcode == Opcode.MESSAGE:
+            self._copy_message(body, position)
+        elif opcode == Opcode.SCHEMA:
+            schema = parsed(records.Schema, body, position)
+            if schema.id not in self._schemas:
+                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+                self._types[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            self._copy_channel(parsed(records.Channel, body, position), position)
+        elif opcode == Opcode.ATTACHMENT:
+            found = parsed(records.Attachment, body, position)
+            self._writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
+        elif opcode == Opcode.METADATA:
+            metadata = parsed(records.Metadata, body, position)
+            if metadata.name == "rosbag2":
+                self.distro = self.distro or _distro(metadata.metadata.get("serialized_metadata", ""))
+            else:
+                self._writer.add_metadata(metadata.name, metadata.metadata)
+
+    def _copy_channel(self, channel: records.Channel, position: int) -> None:
+        if channel.id in self._channels:
+            return
+        if channel.schema_id not in self._schemas:
+            raise DamageError(f"the schema of {channel.topic}, at byte {position}, is missing")
+        number = self._writer.register_channel(
+            channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
+        )
+        self._channels[channel.id] = (number, channel.topic)
+        if channel.topic not in self._topics:
+            self._topics[channel.topic] = TopicEntry(
+                channel.topic,
+                self._types.get(channel.schema_id, ""),
+                channel.metadata.get("topic_type_hash", ""),
+                _offered_qos(channel.metadata.get("offered_qos_profiles", "")),
+            )
+
+    def _copy_message(self, body: memoryview, position: int) -> None:
+        if len(body) < MESSAGE.size:
+            raise DamageError(f"a message at byte {position} is too short")
+        key, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
+        if key not in self._channels:
+            raise DamageError(f"a message at byte {position} belongs to no channel")
+        number, topic = self._channels[key]
+        self._writer.add_message(number, log_time, bytes(body[MESSAGE.size :]), publish_time, sequence)
+        self.entry.note(topic, log_time)
+
+
+def _offered_qos(text: str) -> list[Any]:
+    try:
+        profiles = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return []
+    return profiles if isinstance(profiles, list) else []
+
+
+def _distro(text: str) -> str:
+    try:
+        tree = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return ""
+    return str(tree.get("ros_distro") or "") if isinstance(tree, dict) else ""
+
+
+def _refused(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{path} cannot be written ({reason(error)}): check its folder, permissions and free space.")

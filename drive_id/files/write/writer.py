@@ -1,0 +1,175 @@
+"""Samples to a recording: blocks of our messages, the truth of a simulation beside them."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.signals.signal import finite_rows
+from drive_id.errors import ConfigurationError, OutputError
+from drive_id.files.machines.ground_truth import encode_truth
+from drive_id.files.messages.block_codec import NANOSECONDS, encode_block
+from drive_id.files.messages.messages import (
+    CURRENT_REFERENCE,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    RESOLVER,
+)
+from drive_id.files.storage.storage import TRUTH_ATTACHMENT, reason
+from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter
+from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
+
+BLOCK_SIZE = 100
+"""Samples per message: 100 messages a second at 10 kHz."""
+_JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Names of our topics below a namespace (empty, or like ``drive_1``)."""
+
+    namespace: str = ""
+    currents: str = "phase_currents"
+    voltages: str = "phase_voltages"
+    resolver: str = "resolver"
+    reference: str = "current_reference"
+
+    def absolute(self, name: str) -> str:
+        """Return the absolute name of a topic."""
+        return "/" + "/".join(part for part in (*self.namespace.split("/"), *name.split("/")) if part)
+
+
+@dataclass(frozen=True)
+class _Message:
+    log_time: int
+    topic: str
+    data: bytes
+
+
+def write_recording(
+    path: Path,
+    samples: Samples,
+    truth: GroundTruth | None = None,
+    *,
+    topics: Topics | None = None,
+    block_size: int = BLOCK_SIZE,
+    start_stamp: int | None = None,
+    frame_id: str = "drive",
+    compression: str = "zstd",
+    chunk_size: int = CHUNK_SIZE,
+) -> None:
+    """Write samples as a rosbag2 recording; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to create.
+    samples : Samples
+        Stored as float32, like the messages.
+    truth : GroundTruth, optional
+        Stored as the attachment ``ground_truth.npz``.
+    topics : Topics, optional
+    block_size : int
+        Samples per message.
+    start_stamp : int, optional
+        ns, moves the first sample there; default: the stamps as they are.
+    frame_id : str
+        Name of the drive.
+    compression, chunk_size
+        See :class:`~drive_id.files.write.rosbag2_writer.Rosbag2McapWriter`.
+
+    Raises
+    ------
+    OutputError
+        When the path exists or cannot be written.
+    ConfigurationError
+        When the block size or the stamps do not fit the messages.
+    """
+    if block_size < 1:
+        raise ConfigurationError(f"block_size is {block_size}: it must be at least 1 sample.")
+    if path.exists() or path.is_symlink():
+        raise OutputError(f"{path} exists already: choose another name, or remove it.")
+    shift = 0 if start_stamp is None else start_stamp - int(samples.stamp[0])
+    messages = sorted(
+        _messages(samples, shift, topics or Topics(), block_size, frame_id), key=lambda message: message.log_time
+    )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
+    try:
+        folder = partial / path.name
+        with Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer:
+            _fill(writer, messages, topics or Topics(), samples, truth)
+        folder.rename(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _fill(
+    writer: Rosbag2McapWriter, messages: list[_Message], topics: Topics, samples: Samples, truth: GroundTruth | None
+) -> None:
+    writer.add_topic(topics.absolute(topics.currents), PHASE_CURRENTS)
+    writer.add_topic(topics.absolute(topics.voltages), PHASE_VOLTAGES)
+    writer.add_topic(topics.absolute(topics.resolver), RESOLVER)
+    if samples.i_dq_reference is not None:
+        writer.add_topic(topics.absolute(topics.reference), CURRENT_REFERENCE)
+    for message in messages:
+        writer.write(message.topic, message.data, message.log_time)
+    if truth is not None:
+        writer.attach(TRUTH_ATTACHMENT, encode_truth(truth), "application/zip")
+
+
+def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, frame_id: str) -> Iterator[_Message]:
+    """Yield all messages, topic by topic; references are logged when due, the others when their block is full."""
+    angle = np.clip(_wrapped(samples.angle).astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
+    signals = [
+        (topics.currents, samples.i_abc.astype(np.float32), True),
+        (topics.voltages, samples.u_abc.astype(np.float32), True),
+        (topics.resolver, np.column_stack((angle, samples.speed.astype(np.float32))), True),
+    ]
+    if samples.i_dq_reference is not None:
+        signals.append((topics.reference, samples.i_dq_reference.astype(np.float32), False))
+    every = samples.stamp + shift
+    if every[0] < 0 or every[-1] >= 2**31 * NANOSECONDS:
+        raise ConfigurationError(
+            f"Stamps from {every[0]} to {every[-1]} ns do not fit into a message: choose another start_stamp."
+        )
+    for name, values, when_full in signals:
+        known = finite_rows(values.astype(np.float64))
+        for start, end in zip(*_blocks(samples, known, block_size), strict=True):
+            stamp = int(every[start])
+            end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
+            columns = list(values[start:end].T)
+            data = encode_block(stamp, int(start), samples.sample_period, columns, frame_id)
+            yield _Message(end_time if when_full else stamp, topics.absolute(name), data)
+
+
+def _blocks(samples: Samples, known: NDArray[np.bool_], block_size: int) -> tuple[IntArray, IntArray]:
+    """Divide the known samples into blocks that span neither a gap nor an unknown sample nor an uneven stamp."""
+    index = np.arange(len(samples))
+    uneven = (
+        np.abs(np.diff(samples.stamp) - samples.sample_period * NANOSECONDS)
+        > 0.01 * samples.sample_period * NANOSECONDS
+    )
+    breaks = np.zeros(len(samples), bool)
+    breaks[0] = True
+    breaks[samples.run_starts] = True
+    breaks[1:] |= uneven | (known[1:] != known[:-1])
+    since = index - np.maximum.accumulate(np.where(breaks, index, 0))
+    starts = np.flatnonzero(since % block_size == 0)
+    ends = np.append(starts[1:], len(samples))
+    return starts[known[starts]], ends[known[starts]]
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi

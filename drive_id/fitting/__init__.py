@@ -1,0 +1,1 @@
+"""From sources (bags, information files, simulations) to a result."""

@@ -1,0 +1,1 @@
+"""What the nodes do, without ROS: live identification, recording sessions, their health."""

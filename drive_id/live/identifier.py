@@ -1,0 +1,280 @@
+"""Identification on request, without ROS: of recordings by name, or of the live samples so far."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import Identification
+from drive_id.core.signals.join_report import JoinReport
+from drive_id.errors import DriveIdError
+from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
+from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.read.block_stream import BlockStream
+from drive_id.files.results.folder import Provenance, check_output, write_results
+from drive_id.files.storage.bag import open_bag
+from drive_id.fitting.workflows import Draw, fit_bags
+from drive_id.health import Finding, Health, Level
+from drive_id.live.confined import confined_bag
+from drive_id.live.identification_settings import IdentificationSettings
+from drive_id.live.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.publishers import Publisher, publisher_findings
+from drive_id.types import Progress
+
+TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """What came of a request.
+
+    Parameters
+    ----------
+    code : str
+        ``ok``, ``busy``, or that of the error.
+    message : str
+        A sentence.
+    identification : Identification or None
+        Unless there was an error.
+    warnings : tuple of str
+        About the samples and about the fit.
+    machine : str
+        Empty when unknown.
+    stamp : int
+        Of the last sample, ns.
+    output : str
+        Folder of the result files.
+    samples : JoinReport or None
+        What became of the live signals, also without success.
+    """
+
+    code: str
+    message: str
+    identification: Identification | None = None
+    warnings: tuple[str, ...] = ()
+    machine: str = ""
+    stamp: int = 0
+    output: str = ""
+    samples: JoinReport | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a result."""
+        return self.identification is not None
+
+
+Job = Callable[[Progress], Reply]
+BUSY = Reply("busy", "A fit is under way: ask again when it is done.")
+
+
+class Identifier:
+    """Accumulates live samples, and makes jobs of requests. Not for several threads at once; the jobs are.
+
+    Parameters
+    ----------
+    settings : IdentificationSettings
+    fit : FitSettings
+    topics : tuple of str
+        Of currents, voltages and resolver, for messages.
+    """
+
+    def __init__(
+        self, settings: IdentificationSettings, fit: FitSettings, topics: tuple[str, str, str] = TYPES
+    ) -> None:
+        self.settings = settings
+        self.topics = topics
+        self.live = LiveEvidence(fit, settings.validation_seconds, topics)
+        self._streams = self._new_streams()
+        self._unreadable = 0
+        self._last_error = ""
+        self._forgotten = ""  # a sentence on why
+
+    def receive(self, section: int, data: bytes) -> None:
+        """Take one serialized message of currents (0), voltages (1) or resolver (2)."""
+        try:
+            self.live.add(section, self._streams[section].decode(data))
+        except DriveIdError as error:
+            self._unreadable += 1
+            self._last_error = str(error)
+
+    def configure(self, fit: FitSettings) -> bool:
+        """Take other settings, and tell whether the live samples had to be forgotten."""
+        forgotten = self.live.configure(fit)
+        if forgotten:
+            self._streams = self._new_streams()
+            self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
+        return forgotten
+
+    def reset(self) -> None:
+        """Forget the live samples."""
+        self.live.reset()
+        self._streams = self._new_streams()
+        self._unreadable, self._last_error, self._forgotten = 0, "", ""
+
+    def job(self, bags: Sequence[str], method: str) -> Job:
+        """Make a job of a request, to be run in another thread.
+
+        Parameters
+        ----------
+        bags : sequence of str
+            Names of recordings; empty: the live samples so far.
+        method : str
+            Empty: that of the settings.
+
+        Raises
+        ------
+        DriveIdError
+            When the request makes no sense.
+        """
+        fit = replace(self.live.settings, method=method or self.live.settings.method)
+        if bags:
+            paths = [confined_bag(Path(self.settings.data_directory), name) for name in bags]
+            return partial(_guarded, partial(_fit_bags, paths, self.topics, fit, self.settings))
+        snapshot = self.live.snapshot(method)
+        return partial(_guarded, partial(_fit_live, snapshot, fit, self.settings, self._forgotten))
+
+    def health(self, doing: str, publishers: Sequence[Sequence[Publisher]]) -> Health:
+        """Return how the live samples are.
+
+        Parameters
+        ----------
+        doing : str
+            A sentence on what is under way.
+        publishers : sequence of sequence of Publisher
+            Of each topic.
+        """
+        report = self.live.join.report()
+        evidence = self.live.evidence
+        values = {
+            "samples": str(report.samples),
+            "gaps": str(report.gaps),
+            "unreadable messages": str(self._unreadable),
+            "coverage": "" if evidence is None else f"{evidence.coverage():.4f}",
+            "method": self.live.settings.method,
+        }
+        findings: list[Finding] = []
+        for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
+            values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
+            findings += publisher_findings(signal.topic, kind, found)
+        if report.signals[0].read:
+            findings += [(Level.WARN, warning) for warning in report.warnings]
+        if self._unreadable:
+            sentence = f"{self._unreadable} messages could not be read, the last because: {self._last_error}"
+            findings.append((Level.WARN, sentence))
+        if evidence is None:
+            sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
+            findings.append((Level.WARN, sentence))
+        level = max((level for level, _ in findings), default=Level.OK)
+        sentences = [doing, f"{report.samples} live samples.", self._forgotten, *(sentence for _, sentence in findings)]
+        said = " ".join(filter(None, sentences))
+        return Health(level, said, values)
+
+    def _new_streams(self) -> tuple[BlockStream, ...]:
+        return tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))
+
+
+def failed(error: DriveIdError, samples: JoinReport | None = None) -> Reply:
+    """Return the reply to a request that led to an error."""
+    return Reply(error.code, str(error), samples=samples)
+
+
+def _guarded(work: Job, tell: Progress) -> Reply:
+    try:
+        return work(tell)
+    except DriveIdError as error:
+        return failed(error)
+    except Exception as error:  # noqa: BLE001  # a mistake of ours must not take the node down
+        _log.exception("A fit failed")
+        return Reply("internal", f"The fit failed by an error of drive_id itself ({type(error).__name__}): report it.")
+
+
+def _fit_bags(
+    paths: Sequence[Path], topics: Sequence[str], fit: FitSettings, settings: IdentificationSettings, tell: Progress
+) -> Reply:
+    output = _new_folder(settings, fit)
+    tell("Reading", 0.0)
+    signals = _own_signals(topics) if all(_holds(path, topics) for path in paths) else None
+    result = fit_bags(paths, output, fit, signals=signals, draw=_draw(settings), resumable=False, tell=tell)
+    return Reply(
+        "ok",
+        _sentence(result.identification),
+        result.identification,
+        result.warnings,
+        result.provenance.machine,
+        result.recording.last_stamp,
+        str(output),
+    )
+
+
+def _own_signals(topics: Sequence[str]) -> SignalMap:
+    """Return where the signals are in a bag that was recorded beside this drive, under whatever names."""
+    usual = SignalMap()
+    currents, voltages, resolver = topics
+    return replace(
+        usual,
+        currents=replace(usual.currents, topic=currents),
+        voltages=replace(usual.voltages, topic=voltages),
+        resolver=replace(usual.resolver, topic=resolver),
+    )
+
+
+def _holds(path: Path, topics: Sequence[str]) -> bool:
+    with open_bag(path) as bag:
+        return set(topics) <= set(bag.topics)
+
+
+def _fit_live(
+    snapshot: Snapshot, fit: FitSettings, settings: IdentificationSettings, forgotten: str, tell: Progress
+) -> Reply:
+    output = _new_folder(settings, fit)
+    check_output(output)
+    tell("Solving and validating", 0.0)
+    try:
+        identification = snapshot.identify()
+    except DriveIdError as error:
+        return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
+    tell("Writing", 0.0)
+    report = snapshot.report
+    provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)
+    validation, draw = snapshot.validation(), _draw(settings)
+    title = f"Live samples, method {identification.method}"
+    pictures = draw(identification, [validation] if validation else [], title) if draw else {}
+    write_results(output, identification, provenance, pictures=pictures)
+    warnings = (*report.warnings, *identification.report.warnings)
+    stamp = snapshot.join.last_stamp or 0
+    return Reply("ok", _sentence(identification), identification, warnings, "", stamp, str(output), report)
+
+
+def _draw(settings: IdentificationSettings) -> Draw | None:
+    if not settings.picture:
+        return None
+    from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+
+    return result_pictures
+
+
+def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:
+    """Return the path of a folder that is not there yet, named after time and method."""
+    base = Path(settings.output_directory).expanduser().absolute()
+    stem = datetime.now().astimezone().strftime(f"%Y-%m-%d_%H-%M-%S_{fit.method}")
+    number = 1
+    path = base / stem
+    while path.exists() or path.is_symlink():
+        number += 1
+        path = base / f"{stem}_{number}"
+    return path
+
+
+def _sentence(identification: Identification) -> str:
+    report = identification.report
+    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.method != "psm" else ""
+    return (
+        f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
+        f"{identification.resistance * 1e3:.4g} mohm{drop}, {100 * report.coverage:.0f} % of the disc covered."
+    )

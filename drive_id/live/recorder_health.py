@@ -1,0 +1,116 @@
+"""What a recorder says of itself and of its topics: a level, sentences and figures, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drive_id.health import Finding, Health, Level
+from drive_id.live.publishers import Publisher, of_type, publisher_findings
+from drive_id.live.recording_report import RecordingReport, TopicReport
+
+
+@dataclass(frozen=True)
+class TopicState:
+    """What the recorder sees of a topic.
+
+    Parameters
+    ----------
+    topic, type_name : str
+    publishers : sequence of Publisher
+        All of the topic, of any type.
+    silent_for : float or None
+        Time since the last message, s; None when there was none yet.
+    """
+
+    topic: str
+    type_name: str
+    publishers: Sequence[Publisher]
+    silent_for: float | None
+
+
+def recorder_health(
+    report: RecordingReport | None, topics: Sequence[TopicState], longest_silence: float, queue_size: float
+) -> Health:
+    """Judge the recorder and its topics.
+
+    Parameters
+    ----------
+    report : RecordingReport or None
+        Of the recording that runs, or that ended by itself and was not yet stopped.
+    topics : sequence of TopicState
+        In the order of the report.
+    longest_silence : float
+        That is no warning, s; 0: any.
+    queue_size : float
+        MB.
+    """
+    findings: list[Finding] = []
+    values: dict[str, str] = {}
+    if report is not None:
+        findings += _recording_findings(report, queue_size)
+        values |= _recording_values(report)
+    for number, state in enumerate(topics):
+        running = None if report is None or report.error else report.topics[number]
+        findings += publisher_findings(state.topic, state.type_name, state.publishers)
+        if running is not None:
+            findings += _sample_findings(state, running, longest_silence)
+        values |= _topic_values(state, None if report is None else report.topics[number])
+    doing = "Not recording." if report is None else f"Recording {report.path}."
+    said = [sentence for _, sentence in sorted(findings, key=lambda finding: -finding[0])]
+    level = max((level for level, _ in findings), default=Level.OK)
+    return Health(level, " ".join(said if report is not None and report.error else [doing, *said]), values)
+
+
+def _recording_findings(report: RecordingReport, queue_size: float) -> list[Finding]:
+    if report.error:
+        return [(Level.ERROR, report.error)]
+    findings = []
+    unwritten = sum(topic.received - topic.written for topic in report.topics)
+    if report.waiting > 0.5e6 * queue_size:
+        megabytes = report.waiting / 1e6
+        findings.append((Level.WARN, f"The disk is too slow: {unwritten} samples, {megabytes:.1f} MB, wait for it."))
+    if report.overflowed:
+        findings.append((Level.ERROR, f"The disk is too slow: {report.overflowed} samples did not fit into the queue."))
+    return findings
+
+
+def _sample_findings(state: TopicState, report: TopicReport, longest_silence: float) -> list[Finding]:
+    findings = []
+    if report.lost:
+        findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))
+    if report.unreadable:
+        findings.append((Level.WARN, f"{report.unreadable} messages on {state.topic} are no blocks of samples."))
+    if not of_type(state.publishers, state.type_name):
+        findings.append((Level.WARN, f"Nobody publishes {state.topic}."))
+    elif state.silent_for is None:
+        findings.append((Level.WARN, f"No message has come on {state.topic} yet."))
+    elif 0 < longest_silence < state.silent_for:
+        findings.append((Level.WARN, f"No message has come on {state.topic} for {state.silent_for:.1f} s."))
+    return findings
+
+
+def _recording_values(report: RecordingReport) -> dict[str, str]:
+    return {
+        "bag": str(report.path),
+        "files": str(report.files),
+        "size [byte]": str(report.size),
+        "queue [byte]": str(report.waiting),
+        "samples": str(report.samples),
+        "samples dropped": str(report.dropped),
+        "duration [s]": f"{report.duration:.6f}",
+    }
+
+
+def _topic_values(state: TopicState, report: TopicReport | None) -> dict[str, str]:
+    values = {f"{state.topic}: publishers": ", ".join(publisher.node for publisher in state.publishers)}
+    if report is None:
+        return values
+    figures = {
+        "messages written": report.messages,
+        "samples received": report.received,
+        "samples written": report.written,
+        "samples lost": report.dropped,
+        "restarts of the count": report.restarts,
+    }
+    return values | {f"{state.topic}: {name}": str(value) for name, value in figures.items()}

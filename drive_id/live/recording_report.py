@@ -1,0 +1,126 @@
+"""What became of a recording: samples received, written and lost, in figures and in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from drive_id.files.messages.block_codec import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class TopicReport:
+    """What became of one topic.
+
+    Parameters
+    ----------
+    topic : str
+    messages : int
+        In the bag.
+    received, written : int
+        Samples that arrived, and samples in the bag.
+    lost, losses : int
+        Samples missing on the way here by the blocks' own count, and the number of places.
+    overflowed : int
+        Samples that arrived but did not fit into the queue.
+    restarts : int
+        Places where the count ran backwards.
+    unreadable : int
+        Messages that are no blocks; they are recorded all the same.
+    first_stamp, last_stamp : int or None
+        Of the first and of the last sample in the bag, ns.
+    """
+
+    topic: str
+    messages: int = 0
+    received: int = 0
+    written: int = 0
+    lost: int = 0
+    losses: int = 0
+    overflowed: int = 0
+    restarts: int = 0
+    unreadable: int = 0
+    first_stamp: int | None = None
+    last_stamp: int | None = None
+
+    @property
+    def dropped(self) -> int:
+        """Samples missing in the bag: lost on the way here, or not written."""
+        return self.lost + self.received - self.written
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample in the bag, s."""
+        if self.first_stamp is None or self.last_stamp is None:
+            return 0.0
+        return (self.last_stamp - self.first_stamp) / NANOSECONDS
+
+
+@dataclass(frozen=True)
+class RecordingReport:
+    """What became of a recording, or has so far.
+
+    Parameters
+    ----------
+    path : Path
+        The bag.
+    topics : tuple of TopicReport
+        The first is the one whose samples are reported, the phase currents.
+    files : int
+    size : int
+        Bytes on the disk.
+    waiting : int
+        Bytes in the queue.
+    error : str
+        Why the recording ended by itself; empty when it did not.
+    """
+
+    path: Path
+    topics: tuple[TopicReport, ...]
+    files: int
+    size: int
+    waiting: int = 0
+    error: str = ""
+
+    @property
+    def samples(self) -> int:
+        """Samples of the first topic in the bag."""
+        return self.topics[0].written
+
+    @property
+    def overflowed(self) -> int:
+        """Samples that did not fit into the queue, of all topics."""
+        return sum(topic.overflowed for topic in self.topics)
+
+    @property
+    def dropped(self) -> int:
+        """Samples missing in the bag, of all topics; those that wait count as missing."""
+        return sum(topic.dropped for topic in self.topics)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample of the first topic in the bag, s."""
+        return self.topics[0].duration
+
+    def sentence(self) -> str:
+        """Say what was recorded and what was lost."""
+        first = self.topics[0]
+        text = f"{first.written} samples of {first.topic} ({first.duration:.3f} s) are in {self.path}"
+        missing = [f"{topic.dropped} of {topic.topic}" for topic in self.topics if topic.dropped]
+        lost = f"these samples were lost: {', '.join(missing)}" if missing else "no sample was lost"
+        empty = [topic.topic for topic in self.topics if not topic.messages]
+        silent = f"; nothing came on {', '.join(empty)}" if empty else ""
+        return f"{text}; {lost}{silent}."
+
+    def outcome(self) -> str:
+        """Say how the recording ended, the error first."""
+        return f"{self.error} {self.sentence()}".strip()
+
+    def custom_data(self) -> dict[str, str]:
+        """Return the figures for the metadata of the bag."""
+        data = {}
+        for topic in self.topics:
+            data[f"samples_received:{topic.topic}"] = str(topic.received)
+            data[f"samples_written:{topic.topic}"] = str(topic.written)
+            data[f"samples_lost:{topic.topic}"] = str(topic.dropped)
+        return data | ({"error": self.error} if self.error else {})

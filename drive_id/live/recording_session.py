@@ -1,0 +1,266 @@
+"""One recording from start to stop, without ROS: messages are enqueued by one thread and written by another."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from drive_id.core.signals.sample_count import SampleCount
+from drive_id.errors import DriveIdError
+from drive_id.files.messages.block_codec import NANOSECONDS, BlockHead, read_head
+from drive_id.files.storage.mcap import McapStorage
+from drive_id.files.storage.mcap_stream import FileOpener, open_unbuffered
+from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
+from drive_id.live.recording_report import RecordingReport, TopicReport
+from drive_id.live.recording_settings import RecordingSettings
+
+_POLL = 0.05  # s; the writer looks for messages so often, so that callbacks need not wake it
+_OVERHEAD = 250  # bytes a message costs in the queue beyond its data
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """A topic to record: its absolute name, its type, and the quality of service that it is offered with."""
+
+    name: str
+    type_name: str
+    qos: Qos | None = None
+
+
+class _Waiting(NamedTuple):
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int | None
+    head: BlockHead | None
+
+
+@dataclass
+class _Received:
+    """What the receiving thread knows of a topic."""
+
+    count: SampleCount = field(default_factory=SampleCount)
+    unreadable: int = 0
+    overflowed: int = 0
+
+
+@dataclass
+class _Written:
+    """What the writing thread knows of a topic."""
+
+    messages: int = 0
+    samples: int = 0
+    first_stamp: int | None = None
+    last_stamp: int | None = None
+
+    def add(self, head: BlockHead | None) -> None:
+        self.messages += 1
+        if head is None or head.samples == 0:
+            return
+        self.samples += head.samples
+        last = head.stamp + round((head.samples - 1) * head.sample_period * NANOSECONDS)
+        self.first_stamp = head.stamp if self.first_stamp is None else min(self.first_stamp, head.stamp)
+        self.last_stamp = last if self.last_stamp is None else max(self.last_stamp, last)
+
+
+class RecordingSession:
+    """Record messages, untouched, into a bag until :meth:`stop`, or until the disk refuses.
+
+    Parameters
+    ----------
+    path : Path
+        Bag to create.
+    topics : sequence of RecordedTopic
+        The first is the one whose samples are reported.
+    settings : RecordingSettings
+    ros_distro : str
+        For the record.
+    opener : callable
+        Creates the files.
+
+    Raises
+    ------
+    OutputError
+        When the bag exists or cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Sequence[RecordedTopic],
+        settings: RecordingSettings,
+        *,
+        ros_distro: str = "jazzy",
+        opener: FileOpener = open_unbuffered,
+    ) -> None:
+        self.path = path
+        self._settings = settings
+        self._limit = int(settings.queue_size * 1e6)
+        self._queue: deque[_Waiting] = deque()
+        self._bytes_in, self._bytes_out = 0, 0
+        self._received = {topic.name: _Received() for topic in topics}
+        self._written = {topic.name: _Written() for topic in topics}
+        self._before = self._snapshot()
+        self._file_begin: int | None = None
+        self._error = ""
+        self._open = True
+        self._stopping = threading.Event()
+        self._writer = Rosbag2McapWriter(
+            path,
+            chunk_size=settings.chunk_size,
+            compression="" if settings.compression == "none" else settings.compression,
+            ros_distro=ros_distro,
+            live=True,
+            opener=opener,
+        )
+        for topic in topics:
+            self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str:
+        """Why the recording ended by itself; empty while it has not."""
+        return self._error
+
+    def receive(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None) -> None:
+        """Count a message and enqueue it; to be called by one thread.
+
+        Parameters
+        ----------
+        topic : str
+        data : bytes
+            CDR.
+        log_time, publish_time : int
+            ns; when it was received and published.
+        """
+        if not self._open:
+            return
+        received = self._received[topic]
+        head: BlockHead | None = None
+        try:
+            head = read_head(data)
+            received.count.add(head.first_sample, head.samples)
+        except ValueError:
+            received.unreadable += 1
+        size = len(data) + _OVERHEAD
+        if self._bytes_in - self._bytes_out + size > self._limit:
+            received.overflowed += head.samples if head else 0
+            return
+        self._queue.append(_Waiting(topic, data, log_time, publish_time, head))
+        self._bytes_in += size
+
+    def stop(self, patience: float | None = None) -> bool:
+        """Write what waits and complete the bag; may be called again.
+
+        Parameters
+        ----------
+        patience : float, optional
+            Time to wait for the disk, s; default: as long as it takes.
+
+        Returns
+        -------
+        bool
+            Whether the recording has ended.
+        """
+        self._open = False
+        self._stopping.set()
+        self._thread.join(patience)
+        return not self._thread.is_alive()
+
+    def report(self) -> RecordingReport:
+        """Tell what has become of the recording so far."""
+        topics = []
+        for name, received in self._received.items():
+            count, written = received.count, self._written[name]
+            topics.append(
+                TopicReport(
+                    name, written.messages, count.samples, written.samples, count.lost, count.losses,
+                    received.overflowed, count.restarts, received.unreadable, written.first_stamp, written.last_stamp,
+                )
+            )  # fmt: skip
+        files = self._writer.files
+        waiting = self._bytes_in - self._bytes_out
+        return RecordingReport(self.path, tuple(topics), len(files), self._writer.size, waiting, self._error)
+
+    # -- the writing thread ----------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        try:
+            self._write_until_stopped()
+            self._writer.close(self.report().custom_data())
+        except (DriveIdError, OSError) as error:
+            self._fail(str(error))
+        except Exception as error:  # noqa: BLE001  # a writer that dies without a word would lose everything
+            self._fail(f"The writer of {self.path} failed ({type(error).__name__}: {error}): report this as a bug.")
+
+    def _write_until_stopped(self) -> None:
+        flushed = time.monotonic()
+        stopping = False
+        while not stopping:
+            stopping = self._stopping.wait(_POLL)
+            for _ in range(len(self._queue)):
+                self._write(self._queue.popleft())
+            if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
+                self._writer.flush(sync=True)
+                flushed = time.monotonic()
+
+    def _write(self, message: _Waiting) -> None:
+        if self._file_begin is None:
+            self._file_begin = message.log_time
+        elif self._is_full(message.log_time):
+            self._writer.split()
+            self._file_begin = message.log_time
+            self._before = self._snapshot()
+        self._writer.write(message.topic, message.data, message.log_time, message.publish_time)
+        self._written[message.topic].add(message.head)
+        self._bytes_out += len(message.data) + _OVERHEAD
+
+    def _snapshot(self) -> dict[str, _Written]:
+        return {name: replace(written) for name, written in self._written.items()}
+
+    def _is_full(self, log_time: int) -> bool:
+        size, duration = self._settings.max_file_size, self._settings.max_file_duration
+        begin = self._file_begin or 0
+        return (0 < size <= self._writer.file_size / 1e6) or (0 < duration <= (log_time - begin) / NANOSECONDS)
+
+    def _fail(self, reason: str) -> None:
+        """End the bag behind what was written, and count anew what is there."""
+        self._open = False
+        self._queue.clear()
+        self._bytes_out = self._bytes_in
+        advice = "what was written until then is complete and readable."
+        try:
+            self._writer.end_early()
+            self._recount()
+            self._writer.describe(self.report().custom_data() | {"error": reason})
+        except DriveIdError:
+            advice = "what was written until then breaks off: complete it with 'drive-id recover'."
+            with suppress(DriveIdError):
+                self._recount()
+        self._error = f"{reason} The recording has ended; {advice}"
+
+    def _recount(self) -> None:
+        """Count what is in the last file, of which the writer knows only what it wanted to write."""
+        written = self._before
+        file = self._writer.files[-1]
+        storage = McapStorage(file, file)
+        try:
+            for message in storage.messages(frozenset(written)):
+                written[message.topic].add(_head(message.data))
+        finally:
+            storage.close()
+        self._written = written
+
+
+def _head(data: bytes | memoryview) -> BlockHead | None:
+    try:
+        return read_head(data)
+    except ValueError:
+        return None

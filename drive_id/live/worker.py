@@ -1,0 +1,71 @@
+"""One long job at a time in a thread of its own, which can be told to give up."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from drive_id.types import Progress
+
+Result = TypeVar("Result")
+
+
+class Cancelled(BaseException):  # like KeyboardInterrupt it is no error, and nobody may handle it
+    """The job was told to give up."""
+
+
+class Worker(Generic[Result]):
+    """Runs jobs that tell their progress, which is where they can be stopped.
+
+    The thread is a daemon: at the end of the process nobody waits for compiled code that cannot be stopped.
+    """
+
+    def __init__(self) -> None:
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._progress = ("", 0.0)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is running."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def progress(self) -> tuple[str, float]:
+        """What is being done, and how much of it is done, 0 to 1."""
+        return self._progress
+
+    def start(self, job: Callable[[Progress], Result], done: Callable[[Result], None]) -> None:
+        """Run a job.
+
+        Parameters
+        ----------
+        job : callable
+            Gets the function to tell its progress to; must not raise.
+        done : callable
+            Called with its result, in the worker's thread, unless it was stopped.
+        """
+
+        def run() -> None:
+            try:
+                result = job(self._tell)
+            except Cancelled:
+                return
+            if not self._stopping.is_set():
+                done(result)
+
+        self._thread = threading.Thread(target=run, name="worker", daemon=True)
+        self._thread.start()
+
+    def stop(self, patience: float) -> bool:
+        """Tell the job to give up, and whether it did so within so many seconds."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(patience)
+        return not self.busy
+
+    def _tell(self, what: str, share: float) -> None:
+        if self._stopping.is_set():
+            raise Cancelled
+        self._progress = (what, share)

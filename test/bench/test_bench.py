@@ -1,0 +1,187 @@
+"""The simulated bench: what it does with references, and what it publishes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from drive_id.bench.bench import Bench, Pace
+from drive_id.bench.bench_settings import BenchSettings
+from drive_id.bench.drive import Drive, build_machine
+from drive_id.bench.machines import machine_map
+from drive_id.bench.reference_buffer import ReferenceBuffer
+from drive_id.bench.settings import SimulationSettings
+from drive_id.health import Level
+
+MS = 1_000_000
+US = 1000
+T0 = 1_700_000_000 * 1000 * MS
+T = 1e-4
+GRID = T0 + np.arange(2000) * 100 * US
+
+
+def values(*numbers):
+    return np.array(numbers, np.float32)
+
+
+def buffer():
+    return ReferenceBuffer(100.0, 1e4)
+
+
+def test_each_set_point_is_due_at_its_stamp():
+    references = buffer()
+    references.add(T0 + 1000 * US, T, values(1, 2, 3), values(-1, -2, -3))
+    taken = references.take(GRID[:20], T)
+    np.testing.assert_array_equal(taken[:10], 0.0)
+    np.testing.assert_array_equal(taken[10:13], [[1, -1], [2, -2], [3, -3]])
+
+
+def test_grids_need_not_agree():
+    """A set-point counts from the sample on that follows it; coarser set-points are held."""
+    references = buffer()
+    references.add(T0 - 50 * US, 2e-4, values(1, 2), values(0, 0))
+    np.testing.assert_array_equal(references.take(GRID[:4], T)[:, 0], [1, 1, 2, 2])
+
+
+def test_without_references_the_current_goes_to_zero_with_bounded_slew():
+    references = buffer()
+    references.add(T0, T, np.full(10, 30, np.float32), np.full(10, 40, np.float32))
+    first, rest = references.take(GRID[:15], T), references.take(GRID[15:100], T)
+    taken = np.concatenate((first, rest))
+    amplitude = np.hypot(*taken.T)
+    np.testing.assert_allclose(amplitude[:11], 50.0)  # the last one holds for one and a half periods
+    np.testing.assert_allclose(amplitude[11:61], 50.0 - np.arange(1, 51), atol=1e-9)
+    np.testing.assert_array_equal(taken[61:], 0.0)
+    assert references.dry
+
+
+def test_later_blocks_take_back_what_follows_them():
+    references = buffer()
+    references.add(T0, T, np.full(100, 10, np.float32), np.zeros(100, np.float32))
+    references.take(GRID[:20], T)
+    references.add(int(GRID[30]), T, np.full(50, 5, np.float32), np.zeros(50, np.float32))
+    taken = references.take(GRID[20:70], T)[:, 0]
+    np.testing.assert_array_equal(taken, [10] * 10 + [5] * 40)
+
+
+def test_late_ones_are_counted():
+    references = buffer()
+    references.take(GRID[:50], T)
+    references.add(T0, T, np.ones(60, np.float32), np.ones(60, np.float32))
+    assert references.counts.late == 50
+    np.testing.assert_array_equal(references.take(GRID[50:60], T), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("period", "d", "q"),
+    [
+        (T, values(1, 2), values(1)),
+        (T, values(np.nan), values(1)),
+        (T, values(1), values(np.inf)),
+        (0.0, values(1), values(1)),
+        (np.nan, values(1), values(1)),
+        (-1.0, values(1), values(1)),
+    ],
+)
+def test_what_makes_no_sense_is_left_out(period, d, q):
+    references = buffer()
+    references.add(T0, period, d, q)
+    assert references.counts.unusable > 0
+    np.testing.assert_array_equal(references.take(GRID[:5], T), 0.0)
+
+
+def test_beyond_the_drives_limit_they_are_drawn_in():
+    references = buffer()
+    references.add(T0, T, values(300), values(400))
+    np.testing.assert_allclose(references.take(GRID[:1], T), [[60, 80]])
+    assert references.counts.limited == 1
+
+
+def test_the_buffer_forgets():
+    references = buffer()
+    for k in range(0, 2000, 100):
+        references.add(int(GRID[k]), T, np.ones(100, np.float32), np.ones(100, np.float32))
+        references.take(GRID[k : k + 100], T)
+    assert len(references) <= 1
+
+
+DRIVE = SimulationSettings(current_noise=1e-3)
+
+
+@pytest.fixture(scope="module")
+def map_of_ipm():
+    return machine_map("ipm")
+
+
+def columns(blocks, name):
+    return np.concatenate([np.stack(getattr(block, name), axis=-1) for block in blocks])
+
+
+def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings(block_size=30))
+    t = np.arange(2000) * T
+    wanted = (50 * np.stack((np.sin(20 * t), np.cos(20 * t) - 1), axis=-1)).astype(np.float32)
+    bench.references.add(T0, T, *wanted.T.copy())
+    assert bench.advance(T0) == []
+    blocks = []
+    for now in (T0 + 1 * MS, T0 + 3 * MS, T0 + 3 * MS + 1, T0 + 90 * MS, T0 + 150 * MS):
+        blocks += bench.advance(now)
+        assert blocks == [] or blocks[-1].stamp + 3 * MS <= now
+    assert len(blocks) == 50
+    assert [block.first_sample for block in blocks] == list(range(0, 1500, 30))
+    assert [block.stamp for block in blocks] == [T0 + k * 3 * MS for k in range(50)]
+    alone = Drive(build_machine(map_of_ipm, DRIVE), DRIVE).step_block(wanted[:1500].astype(float)).samples
+    np.testing.assert_array_equal(columns(blocks, "currents"), alone.i_abc.astype(np.float32))
+    np.testing.assert_array_equal(columns(blocks, "voltages"), alone.u_abc.astype(np.float32))
+    np.testing.assert_allclose(columns(blocks, "resolver")[:, 0], alone.angle, atol=3e-7)
+    angle = columns(blocks, "resolver")[:, 0].astype(float)
+    assert np.all((angle >= -np.pi) & (angle < np.pi))
+
+
+def test_it_catches_up_without_gaps_and_says_that_it_is_late(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench.advance(T0)
+    now, blocks = T0 + 3000 * MS, []
+    blocks += bench.advance(now)
+    assert len(blocks) == 50  # no more at once
+    assert bench.health().level is Level.WARN
+    assert "behind the clock" in bench.health().message
+    for _ in range(10):
+        blocks += bench.advance(now)
+    assert [block.first_sample for block in blocks] == list(range(0, 30_000, 100))
+    assert bench.health().level is Level.OK
+
+
+def test_speeds_can_change_meanwhile(map_of_ipm):
+    bench = Bench(map_of_ipm, dataclasses.replace(DRIVE, current_noise=0.0), BenchSettings())
+    bench.advance(T0)
+    bench.advance(T0 + 100 * MS)
+    bench.set_speeds((800.0,), 0.1)
+    rpm = columns(bench.advance(T0 + 300 * MS), "resolver")[:, 1] * 30 / np.pi / 4
+    np.testing.assert_allclose(rpm[[0, 500, 1000, 1999]], [500, 650, 800, 800], rtol=1e-6)
+
+
+def test_health_tells_of_references_that_could_not_be_followed(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench.advance(T0)
+    assert bench.health().message == "Zero current: no references."
+    bench.references.add(T0, T, values(np.nan), values(0))
+    assert "1 set-points were not usable" in bench.health().message
+    bench.references.add(T0, T, values(1000), values(0))
+    assert "drawn in" in bench.health().message
+    bench.advance(T0 + 10 * MS)
+    bench.references.add(T0, T, values(1), values(0))
+    assert "too late" in bench.health().message
+    assert bench.health().level is Level.OK
+    assert not any("ipm" in text or "500" in text for text in bench.health().values.values())
+
+
+def test_scaled_time_waits_for_the_simulation():
+    pace = Pace(T0, 0, 10.0)
+    assert pace.now(1 * MS, T0 + 50 * MS) == T0 + 10 * MS
+    assert pace.now(100 * MS, T0 + 50 * MS) == T0 + 50 * MS
+    assert pace.now(101 * MS, T0 + 100 * MS) == T0 + 60 * MS
+    real = Pace(T0, 0, 1.0)
+    assert real.now(100 * MS, T0 + 50 * MS) == T0 + 100 * MS

@@ -1,0 +1,62 @@
+"""What a command loads before it answers: a shell's question must not wait for the numerics."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+RUN = """
+import contextlib, io, json, sys
+from drive_id.cli.app import main
+sys.argv = ["drive-id", *json.loads(sys.argv[1])]
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    main()
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def loaded(*arguments: object) -> set[str]:
+    """Run a command in a process of its own and return the names of all modules that it loaded."""
+    words = json.dumps([str(argument) for argument in arguments])
+    ran = subprocess.run([sys.executable, "-c", RUN, words], capture_output=True, text=True, timeout=600, check=True)
+    modules = set(json.loads(ran.stdout.splitlines()[-1]))
+    assert "drive_id.cli.app" in modules
+    return modules
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["fit", "--help"], ["simulate", "--help"]])
+def test_help_needs_no_numerics(arguments):
+    assert not loaded(*arguments) & {"numpy", "numba", "scipy", "matplotlib", "rosbags", "mcap", "yaml", "distributed"}
+
+
+def test_info_reads_a_bag_without_numerics_and_message_definitions(bag):
+    modules = loaded("info", bag)
+    assert "drive_id.files.read.info" in modules
+    assert not modules & {"numpy", "numba", "scipy", "matplotlib", "rosbags", "distributed"}
+
+
+def test_a_fit_does_not_load_what_it_has_no_use_for(bag, tmp_path):
+    modules = loaded("fit", bag, "--method", "joint", "--output", tmp_path / "fit", "--quiet")
+    assert "drive_id.core.paper.regression" in modules
+    unused = {"scipy.interpolate", "scipy.ndimage", "scipy.io", "scipy.special", "asyncio"}
+    assert not modules & (unused | {"matplotlib.pyplot", "distributed", "drive_id.bench.drive", "rosbags"})
+
+
+def test_recovering_a_bag_needs_no_numerics(bag, tmp_path):
+    modules = loaded("recover", bag, "--output", tmp_path / "recovered", "--quiet")
+    assert "drive_id.files.write.recover" in modules
+    assert not modules & {"numba", "scipy", "matplotlib", "distributed"}
+
+
+def test_the_nodes_do_not_let_many_threads_wait_for_small_matrices():
+    """Unless told otherwise, and before numpy is loaded, when it is too late to say so."""
+    code = "import os, sys, drive_id.nodes; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    for told, threads in ((None, "1"), ("3", "3")):
+        environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+        environment |= {"OPENBLAS_NUM_THREADS": told} if told else {}
+        ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert ran.stdout.split() == [threads, "False"]

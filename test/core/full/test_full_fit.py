@@ -1,0 +1,238 @@
+"""Method ``full`` on recordings of known truth that no simulator made: what it chooses, calibrates and enforces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import record as record_of
+from synthetic import saturating_flux
+
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.basis import Choice, delay_shares
+from drive_id.core.full.calibration import Calibration, corrected, rotated
+from drive_id.core.full.fit import fit_full
+from drive_id.core.full.noise_correction import undiluted
+from drive_id.core.full.solver import Solver
+from drive_id.core.full.windows import SHIFTS
+from drive_id.core.result.identify import gather, identify
+from drive_id.errors import ConfigurationError, DataError
+
+FULL = FitSettings("full", i_max=300.0)
+HEIGHTS = np.array([5.0, 4.0, 3.0])
+
+
+def reciprocal_flux(i_dq):
+    """Return the gradient of 0.08 i_d + 30 sqrt(1 + 0.6 x^2 + 1.3 y^2), x and y being currents over 300 A, in Wb."""
+    x, y = i_dq[..., 0] / 300, i_dq[..., 1] / 300
+    root = np.sqrt(1 + 0.6 * x**2 + 1.3 * y**2)
+    return np.stack([0.08 + 0.06 * x / root, 0.13 * y / root], axis=-1)
+
+
+def record(flux=reciprocal_flux, **options):
+    return record_of(flux, **options)
+
+
+def drop(i_abc):
+    """Return drops of another height in each phase, V."""
+    return HEIGHTS * np.tanh(i_abc / 6.0)
+
+
+def even_drop(i_abc):
+    return 4.0 * np.tanh(i_abc / 6.0)
+
+
+def errors(identification, flux=reciprocal_flux):
+    """Return the NRMSE of both fluxes on the map within the disc."""
+    flux_map = identification.flux_map
+    grid = flux_map.grid()
+    i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= 295.0)]
+    true = flux(i_dq)
+    return np.sqrt(np.mean((identification.flux(i_dq) - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
+
+
+def fitted(samples, settings=FULL):
+    evidence = gather([samples], settings)
+    return fit_full(evidence.windows.finished(), settings, evidence.turn)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return record(drop=even_drop, duration=4.0, noise=0.3)
+
+
+@pytest.fixture(scope="module")
+def result(samples):
+    return identify([samples], FULL)
+
+
+def test_it_finds_the_truth_and_says_how_well(result):
+    assert np.all(errors(result) < 1e-3)
+    assert abs(result.resistance - 0.02) < 4 * result.sigma_resistance < 4e-4
+    np.testing.assert_allclose(result.inverter_voltage[-20:], 4.0, rtol=0.02)
+    assert np.all(result.inverter_deviation[-20:] < 0.1)
+    assert result.harmonics == ()
+    assert result.report.warnings == ()
+    assert all(sentence.endswith(".") for sentence in result.statements)
+
+
+def test_what_noise_takes_from_the_map_is_given_back():
+    """Against the fit to the same currents without noise, in the mean over other noise."""
+    clean = record(drop=even_drop, duration=4.0)
+    choice = Choice(reciprocal=True, orders=(), penalty=1e-4)
+    i_dq = 290 * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
+
+    def with_and_without(noise):
+        information = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL).windows.finished()
+        solver = Solver(information.model, information.folds, information.counts)
+        solution = solver.solve(choice)
+        whole, _ = undiluted(solver, solution, np.concatenate([part.i_dq[:, 0] for part in information.kept()]))
+        rows, columns = information.model.flux.rows(i_dq), information.model.map
+        return np.array([rows.dot(each.residual[columns]) for each in (solution, whole)])
+
+    noise = [3.0 * np.random.default_rng(seed).standard_normal(clean.i_abc.shape) for seed in range(8)]
+    diluted, whole = np.mean([with_and_without(each) for each in noise], axis=0) - with_and_without(0.0)[0]
+    foreseen = diluted - whole
+    assert 0.7 < np.sum(diluted * foreseen) / np.sum(foreseen**2) < 1.6
+    assert np.linalg.norm(whole) < 0.8 * np.linalg.norm(diluted)
+
+
+def test_deviations_grow_with_the_noise(result):
+    noisy = identify([record(drop=even_drop, duration=4.0, noise=3.0)], FULL)
+    inside = result.flux_map.inside & noisy.flux_map.inside
+    growth = noisy.flux_map.sigma_d[inside] / result.flux_map.sigma_d[inside]
+    assert 4 < np.median(growth) < 12
+    assert np.isnan(result.flux_map.sigma_d[~result.flux_map.inside]).all()
+
+
+def test_free_maps_are_taken_when_the_machine_is_not_reciprocal():
+    found = identify([record(saturating_flux, drop=even_drop, duration=4.0, noise=0.3)], FULL)
+    assert np.all(errors(found, saturating_flux) < 1e-3)
+    assert any("not reciprocal" in warning for warning in found.report.warnings)
+    forced = identify(
+        [record(saturating_flux, drop=even_drop, duration=4.0, noise=0.3)], replace(FULL, maps="reciprocal")
+    )
+    assert errors(forced, saturating_flux).max() > 5e-3
+
+
+@pytest.mark.parametrize("delay", [-3.2, -1.4, -0.3, 0.0, 0.5, 1.0, 2.0, 3.7])
+def test_shares_shift_a_held_voltage(delay):
+    """Integrals of a staircase, moved in time, against the staircase and its neighbours."""
+    u = np.random.default_rng(0).standard_normal(60)
+    staircase = np.concatenate([[0.0], np.cumsum(u)])
+    exact = np.interp(np.arange(10, 50) - delay, np.arange(61), staircase)
+    shares = delay_shares(delay)
+    neighbours = np.array([[u[k + shift] for shift in SHIFTS] for k in range(10, 50)])
+    np.testing.assert_allclose(staircase[10:50] - neighbours @ shares, exact, atol=1e-12)
+    assert shares.sum() == pytest.approx(delay)
+
+
+@pytest.mark.parametrize("late", [1, -1])
+def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
+    shifted = replace(samples, u_abc=np.roll(samples.u_abc, -late, axis=0))
+    fit = fitted(shifted)
+    assert fit.choice.delay == pytest.approx(late, abs=0.05)
+    plain = fitted(shifted, replace(FULL, calibrate_delay=False, voltage_delay=float(late)))
+    assert plain.choice.delay == late
+    assert abs(plain.solution.resistance - 0.02) < 1e-3
+
+
+def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
+    turned = identify([replace(samples, angle=samples.angle + 0.03)], FULL)
+    found = {entry.name: entry for entry in turned.calibrations}["resolver_offset"]
+    assert found.applied
+    assert found.value == pytest.approx(0.03, abs=max(4 * found.sigma, 2e-4))
+    assert np.all(errors(turned) < 2e-3)
+    as_measured = identify([replace(samples, angle=samples.angle + 0.03)], replace(FULL, calibrate_angle=False))
+    assert errors(as_measured).max() > 5e-3
+
+
+def test_gain_mismatch_is_traced_back(samples):
+    gains, offset = np.array([1.006, 0.997, 0.997]), np.array([0.6, -0.2, -0.4])
+    faulty = identify([replace(samples, i_abc=samples.i_abc * gains + offset)], FULL)
+    found = {entry.name: entry for entry in faulty.calibrations}
+    expected = np.sum((gains - 1) * np.exp(2j * frames.PHASE_SHIFTS)) / 3
+    value = complex(found["current_gain_mismatch_alpha"].value, found["current_gain_mismatch_beta"].value)
+    assert abs(value - expected) < 0.15 * abs(expected)
+    value = complex(found["current_offset_alpha"].value, found["current_offset_beta"].value)
+    assert abs(value - frames.space_vector(offset[None])[0]) < 0.1
+    assert np.all(errors(faulty) < 2e-3)
+
+
+def test_each_phase_may_have_its_own_curve():
+    settings = replace(FULL, per_phase_inverter=True)
+    found = identify([record(drop=drop, duration=4.0, noise=0.3)], settings)
+    np.testing.assert_allclose(found.phase_voltages[-20:].mean(axis=0), HEIGHTS, rtol=0.03)
+    assert np.all(errors(found) < 2e-3)
+
+
+def test_a_map_that_folds_can_be_kept_from_it():
+    """Few noisy data and free maps give spurious folds."""
+    weak = record(drop=even_drop, duration=1.5, noise=12.0)
+    free = replace(FULL, maps="free")
+    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(0, 295, 30))
+    i_dq = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    folded, kept = fitted(weak, free).passive(i_dq), fitted(weak, replace(free, passive_maps=True)).passive(i_dq)
+    assert not folded.all()
+    assert (~kept).sum() < 0.1 * (~folded).sum()
+
+
+def test_a_passive_map_is_left_alone(samples):
+    plain, enforced = (fitted(samples, replace(FULL, passive_maps=wish)) for wish in (False, True))
+    np.testing.assert_array_equal(plain.solution.residual, enforced.solution.residual)
+
+
+def test_correction_takes_out_what_was_put_in(samples):
+    offset, mismatch, angle = 2.0 - 1.0j, 0.004 + 0.002j, 0.02
+    i_s = frames.space_vector(samples.i_abc)
+    measured = i_s + mismatch * i_s.conj() + offset
+    i_abc = (measured[:, None] * np.exp(-1j * frames.PHASE_SHIFTS)).real
+    faulty = replace(samples, i_abc=i_abc, angle=samples.angle + angle, u_abc=np.roll(samples.u_abc, -1, axis=0))
+    values = {
+        "current_offset_alpha": 2.0, "current_offset_beta": -1.0, "current_gain_mismatch_alpha": 0.004,
+        "current_gain_mismatch_beta": 0.002, "resolver_offset": angle, "voltage_delay": 1.0,
+    }  # fmt: skip
+    found = corrected(faulty, [Calibration(name, value, 0.0, "", True, "") for name, value in values.items()])
+    np.testing.assert_allclose(frames.space_vector(found.i_abc), i_s, atol=2 * abs(mismatch) ** 2 * 300 + 1e-9)
+    np.testing.assert_allclose(found.angle, samples.angle)
+    np.testing.assert_allclose(frames.space_vector(found.u_abc)[1:], frames.space_vector(samples.u_abc)[1:], atol=1e-9)
+    untouched = corrected(faulty, [Calibration(name, value, 0.0, "", False, "") for name, value in values.items()])
+    np.testing.assert_allclose(frames.space_vector(untouched.i_abc), measured, atol=1e-9)
+
+
+def test_rotation():
+    np.testing.assert_allclose(rotated(np.array([1.0, 0.0]), np.pi / 2), [0.0, 1.0], atol=1e-15)
+
+
+def test_a_recording_of_too_few_windows_is_refused():
+    with pytest.raises(DataError, match="fewer than the unknowns"):
+        identify([record(duration=0.58)], replace(FULL, i_max=None))
+
+
+def test_conditions_are_one_for_each_recording(samples):
+    with pytest.raises(ConfigurationError, match="temperatures has 1 entries and there are more"):
+        identify([samples, samples], replace(FULL, temperatures=(20.0,)))
+    with pytest.raises(ConfigurationError, match="give both for each"):
+        replace(FULL, temperatures=(20.0, 30.0), u_dc=(400.0,))
+
+
+def test_temperatures_separate_winding_and_magnet():
+    def hot_flux(i_dq):
+        return reciprocal_flux(i_dq) - np.array([0.004, 0.0])
+
+    cold = record(drop=even_drop, duration=3.0, noise=0.3)
+    hot = record(hot_flux, resistance=0.02 * (1 + 3.93e-3 * 80), drop=even_drop, duration=3.0, noise=0.3, speed=300.0)
+    found = identify([cold, hot], replace(FULL, temperatures=(20.0, 100.0)))
+    assert found.resistance == pytest.approx(0.02, rel=0.01)
+    coefficient, sigma = found.magnet_coefficient
+    assert coefficient == pytest.approx(-0.004 / 80, abs=max(5 * sigma, 5e-7))
+    assert np.all(errors(found) < 2e-3)
+
+
+def test_the_drop_scales_with_the_dc_link():
+    low = record(drop=even_drop, duration=3.0, noise=0.3)
+    high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)
+    found = identify([low, high], replace(FULL, u_dc=(400.0, 600.0)))
+    np.testing.assert_allclose(found.inverter_voltage[-20:], 4.0, rtol=0.02)

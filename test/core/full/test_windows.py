@@ -1,0 +1,114 @@
+"""Windows against direct sums, whatever the pieces, gaps and periods of the samples."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic import record
+
+from drive_id.core import frames
+from drive_id.core.full.windows import LONGEST_WINDOW, SHIFTS, STRIDE, WINDOW_ANGLE, WindowCutter, Windows
+from drive_id.core.maps.inverter_curve import CapacitiveShapes
+from drive_id.types import Samples
+
+SHAPES = CapacitiveShapes.up_to(300.0)
+NAMES = [field.name for field in dataclasses.fields(Windows)]
+
+
+def cut(*pieces, continues=()):
+    cutter, parts = WindowCutter(SHAPES), []
+    for number, piece in enumerate(pieces):
+        parts += list(cutter.cut(piece, continues=number in continues))
+    return Windows.joined(parts + list(cutter.finish()))
+
+
+def between(samples, start, end):
+    arrays = {name: getattr(samples, name)[start:end] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
+    return Samples(**arrays, sample_period=samples.sample_period)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return record(duration=2.0, noise=0.5)
+
+
+def test_a_window_holds_the_sums_between_its_ends(samples):
+    windows = cut(samples)
+    begin = np.rint(windows.time / samples.sample_period).astype(int)
+    end = begin + np.rint(windows.duration / samples.sample_period).astype(int)
+    i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
+    period = samples.sample_period
+    for n in (0, 17, len(windows) - 1):
+        a, b = begin[n], end[n]
+        np.testing.assert_allclose(windows.voltage[n], period * u_s[a:b].sum(), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(windows.current[n], np.trapezoid(i_s[a : b + 1], dx=period), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(windows.angle[n], samples.angle[[a, b]])
+        np.testing.assert_allclose(
+            windows.i_dq[n], frames.to_dq(samples.i_abc[[a, b]], samples.angle[[a, b]]), atol=1e-10
+        )
+        for column, shift in enumerate(SHIFTS):
+            np.testing.assert_allclose(windows.shifted[n, column], period * (u_s[b + shift] - u_s[a + shift]))
+        fine = np.linspace(0.0, 1.0, 401)[:, None, None]
+        lines = samples.i_abc[a:b] + fine * np.diff(samples.i_abc[a : b + 1], axis=0)
+        expected = period * np.trapezoid(SHAPES(lines), dx=1 / 400, axis=0).sum(axis=0).T
+        np.testing.assert_allclose(windows.shape[n], expected, rtol=1e-3, atol=1e-7)
+        if a:
+            angle = samples.angle[a : b + 1]
+            i_dq = frames.to_dq(samples.i_abc, samples.angle)
+            i_abc = np.stack([frames.to_abc(i_dq[a - 1 : b], angle), frames.to_abc(i_dq[a : b + 1], angle)])
+            lines = i_abc[:, :-1] + fine[..., None] * np.diff(i_abc, axis=1)
+            then, now = period * np.trapezoid(SHAPES(lines)[..., ::2], dx=1 / 400, axis=0).sum(axis=1)
+            expected = [frames.space_vector(x[None])[0] for x in (now - then).T]
+            np.testing.assert_allclose(windows.lag[n], expected, atol=1e-4 * period)
+
+
+@pytest.mark.parametrize("size", [37, 700, 9000])
+def test_pieces_make_no_difference(samples, size):
+    starts = range(0, len(samples) - 1, size)
+    pieces = [between(samples, max(start - 1, 0) if start else 0, start + size) for start in starts]
+    whole, parts = cut(samples), cut(*pieces, continues=set(range(1, len(pieces))))
+    for name in NAMES:
+        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
+
+
+def test_no_window_spans_a_gap(samples):
+    gaps = dataclasses.replace(samples, run_starts=np.array([0, 3000, 3004, 12001]))
+    windows = cut(gaps)
+    begin = np.rint(windows.time / samples.sample_period).astype(int)
+    end = begin + np.rint(windows.duration / samples.sample_period).astype(int)
+    for gap in (3000, 3004, 12001):
+        assert not np.any((begin < gap) & (end >= gap))
+    assert len(windows) > 0.9 * len(cut(samples))
+
+
+@pytest.mark.parametrize("speed", [-800.0, -40.0, 5.0, 209.0, 1300.0])
+def test_a_window_turns_the_rotor_by_a_sixth(speed):
+    windows = cut(record(speed=speed, duration=1.0))
+    turn = np.abs(speed) * windows.duration
+    assert np.all(windows.duration <= LONGEST_WINDOW * (1 + 1e-9))
+    if abs(speed) * LONGEST_WINDOW > WINDOW_ANGLE:
+        np.testing.assert_allclose(turn, WINDOW_ANGLE, atol=0.51 * abs(speed) * 1e-4)
+    assert np.mean(np.diff(windows.time)) == pytest.approx(STRIDE, rel=0.05)
+
+
+def test_starts_meet_every_rotor_position():
+    """Strides of a sixth of a turn would show the sixth harmonic at one phase only."""
+    speed = 2 * np.pi / 6 / STRIDE
+    windows = cut(record(speed=speed, duration=2.0))
+    for order in (6, 12):
+        assert np.abs(np.exp(1j * order * windows.angle[:, 0]).mean()) < 0.1
+
+
+def test_fine_sampling_costs_no_more_windows():
+    coarse, fine = (cut(record(duration=0.5, period=period)) for period in (1e-4, 1e-5))
+    assert len(fine) == pytest.approx(len(coarse), rel=0.02)
+    assert abs(np.abs(fine.voltage).mean() / np.abs(coarse.voltage).mean() - 1) < 0.01
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 60])
+def test_too_few_samples_give_no_window_or_few(samples, count):
+    cutter = WindowCutter(SHAPES)
+    parts = list(cutter.cut(between(samples, 0, count))) + list(cutter.finish())
+    assert sum(len(part) for part in parts) <= count / 8

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dense_oracle import bases
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drive_id.core.maps.continuation import extend
+from drive_id.core.maps.flux_models import Polynomial, TensorSpline, as_tensor_spline
+from drive_id.core.numerics.bspline import Axis
+from drive_id.errors import ConfigurationError
+
+SPLINE = TensorSpline(Axis(-300.0, 250.0, 8), Axis(-200.0, 310.0, 11))
+MODELS = [SPLINE, Polynomial(1, 300.0), Polynomial(5, 300.0)]
+currents = st.tuples(st.floats(-300, 250), st.floats(-200, 310)).map(lambda pair: np.array([pair]))
+
+
+def naive_spline(x, knots, index, degree):
+    """Cox and de Boor's recursion, as printed in the textbooks."""
+    if degree == 0:
+        return 1.0 if knots[index] <= x < knots[index + 1] else 0.0
+    left = (x - knots[index]) / (knots[index + degree] - knots[index]) * naive_spline(x, knots, index, degree - 1)
+    right = (knots[index + degree + 1] - x) / (knots[index + degree + 1] - knots[index + 1])
+    return left + right * naive_spline(x, knots, index + 1, degree - 1)
+
+
+@given(i_dq=currents)
+def test_spline_values_against_the_naive_recursion(i_dq):
+    dense = SPLINE.rows(np.minimum(i_dq, [249.99, 309.99])).dense(SPLINE.parameters)[0]
+    i_d, i_q = np.minimum(i_dq, [249.99, 309.99])[0]
+    knots_d = -300 + 550 / 5 * np.arange(-3, 9)
+    knots_q = -200 + 510 / 8 * np.arange(-3, 12)
+    by_d = [naive_spline(i_d, knots_d, k, 3) for k in range(8)]
+    by_q = [naive_spline(i_q, knots_q, k, 3) for k in range(11)]
+    np.testing.assert_allclose(dense[0, :88], np.outer(by_d, by_q).ravel(), atol=1e-12)
+    np.testing.assert_array_equal(dense[0, :88], dense[1, 88:])
+    assert not dense[0, 88:].any()
+    assert not dense[1, :88].any()
+
+
+@given(i_dq=currents)
+def test_partition_of_unity(i_dq):
+    np.testing.assert_allclose(SPLINE.rows(i_dq).value.sum(axis=-1), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@given(i_dq=currents)
+def test_slopes_are_the_derivatives(model, i_dq):
+    inner = np.clip(i_dq, [-299, -199], [249, 309])
+    for axis, rows in enumerate(model.slope_rows(inner)):
+        step = np.zeros(2)
+        step[axis] = 1e-4
+        difference = (
+            model.rows(inner + step).dense(model.parameters) - model.rows(inner - step).dense(model.parameters)
+        ) / 2e-4
+        np.testing.assert_allclose(rows.dense(model.parameters), difference, atol=1e-8)
+
+
+def test_beyond_the_range_is_told_and_taken_at_the_edge():
+    beyond = np.array([[-301.0, 0.0], [0.0, 311.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(SPLINE.contains(beyond), [False, False, True])
+    at_edge = SPLINE.rows(np.array([[-300.0, 0.0], [0.0, 310.0], [0.0, 0.0]]))
+    np.testing.assert_allclose(
+        SPLINE.rows(beyond).dense(SPLINE.parameters), at_edge.dense(SPLINE.parameters), atol=1e-14
+    )
+    assert MODELS[1].contains(beyond).all()
+
+
+def test_a_polynomial_of_first_degree_is_the_linear_machine():
+    model = Polynomial(1, 1.0)
+    i_dq = np.array([[10.0, -4.0]])
+    rows = model.rows(i_dq).dense(model.parameters)[0]
+    np.testing.assert_array_equal(rows, [[1, -4, 10, 0, 0, 0], [0, 0, 0, 1, -4, 10]])
+
+
+def test_polynomials_become_splines_without_loss_up_to_cubics():
+    model = Polynomial(3, 300.0)
+    gamma = np.random.default_rng(2).normal(size=model.parameters)
+    spline, coefficients = as_tensor_spline(model, gamma, Axis(-300, 300, 9), Axis(-280, 300, 7))
+    i_dq = np.random.default_rng(3).uniform(-280, 300, (200, 2))
+    np.testing.assert_allclose(spline.rows(i_dq).dot(coefficients), model.rows(i_dq).dot(gamma), atol=1e-11)
+
+
+def test_splines_stay_themselves():
+    gamma = np.arange(SPLINE.parameters, dtype=float)
+    model, same = as_tensor_spline(SPLINE, gamma, Axis(0, 1, 4), Axis(0, 1, 4))
+    assert model is SPLINE
+    assert same is gamma
+
+
+def test_collocation_is_the_basis():
+    axis = Axis(-3.0, 5.0, 9)
+    np.testing.assert_allclose(axis.collocation(axis.sites()), bases(axis.sites(), -3.0, 5.0, 9), atol=1e-14)
+
+
+def test_extension_continues_a_linear_machine_exactly_and_leaves_the_rest_alone():
+    linear = Polynomial(1, 300.0)
+    gamma = np.array([0.1, 0.0, 0.03, 0.0, 0.06, 0.0])  # psi_d = 0.1 + 1e-4 i_d, psi_q = 2e-4 i_q
+    spline, exact = as_tensor_spline(linear, gamma, SPLINE.d, SPLINE.q)
+    weak = np.random.default_rng(4).random(len(exact)) < 0.3
+    spoilt = np.where(weak, 50.0, exact)
+    np.testing.assert_allclose(extend(spline, spoilt, weak, (1e-4, 2e-4)), exact, atol=1e-12)
+    np.testing.assert_array_equal(extend(spline, spoilt, weak, (9.0, 9.0))[~weak], exact[~weak])
+
+
+@pytest.mark.parametrize(
+    ("make", "fragment"),
+    [
+        (lambda: Axis(1.0, 1.0, 8), "is empty"),
+        (lambda: Axis(0.0, float("nan"), 8), "is empty"),
+        (lambda: Axis(0.0, 1.0, 3), "too few"),
+        (lambda: Polynomial(0, 1.0), "degree 0"),
+        (lambda: Polynomial(2, 0.0), "must be positive"),
+    ],
+)
+def test_nonsense_is_refused(make, fragment):
+    with pytest.raises(ConfigurationError, match=fragment):
+        make()

@@ -1,0 +1,41 @@
+"""The small kernels against what numpy says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core.numerics.scans import all_finite, apart, bend_square, mark_rests, rising
+from drive_id.core.signals.matching import constant_shift
+
+
+def test_rests_and_bends():
+    i_dq = np.array([[0.0, 0], [0, 0], [5, 0], [0, 0], [0, 0], [0, 0], [0, 7]])
+    idle = np.zeros(7, np.bool_)
+    assert mark_rests(i_dq, 1.0, 1.0, 2.0, 0, idle) == 0
+    assert idle.tolist() == [False] * 5 + [True, False]
+    assert mark_rests(i_dq[:2], 1.0, 1.0, 2.0, 1, idle[:2]) == 3
+    assert idle[:2].tolist() == [False, True]
+    assert bend_square(i_dq) == np.sum(np.diff(i_dq, n=2, axis=0) ** 2)
+
+
+def test_scans():
+    assert all_finite(np.full((3, 2), 1e308))
+    assert not all_finite(np.array([[1.0, np.nan]]))
+    assert not all_finite(np.array([[np.inf, -np.inf]]))
+    assert rising(np.array([1, 2, 3]))
+    assert rising(np.array([1]))
+    assert not rising(np.array([1, 2, 2]))
+    assert apart(np.array([1, 2]), np.array([4, 5, 9]), 3)
+    assert not apart(np.array([1, 2]), np.array([4, 6, 9]), 3)
+
+
+def test_a_constant_shift_is_one_only_where_partners_are_certain():
+    clock = 100 * np.arange(10)
+    assert constant_shift(clock, clock + 40) == 40
+    assert constant_shift(clock, clock + 60) is None
+    assert constant_shift(clock, clock + 60, 40) == 60
+    assert constant_shift(clock[:0], clock) is None
+    assert constant_shift(clock, clock[:5]) is None
+    later = clock + 3
+    later[4] += 1
+    assert constant_shift(clock, later) is None

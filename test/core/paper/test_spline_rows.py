@@ -1,0 +1,82 @@
+"""The one-pass kernel against the rows themselves, where trajectories are smooth and where they are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drive_id.core import frames
+from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.paper.regression import Information
+from drive_id.core.paper.sample_integrals import FLUX, sample_integrals
+from drive_id.types import Samples
+
+MODEL = TensorSpline(Axis(-100, 100, 7), Axis(-80, 120, 9))
+
+
+def wild(n, seed, step, speed):
+    """Currents that wander by so many amperes from sample to sample, also beyond the model."""
+    rng = np.random.default_rng(seed)
+    i_dq = np.clip(np.cumsum(rng.normal(0, step, (n, 2)), axis=0), -130, 130)
+    angle = rng.uniform(-np.pi, np.pi, n)
+    return Samples(
+        stamp=100_000 * np.arange(n),
+        i_abc=frames.to_abc(i_dq, angle) + rng.normal(0, 1, (n, 1)),
+        u_abc=rng.normal(0, 100, (n, 3)),
+        angle=angle,
+        speed=rng.normal(0, speed, n),
+        sample_period=1e-4,
+    )
+
+
+def expected(samples, left_out):
+    integrals = sample_integrals(samples, slice(0, len(samples)), MODEL, TanhShape(), left_out)
+    z = integrals.dense(MODEL.parameters)[integrals.valid].reshape(-1, FLUX + MODEL.parameters)
+    return z.T @ z, 2 * int(integrals.valid.sum()), int((~integrals.inside).sum())
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.sampled_from([2, 3, 5, 6, 50, 301]),
+    seed=st.integers(0, 10_000),
+    step=st.sampled_from([0.0, 0.5, 10.0, 100.0]),
+    speed=st.sampled_from([0.0, 100.0, 3000.0]),
+    leaving=st.booleans(),
+)
+def test_the_kernel_sums_what_the_rows_give(n, seed, step, speed, leaving):
+    samples = wild(n, seed, step, speed)
+    left_out = np.random.default_rng(seed).random(n) < 0.2 * leaving
+    information = Information(MODEL, TanhShape())
+    information.add(samples, left_out=left_out)
+    gram, rows, outside = expected(samples, left_out)
+    scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram)))
+    largest = max(scale.max(), 1e-300)
+    rounding = 1e-13 * np.sqrt(largest)  # rows are differences of basis values of the order of one
+    assert np.abs(information.total - gram).max(initial=0) <= 1e-12 * largest + rounding
+    assert (information.rows, information.outside) == (rows, outside)
+    np.testing.assert_array_equal(information.total, information.total.T)
+
+
+@pytest.mark.parametrize("turn", [1e-9, 1e-3, 0.0999, 0.1001, 0.7, -0.3])
+def test_half_turns_below_and_above_the_series(turn):
+    samples = wild(40, 1, 1.0, 0.0)
+    samples = Samples(
+        samples.stamp, samples.i_abc, samples.u_abc, samples.angle, np.full(40, 2 * turn / 1e-4), samples.sample_period
+    )
+    information = Information(MODEL, TanhShape())
+    information.add(samples)
+    gram, *_ = expected(samples, np.zeros(40, bool))
+    scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram))) + 1e-300
+    assert (np.abs(information.total - gram) / scale).max() < 1e-11
+
+
+def test_a_rotation_that_is_known_already_changes_nothing():
+    samples = wild(200, 2, 1.0, 100.0)
+    one, other = Information(MODEL, TanhShape()), Information(MODEL, TanhShape())
+    one.add(samples)
+    other.add(samples, rotation=(np.cos(samples.angle), np.sin(samples.angle)))
+    np.testing.assert_array_equal(one.total, other.total)

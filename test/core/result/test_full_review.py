@@ -1,0 +1,133 @@
+"""What a fit by method full is told about a faulty experiment, and what it traces back to a sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.choice import distinct_orders
+from drive_id.core.result.identify import identify, score
+from drive_id.fitting.simulated import run_experiment
+
+I_MAX = 300.0
+
+
+def simulate(seconds=5.0, **options):
+    return run_experiment(machine_map("ipm"), SimulationSettings(current_noise=2e-3, **options), seconds=seconds)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return simulate()
+
+
+def fitted(samples, **settings):
+    return identify([samples], FitSettings("full", i_max=I_MAX, harmonic_orders=(6, 12), **settings))
+
+
+def told(samples):
+    return " ".join(fitted(samples).report.warnings)
+
+
+def named(identification, name):
+    found = {entry.name: entry for entry in identification.calibrations}
+    return complex(found[f"{name}_alpha"].value, found[f"{name}_beta"].value), found[f"{name}_alpha"].applied
+
+
+def test_a_good_recording_is_told_nothing(good):
+    assert told(good.samples) == ""
+
+
+def test_phases_swapped_in_currents_and_voltages_alike(good):
+    """The drive seems to turn backwards in its own coordinates: only the simulated current tells."""
+    samples = good.samples
+    swapped = replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]], u_abc=samples.u_abc[:, [1, 0, 2]])
+    assert "does not describe this drive: check the order of the phases" in told(swapped)
+    assert "order of the phases" in told(replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]]))
+
+
+def test_a_loss_of_voltage_is_located(good):
+    u_abc = good.samples.u_abc.copy()
+    u_abc[21_550:21_600] = 0.0
+    sentence = told(replace(good.samples, u_abc=u_abc))
+    assert any(f"around 2.1{digit} s" in sentence for digit in (3, 4, 5, 6, 7))
+
+
+def test_a_constant_voltage_is_no_offset_of_the_currents(good):
+    """The flux would show that of the currents; both are taken out, so that the simulated current stays right."""
+    offset = np.array([0.5, -0.2, -0.3])
+    of_voltages = fitted(replace(good.samples, u_abc=good.samples.u_abc + offset))
+    value, applied = named(of_voltages, "voltage_offset")
+    assert applied
+    assert abs(value - frames.space_vector(offset[None])[0]) < 0.02
+    assert named(of_voltages, "current_offset") == (0, False)
+    assert of_voltages.report.mad_d < 0.5
+    of_currents = fitted(replace(good.samples, i_abc=good.samples.i_abc + 4 * offset))
+    value, applied = named(of_currents, "current_offset")
+    assert applied
+    assert abs(value - 4 * frames.space_vector(offset[None])[0]) < 0.3
+    assert any("This is large: check the sensor." in warning for warning in of_currents.report.warnings)
+
+
+def test_a_second_harmonic_of_another_shape_is_no_gain_mismatch(good):
+    gained = fitted(replace(good.samples, u_abc=good.samples.u_abc * [1.01, 1.0, 1.0]))
+    assert not named(gained, "current_gain_mismatch")[1]
+    assert any("the voltages' gains differ" in warning for warning in gained.report.warnings)
+
+
+def logged_late(samples, late):
+    """Return samples with voltages that were recorded ``late`` samples before they acted."""
+    names = ("stamp", "i_abc", "angle", "speed", "i_dq_reference")
+    arrays = {name: getattr(samples, name)[: len(samples) - late] for name in names}
+    return replace(samples, **arrays, u_abc=samples.u_abc[late:])
+
+
+def delay_of(identification):
+    (entry,) = (entry for entry in identification.calibrations if entry.name == "voltage_delay")
+    return entry
+
+
+@pytest.mark.parametrize(("logged", "late"), [(-3.0, 0), (0.5, 3)])
+def test_delays_of_several_samples_are_taken_out(logged, late):
+    """More than the simulation's log can be late: the record is moved."""
+    simulation = simulate(voltage_delay=logged)
+    found = fitted(logged_late(simulation.samples, late))
+    assert delay_of(found).applied
+    assert delay_of(found).value == pytest.approx(logged + late, abs=0.05)
+    assert max(score(found, simulation.truth)) < 1e-3
+
+
+def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
+    found = fitted(logged_late(good.samples, 7))
+    assert delay_of(found).doubtful
+    assert any("at the end of what can be taken out" in warning for warning in found.report.warnings)
+
+
+def test_a_slow_rotor_is_told():
+    assert "while a window lasts" in told(simulate(speeds=(10.0,)).samples)
+
+
+def test_without_generating_currents_there_is_no_mirror(good):
+    i_dq = frames.to_dq(good.samples.i_abc, good.samples.angle)
+    motoring = good.samples
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], i_dq[:, 1] > 0]).astype(int)) > 0)
+    kept = i_dq[:, 1] > 0
+    starts = np.searchsorted(np.flatnonzero(kept), runs)
+    arrays = {name: getattr(motoring, name)[kept] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
+    one_sided = replace(motoring, **arrays, run_starts=starts, i_dq_reference=None)
+    (entry,) = (entry for entry in fitted(one_sided).calibrations if entry.name == "resolver_offset")
+    assert not entry.applied
+    assert "both signs of i_q" in entry.sentence
+
+
+def test_only_exact_coincidences_confound_orders():
+    assert distinct_orders((1, 2, 6, 12, 18, 24), 2 * np.pi / 50) == (1, 2, 6, 12, 18, 24)
+    assert distinct_orders((6, 12, 18, 24, 26, 48, 50), 2 * np.pi / 50) == (6, 12, 18, 24, 48)
+    assert distinct_orders((6, 12, 18, 24), 2 * np.pi / 21.4) == (6, 12, 18, 24)
+    assert distinct_orders((6, 12, 18, 24), 2 * np.pi / 24) == (6, 12)

@@ -1,0 +1,156 @@
+"""What a faulty experiment is told: each fault shows as the sentence that names it, and a good one is told nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import record, saturating_flux
+
+from drive_id.core import frames
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identify import identify, score
+from drive_id.errors import ConfigurationError, DataError
+from drive_id.types import GroundTruth
+
+
+def tanh_drop(i_abc):
+    return 4.0 * np.tanh(i_abc)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return record(drop=tanh_drop, duration=3.0, noise=0.1)
+
+
+JOINT = FitSettings("joint")
+
+
+def told(samples, settings=JOINT):
+    return " ".join(identify([samples], settings).report.warnings)
+
+
+def test_a_good_recording_is_told_nothing(good):
+    assert told(good) == ""
+
+
+def test_an_offset_of_the_angle_breaks_the_symmetry(good):
+    assert "mirror-symmetric" in told(replace(good, angle=good.angle + 0.3))
+
+
+def test_half_a_turn_makes_the_magnet_negative(good):
+    assert "magnet's flux is negative" in told(replace(good, angle=good.angle + np.pi))
+
+
+def test_shifted_phases_break_the_symmetry(good):
+    assert "mirror-symmetric" in told(replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]]))
+
+
+def test_wrong_signs_make_the_resistance_negative(good):
+    assert "resistance is negative" in told(replace(good, i_abc=-good.i_abc))
+    assert "resistance is negative" in told(replace(good, u_abc=-good.u_abc))
+
+
+def test_a_wrong_order_of_the_phases_cannot_be_explained(good):
+    assert "order of the phases" in told(replace(good, i_abc=good.i_abc[:, [0, 2, 1]]))
+
+
+def test_noise_that_hides_the_rotation_is_told():
+    slow = record(duration=3.0, speed=20.0, noise=1.0)
+    assert "noise of the currents is large" in told(slow)
+
+
+def test_a_single_faulty_current_does_not_stretch_the_map(good):
+    i_abc = good.i_abc.copy()
+    i_abc[15_000] = [900.0, -450.0, -450.0]
+    result = identify([replace(good, i_abc=i_abc)], JOINT)
+    assert result.flux_map.i_d.max() < 310
+    assert result.report.samples_used == result.report.samples_read - 3
+    assert "2 pairs of samples lie beyond" in " ".join(result.report.warnings)
+
+
+def test_a_faulty_voltage_is_located(good):
+    u_abc = good.u_abc.copy()
+    u_abc[21_550, 0] += 500.0
+    assert "around 2.15 s" in told(replace(good, u_abc=u_abc))
+
+
+def test_a_jump_of_the_angle_is_refused(good):
+    angle = good.angle.copy()
+    angle[12_345] += 0.5
+    with pytest.raises(DataError, match=r"jumps in 2 places, the first at 1\.234500 s by 0\.50 rad"):
+        identify([replace(good, angle=angle)])
+
+
+def test_references_give_the_disc_unless_the_currents_contradict_them(good):
+    i_dq = frames.to_dq(good.i_abc, good.angle)
+    assert identify([replace(good, i_dq_reference=i_dq * 0.97)]).i_max == pytest.approx(291.0, rel=0.01)
+    assert identify([replace(good, i_dq_reference=i_dq / 1000)]).i_max == pytest.approx(300.0, rel=0.01)
+    without = replace(good, stamp=good.stamp + 10**12)
+    assert identify([replace(good, i_dq_reference=i_dq / 3), without]).i_max == pytest.approx(300.0, rel=0.01)
+
+
+def test_a_map_far_from_the_truth_scores_nothing(good):
+    axis = np.linspace(-1.0, 1.0, 9)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    psi = saturating_flux(grid)
+    truth = GroundTruth("tiny", axis, axis, psi[..., 0], psi[..., 1], 0.02, axis, axis, 0.1, 4)
+    small = replace(good, i_abc=good.i_abc * 1000)
+    assert np.isnan(score(identify([small]), truth)).all()
+
+
+def test_nothing_and_too_much_are_refused(good):
+    with pytest.raises(DataError, match="no recordings"):
+        identify([])
+    with pytest.raises(DataError, match="equal in all phases"):
+        identify([replace(good, u_abc=np.full_like(good.u_abc, 50.0))])
+    with pytest.raises(ConfigurationError, match="64 x 64"):
+        FitSettings("joint", splines_d=64, splines_q=64)
+
+
+def test_large_models_keep_few_blocks(good):
+    result = identify([good], FitSettings("joint", splines_d=20, splines_q=20))
+    assert np.isfinite(result.sigma_resistance)
+
+
+def resting(samples, before):
+    """Put a rest at zero current in front of a recording."""
+    count = round(before / samples.sample_period)
+    rest = record(lambda i: saturating_flux(i * 0), duration=before, i_max=1e-9, noise=0.1, seed=5)
+    names = ("i_abc", "u_abc", "angle", "speed")
+    joined = {name: np.concatenate([getattr(rest, name), getattr(samples, name)]) for name in names}
+    stamp = samples.stamp[0] + np.arange(-count, len(samples)) * round(samples.sample_period * 1e9)
+    return replace(samples, stamp=stamp, run_starts=np.array([0, count]), **joined)
+
+
+def test_a_rest_before_the_trajectory_changes_nothing(good):
+    """The rest has no inverter: were it used, the voltage error would come out wrong."""
+    plain, rested = (
+        identify([good], FitSettings("joint", i_max=300.0)),
+        identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0)),
+    )
+    assert rested.voltage_error == pytest.approx(plain.voltage_error, rel=2e-3)
+    assert rested.resistance == pytest.approx(plain.resistance, rel=2e-3)
+    assert rested.report.samples_used == pytest.approx(plain.report.samples_used + 200, abs=2)
+    used = identify([resting(good, 1.0)], FitSettings("joint", i_max=300.0, longest_rest=10.0))
+    assert used.report.samples_used > rested.report.samples_used + 9000
+    change = abs(rested.voltage_error - plain.voltage_error)
+    assert abs(used.voltage_error - plain.voltage_error) > 5 * change
+
+
+def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
+    samples = resting(good, 0.5)
+    settings = FitSettings("joint", i_max=300.0)
+    whole, pieces = Evidence.within(settings, 300.0), Evidence.within(settings, 300.0)
+    whole.add(samples)
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
+    for run in samples.runs():
+        for start in range(run.start, run.stop - 1, 333):
+            part = slice(start, min(start + 334, run.stop))
+            piece = replace(samples, run_starts=np.zeros(1, np.int64), **{n: getattr(samples, n)[part] for n in names})
+            pieces.add(piece, continues=start > run.start)
+    assert pieces.idle == whole.idle > 4000
+    assert pieces.information.rows == whole.information.rows
+    np.testing.assert_allclose(pieces.information.total, whole.information.total, rtol=1e-9)

@@ -1,0 +1,42 @@
+"""Several recordings piece by piece against all at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import record
+
+from drive_id.core.signals.pieces import SeveralRecordings, merge
+from drive_id.core.signals.stream_join import Piece
+from drive_id.errors import SamplePeriodError
+
+
+def test_pieces_are_moved_as_whole_recordings_are():
+    part = record(duration=0.05)
+    later = replace(part, stamp=part.stamp + 10**12, sample_period=1.001e-4)
+    parts = [part, part, later, part]
+    expected, moved = merge(parts)
+    several, found = SeveralRecordings(), []
+    for recording in parts:
+        several.begin()
+        half = {n: getattr(recording, n)[:200] for n in ("stamp", "i_abc", "u_abc", "angle", "speed")}
+        rest = {n: getattr(recording, n)[199:] for n in half}
+        for arrays, continues in ((half, False), (rest, True)):
+            found.append(several.placed(Piece(replace(recording, **arrays), continues)))
+    stamps = np.concatenate([piece.samples.stamp[int(piece.continues) :] for piece in found])
+    np.testing.assert_array_equal(stamps, expected.stamp)
+    assert tuple(several.moved) == moved == (1, 3)
+    assert several.end == expected.stamp[-1]
+    assert {piece.samples.sample_period for piece in found} == {1e-4}
+
+
+def test_rates_that_differ_are_refused():
+    part = record(duration=0.05)
+    several = SeveralRecordings()
+    several.begin()
+    several.placed(Piece(part, False))
+    several.begin()
+    with pytest.raises(SamplePeriodError, match="100 us in the first and 200 us in number 2"):
+        several.placed(Piece(replace(part, sample_period=2e-4), False))

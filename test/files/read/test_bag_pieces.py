@@ -1,0 +1,223 @@
+"""Bags piece by piece against bags read as a whole."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bag_samples import assert_equal_samples, make_samples, make_truth
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from test_bag_reader import SPEED, STRANGER, rewrite, stranger
+
+from drive_id.errors import NonFiniteError, StampOrderError
+from drive_id.files.messages.signals_file import SignalMap, parse_signals
+from drive_id.files.read import pieces as module
+from drive_id.files.read import signal_stream
+from drive_id.files.read.pieces import bag_pieces, prefetched
+from drive_id.files.read.reader import read_recording
+from drive_id.files.read.signal_stream import UnusualError
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
+from drive_id.files.write.writer import write_recording
+from drive_id.live.live_evidence import concatenate
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    monkeypatch.setattr(signal_stream, "PART_BYTES", 3000)
+    monkeypatch.setattr(signal_stream, "PART_SAMPLES", 70)
+    monkeypatch.setattr(module, "_LOCKING_PAIRS", 100)
+
+
+def read(path, signals=None, **options):
+    """Put the pieces together again; also what else there is to know."""
+    facts = []
+
+    def pieces():
+        facts.append((yield from bag_pieces(path, signals or SignalMap(), **options)))
+
+    return list(pieces()), facts[0]
+
+
+def assert_same_as_whole(path, signals=None, least_pieces=3, **options):
+    pieces, facts = read(path, signals, **options)
+    expected = read_recording(path, signals)
+    assert_equal_samples(concatenate(pieces), expected.samples)
+    reference = [p.samples.i_dq_reference for p in pieces]
+    if all(part is not None for part in reference):
+        parts = [part[int(piece.continues) :] for part, piece in zip(reference, pieces, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(parts), expected.samples.i_dq_reference)
+    assert facts.warnings == expected.warnings
+    assert (facts.truth is None) == (expected.truth is None)
+    assert len(pieces) >= least_pieces
+    return pieces
+
+
+KINDS = [(storage, mode) for storage in StoragePlugin for mode in CompressionMode]
+KINDS.remove((StoragePlugin.SQLITE3, CompressionMode.STORAGE))
+
+
+@pytest.fixture
+def ours(tmp_path):
+    write_recording(tmp_path / "bag", make_samples(1500, gap_at=250), make_truth(), chunk_size=1500)
+    return tmp_path / "bag"
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_our_bags(tmp_path, compression):
+    write_recording(tmp_path / "bag", make_samples(1500, gap_at=777), chunk_size=1500, compression=compression)
+    assert_same_as_whole(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(("storage", "mode"), KINDS)
+def test_other_storages(tmp_path, ours, storage, mode):
+    copy = rewrite(ours, tmp_path / "copy", storage, mode)
+    if (storage, mode) == (StoragePlugin.MCAP, CompressionMode.MESSAGE):
+        with pytest.raises(UnusualError):
+            read(copy)
+        assert_same_as_whole(copy, whole=True, least_pieces=1)
+        return
+    least = 1 if storage is StoragePlugin.MCAP else 3  # rosbags writes large chunks
+    assert_same_as_whole(copy, least_pieces=least)
+
+
+@pytest.mark.parametrize("with_speed", [True, False])
+def test_bags_of_strangers(tmp_path, with_speed):
+    path, *_ = stranger(tmp_path)
+    text = STRANGER + SPEED * with_speed
+    assert_same_as_whole(path, parse_signals(text, "test"), least_pieces=1)
+    text = text.replace("  topic:", "  sample_period: 0.0001\n  topic:")
+    assert_same_as_whole(path, parse_signals(text, "test"), least_pieces=3 if with_speed else 1)
+
+
+def test_scales_offsets_and_log_times(tmp_path):
+    ours = tmp_path / "bag"
+    write_recording(ours, make_samples(1500), chunk_size=1500)
+    text = (
+        "currents: {topic: phase_currents, fields: [b, a], scale: [2.0, -3.0], sample_period: sample_period, "
+        "first_sample: first_sample, stamp_offset: 0.00002}\n"
+        "voltages: {topic: phase_voltages, fields: [c, a, b], sample_period: sample_period, first_sample: first_sample}"
+        "\nresolver: {topic: resolver, angle: angle, angle_offset: 0.1, speed: speed, sample_period: sample_period, "
+        "first_sample: first_sample}\n"
+    )
+    assert_same_as_whole(ours, parse_signals(text, "test"))
+    logged = text.replace("sample_period: sample_period", "sample_period: sample_period, stamp: log_time")
+    assert_same_as_whole(ours, parse_signals(logged, "test"))
+
+
+def copied(source, target, change):
+    """Copy the messages of a bag as (number, topic, data, time), changed, in the order of the changed list."""
+    with AnyReader([source]) as reader, Rosbag2McapWriter(target, chunk_size=1500) as writer:
+        for connection in reader.connections:
+            writer.add_topic(connection.topic, connection.msgtype)
+        messages = [(k, c.topic, bytes(raw), time) for k, (c, time, raw) in enumerate(reader.messages())]
+        for _, topic, data, time in change(messages):
+            writer.write(topic, data, time)
+    return target
+
+
+def test_lost_and_repeated_blocks(tmp_path, ours):
+    def change(messages):
+        kept = [m for m in messages if m[0] not in (9, 14, 15, 23)]
+        return [*kept[:30], kept[28], *kept[30:]] if kept[28][1] == kept[30][1] else kept
+
+    pieces = assert_same_as_whole(copied(ours, tmp_path / "lossy", change))
+    assert sum(len(piece.samples.run_starts) - piece.continues for piece in pieces) == 3
+
+
+@pytest.mark.parametrize("topic", ["/phase_currents", "/phase_voltages", "/resolver"])
+def test_a_topic_that_lags_behind_or_ends_early(tmp_path, ours, topic):
+    def late(messages):
+        own = [m for m in messages if m[1] == topic]
+        others = [m for m in messages if m[1] != topic]
+        return sorted([*others, *((k + 18, *rest) for k, *rest in own)], key=lambda m: m[0])
+
+    def ends(messages):
+        return [m for m in messages if m[1] != topic or m[0] < 30]
+
+    assert_same_as_whole(copied(ours, tmp_path / "late", late))
+    assert_same_as_whole(copied(ours, tmp_path / "ends", ends), least_pieces=1)
+
+
+def test_topics_one_behind_the_other_are_read_at_once(tmp_path, ours, monkeypatch):
+    monkeypatch.setattr(module, "CAPACITY", 300)
+    path = copied(ours, tmp_path / "sorted", lambda messages: sorted(messages, key=lambda m: (m[1], m[0])))
+    with pytest.raises(UnusualError):
+        read(path)
+    assert_same_as_whole(path, whole=True, least_pieces=1)
+
+
+def test_a_topic_that_is_missing_for_long_needs_no_memory(tmp_path, ours, monkeypatch):
+    monkeypatch.setattr(module, "CAPACITY", 300)
+    path = copied(
+        ours, tmp_path / "gone", lambda messages: [m for m in messages if m[1] != "/resolver" or not 8 < m[0] < 40]
+    )
+    assert_same_as_whole(path)
+
+
+def test_a_recording_split_into_files(tmp_path):
+    samples = make_samples(1500)
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for number, part in enumerate((slice(0, 800), slice(800, 1500))):
+        names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+        piece = replace(samples, **{name: getattr(samples, name)[part] for name in names})
+        write_recording(tmp_path / f"part{number}", piece, chunk_size=1500)
+        (tmp_path / f"part{number}" / f"part{number}_0.mcap").rename(folder / f"split_{number}.mcap")
+    assert_same_as_whole(folder)
+
+
+def test_errors_say_the_same(tmp_path):
+    def spoil(messages):
+        nan = np.full(2, np.nan, np.float32).tobytes()
+        return [(k, topic, data[:-8] + nan if k in (21, 37) else data, time) for k, topic, data, time in messages]
+
+    write_recording(tmp_path / "good", make_samples(1500))
+    spoiled = copied(tmp_path / "good", tmp_path / "nan", spoil)
+    with pytest.raises(NonFiniteError) as expected:
+        read_recording(spoiled)
+    with pytest.raises(NonFiniteError) as found:
+        read(spoiled)
+    assert str(found.value) == str(expected.value)
+    backward = copied(
+        tmp_path / "good", tmp_path / "backward", lambda messages: [*messages[:40], *messages[20:]]
+    )  # fmt: skip
+    with pytest.raises(StampOrderError) as expected:
+        read_recording(backward)
+    with pytest.raises(StampOrderError) as found:
+        read(backward)
+    assert str(found.value) == str(expected.value)
+
+
+# -- ahead, in another thread --------------------------------------------------------------------------------------
+
+
+def test_items_come_in_order_and_errors_where_they_are_used():
+    def items():
+        yield from range(100)
+        raise KeyError("end")
+
+    found = []
+    with pytest.raises(KeyError, match="end"):
+        found.extend(prefetched(items(), 3))
+    assert found == [] or found == list(range(100))
+    assert list(prefetched((k for k in range(50)), 2)) == list(range(50))
+
+
+def test_closing_ends_the_thread_and_what_it_reads():
+    closed = threading.Event()
+
+    def endless():
+        try:
+            while True:
+                yield 1
+        finally:
+            closed.set()
+
+    stream = prefetched(endless(), 2)
+    assert next(stream) == 1
+    stream.close()
+    assert closed.is_set()
+    assert not [thread for thread in threading.enumerate() if thread.name == "reader"]

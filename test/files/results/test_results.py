@@ -1,0 +1,239 @@
+"""The result files: what stands in them, and that they appear whole, in folders of ours only."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import OutputError
+from drive_id.files.results import folder as results
+from drive_id.files.results.folder import (
+    Provenance,
+    check_absent,
+    check_output,
+    replace_folder,
+    results_tree,
+    write_results,
+)
+
+
+@pytest.fixture
+def written(fitted, tmp_path):
+    write_results(tmp_path / "out", fitted.identification, fitted.provenance)
+    return tmp_path / "out"
+
+
+def strict_json(path: Path):
+    def refuse(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+def test_the_flux_map_is_as_agreed(written, fitted):
+    with np.load(written / "flux_map.npz", allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    assert set(arrays) == {"i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q", "inside"}
+    for name, array in arrays.items():
+        assert array.shape == ((65,) if name in ("i_d", "i_q") else (65, 65)), name
+        assert array.dtype == (np.bool_ if name == "inside" else np.float64), name
+    inside = arrays["inside"]
+    for name in ("psi_d", "psi_q"):
+        assert np.isfinite(arrays[name]).all()
+    for name in ("sigma_d", "sigma_q"):
+        assert np.isfinite(arrays[name][inside]).all()
+        assert (arrays[name][inside] > 0).all()
+        assert np.isnan(arrays[name][~inside]).all()
+    k, m = 40, 12  # the first index is i_d
+    assert inside[k, m]
+    at = np.array([[arrays["i_d"][k], arrays["i_q"][m]]])
+    psi = np.array([arrays["psi_d"][k, m], arrays["psi_q"][k, m]])
+    np.testing.assert_allclose(psi, fitted.identification.flux(at)[0], rtol=1e-12)
+    for name, axis in (("psi_d", 0), ("psi_q", 1)):
+        both = np.diff(inside.astype(int), axis=axis) == 0
+        rising = np.diff(arrays[name], axis=axis)[both & np.delete(inside, -1, axis)] > 0
+        assert rising.mean() > 0.95, name
+
+
+def test_the_identification_is_as_agreed(written, fitted, bag):
+    tree = strict_json(written / "identification.json")
+    assert set(tree) == {
+        "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
+        "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
+        "settings", "inputs", "versions",
+    }  # fmt: skip
+    assert (tree["format"], tree["format_version"]) == ("drive_id/identification", 1)
+    assert (tree["method"], tree["machine"]) == ("joint", "ipm")
+    assert tree["resistance"] == fitted.identification.resistance
+    assert tree["voltage_error"] == fitted.identification.voltage_error > 0
+    curve = tree["inverter_curve"]
+    assert len(curve["current"]) == len(curve["voltage"])
+    assert curve["voltage"][-1] == pytest.approx(tree["voltage_error"])
+    assert curve["voltage"][0] == pytest.approx(-tree["voltage_error"])
+    metrics = tree["metrics"]
+    assert set(metrics) == {
+        "nrmse_d", "nrmse_q", "samples_read", "samples_used", "gaps", "rows", "parameters", "rank", "unseen",
+        "condition", "residual_rms", "mad_d", "mad_q", "coverage",
+    }  # fmt: skip
+    assert metrics["nrmse_d"] == fitted.provenance.nrmse[0]
+    assert metrics["samples_read"] == 20_000
+    assert tree["warnings"] == list(fitted.warnings)
+    assert tree["settings"] == json.loads(json.dumps(FitSettings(method="joint").__dict__))
+    (file,) = bag.glob("*.mcap")
+    assert [entry["file"] for entry in tree["inputs"]] == [str(file)]
+    assert len(tree["inputs"][0]["sha256"]) == 64
+    assert {"drive_id", "python", "numpy", "scipy", "numba"} <= set(tree["versions"])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_becomes_null(fitted, tmp_path, value):
+    report = replace(fitted.identification.report, mad_d=value, condition=value)
+    broken = replace(
+        fitted.identification,
+        report=report,
+        sigma_resistance=value,
+        inverter_voltage=np.full_like(fitted.identification.inverter_voltage, value),
+    )
+    write_results(tmp_path / "out", broken, replace(fitted.provenance, nrmse=(value, 0.5)))
+    tree = strict_json(tmp_path / "out" / "identification.json")
+    assert tree["sigma_resistance"] is None
+    assert tree["metrics"]["mad_d"] is tree["metrics"]["condition"] is tree["metrics"]["nrmse_d"] is None
+    assert tree["metrics"]["nrmse_q"] == 0.5
+    assert set(tree["inverter_curve"]["voltage"]) == {None}
+    assert tree["resistance"] == fitted.identification.resistance
+
+
+def test_without_a_truth_there_is_no_score(fitted):
+    tree = results_tree(fitted.identification, Provenance(inputs={}, settings=FitSettings(method="joint")))
+    assert tree["metrics"]["nrmse_d"] is tree["metrics"]["nrmse_q"] is None
+    assert tree["machine"] == ""
+    assert tree["warnings"] == list(fitted.identification.report.warnings)
+
+
+def test_equal_results_are_equal_files(written, fitted, tmp_path):
+    write_results(tmp_path / "again", fitted.identification, fitted.provenance)
+    for name in ("identification.json", "flux_map.npz"):
+        assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
+
+
+def test_earlier_results_are_replaced_and_other_files_stay(written, fitted):
+    (written / "notes.txt").write_text("mine")
+    first = (written / "flux_map.npz").read_bytes()
+    other = replace(fitted.identification, resistance=5.0, flux_map=replace(fitted.identification.flux_map))
+    other.flux_map.__dict__["psi_d"] = 2 * fitted.identification.flux_map.psi_d
+    write_results(written, other, fitted.provenance)
+    assert strict_json(written / "identification.json")["resistance"] == 5.0
+    assert (written / "flux_map.npz").read_bytes() != first
+    assert sorted(path.name for path in written.iterdir()) == ["flux_map.npz", "identification.json", "notes.txt"]
+
+
+FILES = {"b.bin": b"b", "mark.json": b'{"format": "ours"}'}
+
+
+def put(directory, files=FILES, **options):
+    replace_folder(directory, files, marker="mark.json", kind="ours", **options)
+
+
+def test_deep_folders_are_made(tmp_path):
+    put(tmp_path / "a" / "b" / "c")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "a" / "b" / "c").iterdir()} == FILES
+    assert [path.name for path in tmp_path.rglob("*")] == [
+        "a",
+        "b",
+        "c",
+        *[p.name for p in (tmp_path / "a/b/c").iterdir()],
+    ]
+
+
+def test_an_empty_folder_and_a_link_to_a_folder_are_filled(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    put(tmp_path / "link")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "empty" / "b.bin").read_bytes() == b"b"
+    put(tmp_path / "empty")
+
+
+def test_the_working_folder_may_be_the_output(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    put(Path())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.bin", "mark.json"]
+
+
+def test_the_marker_comes_last(tmp_path, monkeypatch):
+    """Whoever sees a new identification.json sees the map that belongs to it."""
+    put(tmp_path / "out")
+    order = []
+    move = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda path, target: order.append(target.name) or move(path, target))
+    put(tmp_path / "out", {"mark.json": b"{}", "z.bin": b"z", "b.bin": b"new"})
+    assert order[-1] == "mark.json"
+    assert sorted(order) == ["b.bin", "mark.json", "z.bin"]
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_failure_half_way_leaves_everything_as_it_was(tmp_path, monkeypatch, existing):
+    if existing:
+        put(tmp_path / "out")
+    before = sorted(tmp_path.rglob("*"))
+    write = Path.write_bytes
+
+    def full(path, data):
+        if path.name == "mark.json":
+            raise OSError(28, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        put(tmp_path / "out", {"b.bin": b"new", "mark.json": b""})
+    assert sorted(tmp_path.rglob("*")) == before
+    if existing:
+        assert (tmp_path / "out" / "b.bin").read_bytes() == b"b"
+
+
+def test_existing_results_need_no_permission_beside_them(tmp_path, monkeypatch):
+    """The folder may be a mount point, or the only writable one."""
+    put(tmp_path / "out")
+    made = []
+    make = results.tempfile.TemporaryDirectory
+    monkeypatch.setattr(
+        results.tempfile, "TemporaryDirectory", lambda **options: made.append(options["dir"]) or make(**options)
+    )
+    put(tmp_path / "out")
+    assert made == [tmp_path / "out"]
+
+
+def test_a_folder_in_the_way_of_a_file(tmp_path):
+    (tmp_path / "out" / "b.bin").mkdir(parents=True)
+    with pytest.raises(OutputError, match="cannot be written"):
+        put(tmp_path / "out", force=True)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["b.bin"]
+
+
+def test_an_unreadable_folder(tmp_path, monkeypatch):
+    (tmp_path / "out").mkdir()
+
+    def denied(_path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", denied)
+    with pytest.raises(OutputError, match="Permission denied"):
+        check_output(tmp_path / "out")
+
+
+def test_what_is_new_must_not_exist(tmp_path):
+    check_absent(tmp_path / "new" / "deeper")
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to("nowhere")
+    for name in ("file", "dangling", "."):
+        with pytest.raises(OutputError, match="exists already"):
+            check_absent(tmp_path / name)
+    with pytest.raises(OutputError, match="because of"):
+        check_absent(tmp_path / "file" / "below")
+    with pytest.raises(OutputError, match="File name too long"):
+        check_absent(tmp_path / ("x" * 300))

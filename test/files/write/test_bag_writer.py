@@ -1,0 +1,199 @@
+"""What we write, other readers open: rosbags and mcap list every message with its values."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from bag_samples import START, STEP, assert_equal_samples, make_samples, make_truth
+from mcap.reader import NonSeekingReader, make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from drive_id.errors import ConfigurationError, OutputError
+from drive_id.files.messages.messages import BLOCK_FIELDS
+from drive_id.files.read.reader import read_recording
+from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
+from drive_id.files.write.writer import Topics, write_recording
+
+NAMES = {"/phase_currents": "i_abc", "/phase_voltages": "u_abc", "/current_reference": "i_dq_reference"}
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+@pytest.mark.parametrize("block_size", [1, 7, 100, 10_000])
+def test_rosbags_lists_every_message_with_its_values(tmp_path, compression, block_size):
+    samples = make_samples(gap_at=250)
+    write_recording(tmp_path / "bag", samples, compression=compression, block_size=block_size, chunk_size=5000)
+    collected: dict[str, list[np.ndarray]] = {}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        declared = {connection.topic: connection.msgcount for connection in reader.connections}
+        counted = dict.fromkeys(declared, 0)
+        for connection, _, raw in reader.messages():
+            counted[connection.topic] += 1
+            message = reader.deserialize(raw, connection.msgtype)
+            columns = [getattr(message, name) for name in BLOCK_FIELDS[connection.msgtype]]
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            assert stamp == samples.stamp[message.first_sample]
+            last = message.first_sample + len(columns[0]) - 1
+            assert samples.stamp[last] - stamp == (len(columns[0]) - 1) * STEP, "a block spans the gap"
+            collected.setdefault(connection.topic, []).append(np.column_stack(columns))
+    assert counted == declared
+    assert set(counted) == {*NAMES, "/resolver"}
+    for topic, name in NAMES.items():
+        np.testing.assert_array_equal(np.concatenate(collected[topic]), getattr(samples, name))
+    np.testing.assert_array_equal(np.concatenate(collected["/resolver"])[:, 0], samples.angle)
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_mcap_lists_every_message_and_the_truth(tmp_path, compression):
+    write_recording(tmp_path / "bag", make_samples(), make_truth(), compression=compression)
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        header, summary = reader.get_header(), reader.get_summary()
+        assert header.profile == "ros2"
+        assert sum(1 for _ in reader.iter_messages()) == summary.statistics.message_count == 24
+        assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
+        for channel in summary.channels.values():
+            assert channel.message_encoding == "cdr"
+            assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+            assert yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]["reliability"] == "reliable"
+        (attachment,) = reader.iter_attachments()
+        assert attachment.name == "ground_truth.npz"
+        with np.load(io.BytesIO(attachment.data)) as truth:
+            np.testing.assert_array_equal(truth["psi_d"], make_truth().psi_d)
+        (metadata,) = reader.iter_metadata()
+        assert metadata.name == "rosbag2"
+        inner = yaml.safe_load(metadata.metadata["serialized_metadata"])
+    outer = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert inner == outer
+    assert outer["version"] == 9
+    assert outer["message_count"] == 24
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        assert sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages()) == 24
+
+
+def test_the_truth_is_in_no_topic_and_comes_back(tmp_path):
+    truth = make_truth()
+    write_recording(tmp_path / "bag", make_samples(), truth)
+    with Reader(tmp_path / "bag") as reader:
+        assert sorted(reader.topics) == ["/current_reference", "/phase_currents", "/phase_voltages", "/resolver"]
+    found = read_recording(tmp_path / "bag").truth
+    assert found is not None
+    for name in ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(truth, name))
+    scalars = ("machine", "resistance", "i_max", "pole_pairs", "details")
+    assert [getattr(found, name) for name in scalars] == [getattr(truth, name) for name in scalars]
+
+
+def test_the_same_samples_give_the_same_bytes(tmp_path):
+    for folder in ("one", "two"):
+        write_recording(tmp_path / folder / "bag", make_samples(), make_truth())
+    for name in ("bag_0.mcap", "metadata.yaml"):
+        assert (tmp_path / "one/bag" / name).read_bytes() == (tmp_path / "two/bag" / name).read_bytes()
+
+
+def test_messages_are_logged_in_order_and_not_before_their_last_sample(tmp_path):
+    samples = make_samples(reference=False)
+    write_recording(tmp_path / "bag", samples)
+    with Reader(tmp_path / "bag") as reader:
+        times = [time for _, time, _ in reader.messages()]
+    assert times == sorted(times)
+    assert times[-1] == samples.stamp[-1] + STEP
+
+
+def test_start_stamp_and_namespace(tmp_path):
+    samples = make_samples()
+    write_recording(tmp_path / "bag", samples, topics=Topics(namespace="lab/drive_1"), start_stamp=5 * 10**9)
+    recording = read_recording(tmp_path / "bag")
+    assert recording.topics["currents"] == "/lab/drive_1/phase_currents"
+    assert_equal_samples(recording.samples, replace(samples, stamp=samples.stamp - START + 5 * 10**9))
+
+
+def test_unknown_references_are_left_out(tmp_path):
+    samples = make_samples()
+    reference = samples.i_dq_reference.copy()
+    reference[:100] = np.nan
+    reference[300:310] = np.nan
+    write_recording(tmp_path / "bag", replace(samples, i_dq_reference=reference))
+    np.testing.assert_array_equal(read_recording(tmp_path / "bag").samples.i_dq_reference[1:100], np.nan)
+    found = read_recording(tmp_path / "bag").samples.i_dq_reference
+    np.testing.assert_array_equal(found[100:300], reference[100:300])
+    np.testing.assert_array_equal(found[310:], reference[310:])
+
+
+def test_angles_stay_within_the_contract(tmp_path):
+    samples = make_samples()
+    angle = np.linspace(-30, 30, len(samples))
+    angle[:3] = [np.pi, -np.pi, 3 * np.pi]
+    write_recording(tmp_path / "bag", replace(samples, angle=angle))
+    found = read_recording(tmp_path / "bag").samples.angle
+    assert found.min() >= -np.pi
+    assert found.max() < np.pi
+    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * angle), atol=5e-7)
+
+
+def test_an_existing_path_is_refused_and_kept(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text("x")
+    with pytest.raises(OutputError, match="exists already"):
+        write_recording(tmp_path / "bag", make_samples())
+    assert [entry.name for entry in tmp_path.iterdir()] == ["bag"]
+    assert (tmp_path / "bag" / "precious").read_text() == "x"
+
+
+def test_nothing_is_left_of_a_recording_that_fails(tmp_path, monkeypatch):
+    def full(*_args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mcap.writer.Writer.finish", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_recording(tmp_path / "bag", make_samples())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_the_way_is_an_output_error(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_recording(tmp_path / "file" / "bag", make_samples())
+
+
+@pytest.mark.parametrize("stamp", [-5, 2**31 * 10**9])
+def test_stamps_that_no_message_can_hold(tmp_path, stamp):
+    with pytest.raises(ConfigurationError, match="start_stamp"):
+        write_recording(tmp_path / "bag", make_samples(), start_stamp=stamp)
+
+
+def test_block_size_must_be_positive(tmp_path):
+    with pytest.raises(ConfigurationError, match="block_size is 0"):
+        write_recording(tmp_path / "bag", make_samples(), block_size=0)
+
+
+def test_the_raw_writer_serves_any_type_and_flushes(tmp_path):
+    definition, kind = "float64 data\n", "std_msgs/msg/Float64"
+    hash_ = get_typestore(Stores.ROS2_JAZZY).hash_rihs01(kind)
+    with Rosbag2McapWriter(tmp_path / "bag", chunk_size=1000) as writer:
+        writer.add_topic("/x", kind, qos=Qos(10, "best_effort"), definition=definition, hash_=hash_)
+        for k in range(10):
+            writer.write("/x", b"\0\1\0\0" + np.float64(k).tobytes(), 1000 + k, 900 + k)
+        writer.flush()
+        assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 300
+        assert writer.message_count == 10
+        with pytest.raises(OutputError, match="recorded already"):
+            writer.add_topic("/x", kind, definition=definition)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        values = [reader.deserialize(raw, connection.msgtype).data for connection, _, raw in reader.messages()]
+    assert values == list(range(10))
+    with pytest.raises(OutputError, match="exists already"):
+        Rosbag2McapWriter(tmp_path / "bag")
+
+
+def test_an_empty_recording_is_a_recording(tmp_path):
+    with Rosbag2McapWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/phase_currents", "drive_id_msgs/msg/PhaseCurrents")
+    with Reader(tmp_path / "bag") as reader:
+        assert list(reader.messages()) == []
+        assert reader.message_count == 0

@@ -1,0 +1,249 @@
+"""Method ``full`` against the truth of simulated drives, and against ``joint``: the goals that it was built for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drive_id.bench.drive import simulate
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.basis import Choice
+from drive_id.core.full.noise_correction import noise_products
+from drive_id.core.full.solver import Solver
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identify import gather, identify, score
+from drive_id.fitting.simulated import run_experiment
+from drive_id.types import MachineMap
+
+FULL, JOINT = FitSettings(method="full"), FitSettings(method="joint")
+IPM = machine_map("ipm")
+NOISY = SimulationSettings(current_noise=2e-3)
+
+
+def errors(simulation, settings=FULL):
+    """Fit; return the identification and the NRMSE of both fluxes in percent."""
+    found = identify([simulation.samples], settings)
+    return found, 100 * np.array(score(found, simulation.truth))
+
+
+def windows_of(samples):
+    return gather([samples], FULL).windows.finished()
+
+
+def calibration(found, name):
+    (entry,) = (entry for entry in found.calibrations if entry.name == name)
+    return entry
+
+
+def distorted(machine, change):
+    """Return a machine whose fluxes ``change(psi_d, psi_q, i_d, i_q)`` replaces, harmonics included."""
+    i_d, i_q = np.meshgrid(machine.i_d, machine.i_q, indexing="ij")
+    mean = change(machine.psi_d, machine.psi_q, i_d, i_q)
+    turning = change(machine.psi_d_theta, machine.psi_q_theta, i_d[..., None], i_q[..., None])
+    return replace(machine, psi_d=mean[0], psi_q=mean[1], psi_d_theta=turning[0], psi_q_theta=turning[1])
+
+
+def linear_machine():
+    axis = np.linspace(-360.0, 360.0, 13)
+    i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
+    return MachineMap("linear", axis, axis, 0.06 + 1.5e-4 * i_d, 2.5e-4 * i_q, 1e-2, 4, 300.0, 400.0)
+
+
+def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():
+    simulation = run_experiment(IPM, NOISY, seconds=4.0)
+    joint, joint_errors = errors(simulation, JOINT)
+    full, full_errors = errors(simulation)
+    assert full_errors.max() < 0.1
+    assert np.all(20 * full_errors < joint_errors)
+    assert full.resistance == pytest.approx(simulation.truth.resistance, rel=0.01)
+    true_drop = np.interp(full.inverter_current, simulation.truth.inverter_current, simulation.truth.inverter_voltage)
+    assert np.sqrt(np.mean((full.inverter_voltage - true_drop) ** 2)) < 0.02 * true_drop.max()
+    assert 3 * full.report.mad_d < joint.report.mad_d
+    assert 3 * full.report.mad_q < joint.report.mad_q
+    assert [harmonic.order for harmonic in full.harmonics] == [6, 12]
+    assert full.report.warnings == ()
+
+
+def test_all_faults_of_the_sensors_together_leave_two_tenths_of_a_percent():
+    settings = replace(
+        NOISY, resolver_offset=np.deg2rad(1.0), voltage_delay=1.0, current_gain=(1.004, 1.0, 0.998),
+        current_offset=(0.9, -0.45, 0.2),
+    )  # fmt: skip
+    simulation = run_experiment(IPM, settings, seconds=4.0)
+    found, full_errors = errors(simulation)
+    assert full_errors.max() < 0.2
+    assert found.resistance == pytest.approx(simulation.truth.resistance, rel=0.02)
+    assert calibration(found, "voltage_delay").value == pytest.approx(1.0, abs=0.1)
+    assert calibration(found, "resolver_offset").value == pytest.approx(np.deg2rad(1.0), rel=0.1)
+
+
+def test_with_everything_ideal_a_hundredth_of_a_percent_is_left():
+    simulation = run_experiment(IPM, SimulationSettings(inverter="none", harmonics=0.0), seconds=3.0)
+    found, full_errors = errors(simulation)
+    assert full_errors.max() < 0.01
+    assert found.resistance == pytest.approx(simulation.truth.resistance, rel=1e-3)
+    assert np.abs(found.inverter_voltage).max() < 0.01
+    assert found.harmonics == ()
+
+
+def test_free_maps_win_where_the_machine_is_not_reciprocal():
+    machine = distorted(IPM, lambda psi_d, psi_q, i_d, _: (psi_d, psi_q * (1 + 0.04 * i_d / IPM.i_max)))
+    simulation = run_experiment(machine, replace(NOISY, current_noise=1e-3), seconds=4.0)
+    found, free = errors(simulation)
+    assert sum("not reciprocal" in warning for warning in found.report.warnings) == 1
+    assert not calibration(found, "voltage_delay").applied
+    assert free.max() < 0.15
+    _, forced = errors(simulation, replace(FULL, maps="reciprocal"))
+    assert np.all(2 * free < forced)
+
+
+def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
+    cross = 0.05 * np.abs(IPM.psi_d).max() / IPM.i_max  # reciprocal, but psi_d is not even in i_q
+    machine = distorted(IPM, lambda psi_d, psi_q, i_d, i_q: (psi_d + cross * i_q, psi_q + cross * i_d))
+    found, full_errors = errors(run_experiment(machine, replace(NOISY, current_noise=1e-3), seconds=3.0))
+    angle = calibration(found, "resolver_offset")
+    assert not angle.applied
+    assert angle.sentence in found.report.warnings
+    assert full_errors.max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("machine", "changes", "trajectory"),
+    [
+        pytest.param(linear_machine(), {}, None, id="a linear machine without harmonics"),
+        pytest.param(IPM, {"sample_period": 2e-4}, None, id="5 kHz"),
+        pytest.param(IPM, {"sample_period": 1e-3}, None, id="1 kHz"),
+        pytest.param(IPM, {}, Lissajous(frequency_d=2.0, frequency_q=1.0), id="a figure that covers 8 % of the disc"),
+        pytest.param(IPM, {}, Lissajous(frequency_d=100 / 3, frequency_q=25 / 3), id="a figure in step with the rotor"),
+        pytest.param(
+            IPM, {"harmonics": 0.0, "current_noise": 0.0, "inverter_compensation": True}, None, id="compensated only"
+        ),
+    ],
+)
+def test_never_worse_than_joint(machine, changes, trajectory):
+    simulation = run_experiment(machine, replace(NOISY, **changes), trajectory, seconds=3.0)
+    _, joint_errors = errors(simulation, JOINT)
+    _, full_errors = errors(simulation)
+    assert np.all(full_errors < joint_errors)
+
+
+def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map():
+    found, full_errors = errors(run_experiment(IPM, replace(NOISY, inverter_compensation=True), seconds=5.0))
+    assert any("compensates its inverter" in sentence for sentence in found.statements)
+    plain, plain_errors = errors(run_experiment(IPM, NOISY, seconds=5.0))
+    assert not any("compensates its inverter" in sentence for sentence in plain.statements)
+    assert np.all(full_errors < 1.5 * plain_errors)
+    assert np.abs(found.inverter_voltage).max() < 0.02 * np.abs(plain.inverter_voltage).max()
+
+
+def along_a_ring(machine, settings, seconds, turns=1.1, share=1.0, against=0.0):
+    """Simulate a current that turns in the rotor's frame, after a short way from rest.
+
+    With a part that turns ``against`` it, the ring of constant amplitude becomes an ellipse.
+    """
+    t = settings.sample_period * np.arange(round(seconds / settings.sample_period))
+    turn = np.exp(2j * np.pi * turns * t)
+    ring = machine.i_max * (share * turn + against * turn.conj()) * np.minimum(t / 0.2, 1.0)
+    return simulate(machine, settings, np.stack([ring.real, ring.imag], axis=-1))
+
+
+@pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
+def test_the_way_from_rest_to_a_ring_does_not_decide_what_the_ring_is_fitted_with(machine):
+    simulation = along_a_ring(machine_map(machine), NOISY, 10.0)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert np.all(full_errors < 0.7 * joint_errors)
+    assert found.resistance == pytest.approx(simulation.truth.resistance, rel=0.03)
+    assert not any("reciprocal" in warning for warning in found.report.warnings)
+
+
+def test_a_delay_that_only_the_penalty_decides_on_is_not_taken_out():
+    simulation = along_a_ring(IPM, NOISY, 3.0)
+    delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
+    assert not delay.applied
+    assert delay.sigma > 0.1
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_noise_does_not_pass_for_a_delay(late):
+    """The controller answers noise with voltage: 5 times the usual noise looked like a delay of 0.3 samples."""
+    simulation = run_experiment(IPM, replace(NOISY, current_noise=1e-2, voltage_delay=late), seconds=4.0)
+    delay = calibration(identify([simulation.samples], FULL), "voltage_delay")
+    assert delay.applied == bool(late)
+    assert delay.value == pytest.approx(late, abs=min(2.5 * delay.sigma, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "turns", "share"),
+    [
+        pytest.param({"current_noise": 5e-3, "speeds": (2500.0,)}, -0.7, 0.5, id="at the end of the range"),
+        pytest.param({"current_noise": 1e-3, "speeds": (1200.0,), "inverter": "none"}, 1.1, 1.0, id="of three samples"),
+    ],
+)
+def test_on_a_ring_noise_does_not_pass_for_a_delay_either(changes, turns, share):
+    settings = replace(NOISY, harmonics=0.0, **changes)
+    simulation = along_a_ring(machine_map("spm"), settings, 6.0, turns, share)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert not calibration(found, "voltage_delay").applied
+    assert np.all(full_errors < joint_errors)
+    assert abs(found.resistance - simulation.truth.resistance) < 2.5 * found.sigma_resistance
+
+
+@pytest.mark.parametrize("inverter", ["none", "two_stage"])
+def test_next_to_nothing_does_not_make_a_machine_non_reciprocal(inverter):
+    """Without noise, a ring leaves residuals of 1e-5 of the voltage, and free maps a third less."""
+    settings = replace(NOISY, speeds=(-2500.0,), inverter=inverter, harmonics=0.0, current_noise=0.0)
+    simulation = along_a_ring(machine_map("pmsyrm"), settings, 6.0, -0.7)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert not any("reciprocal" in warning for warning in found.report.warnings)
+    assert np.all(full_errors < 0.5 * joint_errors)
+
+
+def test_on_a_thin_ellipse_free_maps_do_not_win_by_following_noise():
+    """Across it, noise alone moves the current: a map that is flat there leaves less of it, and is wrong."""
+    settings = replace(NOISY, speeds=(2500.0,), inverter="none", seed=5)
+    simulation = along_a_ring(machine_map("pmsyrm"), settings, 6.0, 1.3, 0.65, 0.25)
+    _, joint_errors = errors(simulation, JOINT)
+    found, full_errors = errors(simulation)
+    assert not any("reciprocal" in warning for warning in found.report.warnings)
+    assert np.all(full_errors < joint_errors)
+
+
+def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
+    """Twice the noise, by adding as much once more to the recorded currents, against twice the noise by expectation."""
+    settings = replace(NOISY, current_noise=5e-3, speeds=(2500.0,), harmonics=0.0)
+    machine = machine_map("spm")
+    samples = run_experiment(machine, settings, seconds=4.0).samples
+    noise = np.random.default_rng(1).normal(scale=settings.current_noise * machine.i_max, size=samples.i_abc.shape)
+    once, twice = (windows_of(each) for each in (samples, replace(samples, i_abc=samples.i_abc + noise)))
+    choice = Choice(reciprocal=True, orders=(), penalty=1e-3)
+    solver = Solver(once.model, once.folds, once.counts)
+    solution = solver.solve(choice)
+    delay, _, squares = solver.delay(solution)
+    noise = noise_products(solver, solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
+    foreseen = solver.delay(solver.solve(choice, noise))[0] - delay
+    solver = Solver(twice.model, twice.folds, twice.counts)
+    assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)
+    assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)
+
+
+def test_currents_at_speeds_and_in_a_direction_never_seen_are_predicted():
+    seen = [run_experiment(IPM, replace(NOISY, speeds=(speed,)), seconds=2.0).samples for speed in (400.0, -900.0)]
+    gathered = {method: gather(seen, FitSettings(method=method)) for method in ("joint", "full")}
+    noise = 0.8 * np.sqrt(2 / 3) * 2e-3 * IPM.i_max  # mean absolute noise of i_d
+    for speed in (1500.0, -1500.0):
+        unseen = run_experiment(IPM, replace(NOISY, speeds=(speed,), seed=7), seconds=1.5).samples
+        mad = {
+            method: np.array([report.mad_d, report.mad_q])
+            for method, evidence in gathered.items()
+            for report in [conclude(evidence, [unseen]).report]
+        }
+        assert np.all(3 * mad["full"] < mad["joint"])
+        assert np.all(mad["full"] < 2 * noise)

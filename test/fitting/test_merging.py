@@ -1,0 +1,212 @@
+"""Many sources to one: what is accumulated apart and merged is what is fitted together."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drive_bags import TRAJECTORY, with_arrays
+
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
+from drive_id.files.results.information import read_information, write_information
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.merging import accumulate_sources, pairwise, stored_settings
+from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.workflows import accumulate_bags, fit_bags
+
+JOINT = FitSettings(method="joint")
+RADIUS = replace(JOINT, i_max=300.0)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Three recordings of one drive, of different lengths and speeds; read only."""
+    folder = tmp_path_factory.mktemp("bags")
+    for number, (speed, seconds) in enumerate(((500.0, 1.03), (800.0, 0.71), (300.0, 1.2))):
+        settings = SimulationSettings(current_noise=1e-3, speeds=(speed,), seed=number)
+        simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds)
+        write_recording(folder / f"bag_{number}", simulation.samples, simulation.truth)
+    return [folder / f"bag_{number}" for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def infos(bags, tmp_path_factory):
+    """Each bag as an information file; read only."""
+    folder = tmp_path_factory.mktemp("infos")
+    for bag in bags:
+        accumulate_bags([bag], folder / f"{bag.name}.info", RADIUS)
+    return [folder / f"{bag.name}.info" for bag in bags]
+
+
+@pytest.fixture(scope="module")
+def together(bags):
+    return fit_bags(bags, None, RADIUS)
+
+
+def assert_same_fit(one, other, rel: float = 1e-9) -> None:
+    for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error", "i_max"):
+        first, second = (getattr(fit.identification, name) for fit in (one, other))
+        assert first == pytest.approx(second, rel=rel), name
+    maps = [fit.identification.flux_map for fit in (one, other)]
+    np.testing.assert_array_equal(maps[0].inside, maps[1].inside)
+    for name in ("i_d", "psi_d", "psi_q", "sigma_d", "sigma_q"):
+        first, second = (getattr(flux_map, name) for flux_map in maps)
+        np.testing.assert_allclose(first, second, rtol=0, atol=rel * np.nanmax(np.abs(second)), err_msg=name)
+    reports = [replace(fit.identification.report, mad_d=0.0, mad_q=0.0, warnings=()) for fit in (one, other)]
+    for name in ("samples_read", "samples_used", "gaps", "rows", "rank", "unseen", "coverage"):
+        assert getattr(reports[0], name) == getattr(reports[1], name), name
+    for name in ("condition", "residual_rms"):
+        assert getattr(reports[0], name) == pytest.approx(getattr(reports[1], name), rel=rel), name
+    assert one.provenance.nrmse == pytest.approx(other.provenance.nrmse, rel=rel)
+    assert sorted(one.provenance.inputs.values()) == sorted(other.provenance.inputs.values())
+
+
+def test_information_files_are_fitted_like_their_bags_together(infos, together):
+    assert_same_fit(fit_bags(infos, None, RADIUS), together)
+
+
+def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
+    accumulate_bags([bags[2], bags[0]], tmp_path / "two.info", RADIUS)
+    for sources in ([infos[2], infos[0], infos[1]], [bags[0], infos[2], bags[1]], [tmp_path / "two.info", bags[1]]):
+        assert_same_fit(fit_bags(sources, None, RADIUS), together)
+
+
+def test_method_full_merges_too(bags, tmp_path):
+    settings = FitSettings("full", i_max=300.0, harmonic_orders=(6,))
+    for bag in bags:
+        accumulate_bags([bag], tmp_path / f"{bag.name}.info", settings)
+    apart = fit_bags(sorted(tmp_path.glob("*.info")), None, settings)
+    assert_same_fit(apart, fit_bags(sorted(bags), None, settings), rel=1e-7)
+
+
+def test_the_mad_is_that_of_a_piece_of_each_recording(infos, together):
+    report = fit_bags(infos, None, RADIUS).identification.report
+    assert report.mad_d == pytest.approx(together.identification.report.mad_d, rel=0.3)
+    assert report.mad_q == pytest.approx(together.identification.report.mad_q, rel=0.3)
+
+
+def test_another_method_can_be_asked_for_later(bags, infos):
+    psm = replace(RADIUS, method="psm")
+    assert_same_fit(fit_bags(infos, None, psm), fit_bags(bags, None, psm))
+
+
+def test_without_a_radius_it_is_that_of_the_first_file_or_of_the_references(bags, infos, together):
+    assert_same_fit(fit_bags([bags[0], infos[1], bags[2]], None, FitSettings(method="joint")), together)
+    assert accumulate_sources(bags, FitSettings(method="joint")).evidence.i_max == 300.0
+
+
+def test_a_bag_without_references_needs_a_radius(bags, simulation, tmp_path):
+    write_recording(tmp_path / "bag", with_arrays(simulation.samples))
+    with pytest.raises(ConfigurationError, match=r"bag has no current references .*: give --i-max, "):
+        accumulate_sources([bags[0], tmp_path / "bag"], FitSettings(method="joint"))
+    assert accumulate_sources([tmp_path / "bag"], RADIUS).samples == len(simulation.samples)
+
+
+def test_settings_are_taken_from_the_first_file(infos, bags, tmp_path):
+    settings = replace(RADIUS, splines_d=6, method="psm")
+    accumulate_bags(bags[:1], tmp_path / "x.info", replace(settings, i_max=None))
+    assert stored_settings([bags[0], tmp_path / "x.info", infos[0]]) == settings
+    assert stored_settings(bags) is None
+    (tmp_path / "cut.info").touch()
+    with pytest.raises(InformationError, match=r"cut\.info"):
+        stored_settings([tmp_path / "cut.info", tmp_path / "x.info"])
+    assert stored_settings([tmp_path / "cut.info", tmp_path / "x.info"], skip_bad=True) == settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (replace(RADIUS, splines_d=9), "splines_d is 8 there and 9 here"),
+        (replace(RADIUS, i_max=280.0), "i_max is 300 A there and 280 A here"),
+    ],
+)
+@pytest.mark.parametrize("skip_bad", [False, True])
+def test_files_of_other_settings_are_named(infos, settings, said, skip_bad):
+    with pytest.raises(ConfigurationError) as caught:
+        fit_bags(infos, None, settings, skip_bad=skip_bad)
+    assert str(caught.value) == (
+        f"{infos[0]} was accumulated differently ({said}) and cannot be merged: accumulate it again with these "
+        "settings, or leave them out."
+    )
+
+
+def test_the_same_recording_is_not_counted_twice(bags, infos):
+    with pytest.raises(ConfigurationError, match="are the same recording: give each bag once"):
+        fit_bags([infos[0], bags[1], bags[0]], None, RADIUS)
+
+
+@pytest.fixture
+def bad(infos, simulation, tmp_path):
+    """Three bad sources: none, one that breaks off, and one whose samples are bad but whose error names no file."""
+    shutil.copy(infos[0], tmp_path / "cut.info")
+    os.truncate(tmp_path / "cut.info", 1000)
+    still = with_arrays(simulation.samples, speed=0 * simulation.samples.speed)
+    write_recording(tmp_path / "still", still)
+    return [tmp_path / "none", tmp_path / "cut.info", tmp_path / "still"]
+
+
+def test_a_bad_source_is_named(bags, bad):
+    for source in bad:
+        for settings in (RADIUS, FitSettings(method="joint")):
+            with pytest.raises(DriveIdError, match=f"{source.name}") as caught:
+                accumulate_sources([bags[0], source], settings)
+            assert str(source) in str(caught.value)
+
+
+def test_bad_sources_are_left_out_on_request(bags, bad, together, tmp_path):
+    sources = [bad[0], bags[0], bad[1], bags[1], bad[2], bags[2]]
+    fit = fit_bags(sources, tmp_path / "out", RADIUS, skip_bad=True)
+    assert_same_fit(fit, together)
+    left_out = [text for text in fit.warnings if text.startswith("Left out: ")]
+    assert len(left_out) == 3
+    for source, text in zip(bad, left_out, strict=True):
+        assert str(source) in text
+    with pytest.raises(NotABagError):
+        fit_bags(bad, None, RADIUS, skip_bad=True)
+    with pytest.raises(NotABagError):
+        fit_bags(bad[:2], None, FitSettings(method="joint"), skip_bad=True)
+
+
+def test_warnings_name_their_source_where_there_are_several(bags, infos, tmp_path):
+    stored = read_information(infos[0]).accumulated
+    write_information(tmp_path / "x.info", replace(stored, warnings=("Something.",)))
+    assert accumulate_sources([tmp_path / "x.info"], RADIUS).warnings == ("Something.",)
+    both = accumulate_sources([tmp_path / "x.info", bags[1]], RADIUS)
+    assert both.warnings == (f"{tmp_path / 'x.info'}: Something.",)
+
+
+def test_nothing_is_accumulated_for_an_output_that_cannot_be(bags, tmp_path, monkeypatch):
+    def fail(*_args, **_options):
+        raise AssertionError("too late")
+
+    monkeypatch.setattr("drive_id.fitting.workflows.accumulate_sources", fail)
+    (tmp_path / "notes").touch()
+    with pytest.raises(DriveIdError, match="exists already"):
+        accumulate_bags(bags, tmp_path / "notes", RADIUS)
+
+
+def test_no_source_at_all():
+    with pytest.raises(ConfigurationError, match="No bag is given"):
+        accumulate_sources([], RADIUS)
+
+
+@pytest.mark.parametrize("count", range(1, 18))
+def test_pairs_are_those_of_a_tree_and_few_are_kept(count):
+    """One level after the other, as one would do with a list."""
+    level = list(map(str, range(count)))
+    while len(level) > 1:
+        pairs = [f"({a}{b})" for a, b in zip(level[::2], level[1::2], strict=False)]
+        level = pairs + level[len(level) // 2 * 2 :]
+    assert pairwise(map(str, range(count)), lambda a, b: f"({a}{b})") == level[0]
+
+
+def test_paths_may_be_relative(bags, together, monkeypatch):
+    monkeypatch.chdir(bags[0].parent)
+    assert_same_fit(fit_bags([Path(bag.name) for bag in bags], None, RADIUS, skip_bad=True), together)

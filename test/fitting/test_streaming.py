@@ -1,0 +1,343 @@
+"""Accumulating piece by piece gives what the samples in memory give, in memory that does not grow."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drive_bags import blocks_of, write_blocks
+
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.accumulation.excerpts import Spans
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identify import gather
+from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
+from drive_id.files.messages.signals_file import parse_signals
+from drive_id.files.read import pieces as bag_pieces
+from drive_id.files.read import signal_stream
+from drive_id.files.read.reader import read_recordings
+from drive_id.files.results import checkpoint
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting import streaming
+from drive_id.fitting.streaming import Interrupted, accumulate
+from drive_id.fitting.workflows import fit_bags
+
+SETTINGS = FitSettings(method="joint")
+
+
+@pytest.fixture
+def long(monkeypatch):
+    """Treat the short recordings of the tests as long ones."""
+    monkeypatch.setattr(signal_stream, "PART_BYTES", 20_000)
+    monkeypatch.setattr(signal_stream, "PART_SAMPLES", 700)
+    monkeypatch.setattr(bag_pieces, "_LOCKING_PAIRS", 1000)
+    monkeypatch.setattr(streaming, "Spans", partial(Spans, 1000, 4))
+
+
+def assert_same(found: Evidence, expected: Evidence, accuracy: float = 1e-12) -> None:
+    mine, theirs = found.information.total, expected.information.total
+    scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
+    assert np.all(np.abs(mine - theirs) <= accuracy * scale + 1e-300)
+    assert (found.d, found.q) == (expected.d, expected.q)
+    assert found.i_max == pytest.approx(expected.i_max, rel=1e-14)
+    for name in ("samples", "gaps", "idle"):
+        assert getattr(found, name) == getattr(expected, name), name
+    assert found.information.rows == expected.information.rows
+    np.testing.assert_array_equal(found.visits.count, expected.visits.count)
+
+
+def assert_same_as_in_memory(bags, settings=SETTINGS, signals=None, **options):
+    found = accumulate(bags, settings, signals=signals, **options)
+    recording = read_recordings(bags, signals)
+    assert_same(found.evidence, gather([recording.samples], settings))
+    assert found.warnings == recording.warnings
+    assert found.digests == recording.digests
+    assert found.samples == len(recording.samples)
+    assert found.last_stamp == recording.samples.stamp[-1]
+    assert (found.truth is None) == (recording.truth is None)
+    return found, recording
+
+
+@pytest.mark.parametrize("i_max", [None, 310.0])
+@pytest.mark.parametrize("method", ["psm", "joint"])
+@pytest.mark.usefixtures("long")
+def test_a_long_recording_is_accumulated_as_in_memory(bag, method, i_max):
+    settings = FitSettings(method=method, i_max=i_max)
+    found, recording = assert_same_as_in_memory([bag], settings)
+    assert 2000 <= sum(len(part) for part in found.validation) < 0.5 * len(recording.samples)
+    mine = conclude(found.evidence, found.validation)
+    expected = conclude(gather([recording.samples], settings), [recording.samples])
+    inside = expected.flux_map.inside
+    np.testing.assert_array_equal(mine.flux_map.inside, inside)
+    for name in ("psi_d", "psi_q"):
+        one, other = getattr(mine.flux_map, name)[inside], getattr(expected.flux_map, name)[inside]
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
+    assert mine.resistance == pytest.approx(expected.resistance, rel=1e-9)
+    assert mine.report.mad_d == pytest.approx(expected.report.mad_d, rel=0.3)
+
+
+@pytest.mark.usefixtures("long")
+def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypatch):
+    """After an interrupt, too, but for the few windows that were open."""
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    settings = FitSettings(method="full")
+    found, recording = assert_same_as_in_memory([bag], settings)
+    expected = gather([recording.samples], settings).windows.finished()
+    mine = found.evidence.windows.finished()
+    assert mine.windows == expected.windows
+    for one, other in zip(mine.folds, expected.folds, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
+    with pytest.raises(Interrupted):
+        accumulate([bag], settings, checkpoint=tmp_path / "kept", tell=Stop(7))
+    resumed = accumulate([bag], settings, checkpoint=tmp_path / "kept").evidence.windows.finished()
+    assert 0.98 * expected.windows < resumed.windows <= expected.windows
+
+
+def test_a_short_recording_is_fitted_from_exactly_the_same_numbers(bag):
+    found, recording = assert_same_as_in_memory([bag])
+    expected = gather([recording.samples], SETTINGS)
+    np.testing.assert_array_equal(found.evidence.information.blocks, expected.information.blocks)
+    (kept,) = found.validation
+    for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(recording.samples, name))
+
+
+@pytest.mark.usefixtures("long")
+def test_gaps_and_losses(simulation, tmp_path):
+    blocks = blocks_of(simulation.samples)
+    for topic, number in (("/phase_currents", 17), ("/resolver", 90), ("/phase_voltages", 91)):
+        del blocks[topic][number : number + 3]
+    blocks["/phase_currents"].insert(120, blocks["/phase_currents"][119])
+    found, recording = assert_same_as_in_memory([write_blocks(tmp_path / "bag", blocks)])
+    assert found.evidence.gaps == len(recording.samples.run_starts) - 1 >= 2
+    assert any("missing in" in text for text in found.warnings)
+    assert any("repeated" in text for text in found.warnings)
+
+
+@pytest.mark.usefixtures("long")
+def test_several_bags(simulation, bag, tmp_path):
+    samples = simulation.samples
+    later = replace(samples, stamp=samples.stamp + 10**12)
+    write_recording(tmp_path / "later", later, simulation.truth, block_size=50)
+    write_recording(tmp_path / "same time", replace(samples, u_abc=1.001 * samples.u_abc), simulation.truth)
+    bags = [bag, tmp_path / "later", tmp_path / "same time"]
+    found, _ = assert_same_as_in_memory(bags)
+    assert found.truth is not None
+    assert any("overlaps in time" in text for text in found.warnings)
+    with pytest.raises(ConfigurationError, match="the same recording"):
+        accumulate([bag, bags[1], bag], SETTINGS)
+    with pytest.raises(ConfigurationError, match="name at least one"):
+        accumulate([], SETTINGS)
+
+
+@pytest.mark.usefixtures("long")
+def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
+    """Without a sample period, or with topics one behind the other, also among others."""
+    text = (
+        "currents: {topic: phase_currents, fields: [a, b, c]}\nvoltages: {topic: phase_voltages, fields: [a, b, c]}\n"
+        "resolver: {topic: resolver, angle: angle}\n"
+    ).replace("}", ", sample_period: 0.0001}")
+    assert_same_as_in_memory([bag], signals=parse_signals(text, "test"))
+    monkeypatch.setattr(bag_pieces, "CAPACITY", 3000)
+    blocks = dict(reversed(blocks_of(read_recordings([bag]).samples).items()))
+    for number, parts in enumerate(blocks.values()):
+        for block in parts:
+            block["first"] += 10**6 * number
+    sorted_by_topic = write_blocks(tmp_path / "sorted", blocks)
+    for i_max in (None, 310.0):
+        found, _ = assert_same_as_in_memory([sorted_by_topic, bag], FitSettings("joint", i_max=i_max))
+        assert found.samples == 40_000
+
+
+@pytest.mark.usefixtures("long")
+def test_the_radius_may_come_from_the_caller(bag):
+    assert accumulate([bag], SETTINGS, i_max=320.0).evidence.settings.i_max == 320.0
+
+
+@pytest.mark.usefixtures("long")
+def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
+    samples = simulation.samples
+    jump = samples.angle.copy()
+    jump[7000:] += 2.0
+    for kind, wrong in (
+        (DataError, replace(samples, angle=jump)),
+        (CoverageError, replace(samples, i_dq_reference=np.full((len(samples), 2), 2.0))),
+    ):
+        path = tmp_path / kind.__name__
+        write_recording(path, wrong)
+        with pytest.raises(kind) as expected:
+            gather([read_recordings([path]).samples], SETTINGS)
+        for i_max in (None, 310.0):
+            with pytest.raises(kind) as found:
+                accumulate([path], SETTINGS, i_max=i_max)
+            assert str(found.value) == str(expected.value)
+    with pytest.raises(NotABagError, match="does not exist"):
+        accumulate([tmp_path / "none"], SETTINGS)
+
+
+@pytest.mark.usefixtures("long")
+def test_progress_goes_from_nothing_to_all_and_names_the_rate(bag, monkeypatch):
+    from drive_id.files.read import several as several_bags
+
+    monkeypatch.setattr(several_bags, "_LONG", 5000)
+    told = []
+    accumulate([bag], SETTINGS, tell=lambda what, share: told.append((what, share)))
+    for task in ("Reading", "Accumulating"):
+        shares = [share for what, share in told if what.startswith(task)]
+        assert shares[0] == 0.0
+        assert shares[-1] == 1.0
+        assert shares == sorted(shares)
+        assert len(shares) > 10
+    assert any("million samples/s" in what for what, _ in told)
+
+
+# -- interrupts ----------------------------------------------------------------------------------------------------
+
+
+class Stop:
+    """Interrupts at so many told shares of accumulating."""
+
+    def __init__(self, after: int) -> None:
+        self.left = after
+
+    def __call__(self, what: str, _share: float) -> None:
+        self.left -= what.startswith("Accumulating")
+        if not self.left:
+            raise KeyboardInterrupt
+
+
+def added(monkeypatch):
+    """Count the calls that accumulate."""
+    calls = []
+    add = Evidence.add
+    monkeypatch.setattr(Evidence, "add", lambda self, *args, **named: (calls.append(1), add(self, *args, **named))[1])
+    return calls
+
+
+@pytest.mark.parametrize("i_max", [None, 310.0])
+@pytest.mark.usefixtures("long")
+def test_a_second_call_goes_on_where_the_first_was_interrupted(bag, tmp_path, monkeypatch, i_max):
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    settings, kept = FitSettings("joint", i_max=i_max), tmp_path / "kept"
+    expected = accumulate([bag], settings)
+    with pytest.raises(Interrupted, match="goes on from where it was"):
+        accumulate([bag], settings, checkpoint=kept, tell=Stop(7))
+    assert kept.stat().st_size < 2e7
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+    calls = added(monkeypatch)
+    told = []
+    found = accumulate([bag], settings, checkpoint=kept, tell=lambda what, _: told.append(what))
+    assert 0 < len(calls) < 0.8 * sum(what.startswith("Accumulating") for what in told)
+    assert "Reading" not in told
+    np.testing.assert_array_equal(found.evidence.information.blocks, expected.evidence.information.blocks)
+    np.testing.assert_array_equal(found.evidence.visits.count, expected.evidence.visits.count)
+    assert found.evidence.noise_share == expected.evidence.noise_share
+    assert [part.stamp.tolist() for part in found.validation] == [part.stamp.tolist() for part in expected.validation]
+    assert (found.samples, found.last_stamp, found.warnings) == (
+        expected.samples, expected.last_stamp, expected.warnings
+    )  # fmt: skip
+    assert not kept.exists()
+
+
+@pytest.mark.usefixtures("long")
+def test_a_checkpoint_of_something_else_is_none(bag, simulation, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    kept = tmp_path / "kept"
+    with pytest.raises(Interrupted):
+        accumulate([bag], SETTINGS, checkpoint=kept, tell=Stop(7))
+    data = kept.read_bytes()
+    expected = accumulate([bag], SETTINGS).evidence.information.blocks
+    write_recording(tmp_path / "other", replace(simulation.samples, u_abc=1.01 * simulation.samples.u_abc))
+    other = accumulate([tmp_path / "other"], SETTINGS).evidence.information.blocks
+    found = accumulate([tmp_path / "other"], SETTINGS, checkpoint=kept)
+    np.testing.assert_array_equal(found.evidence.information.blocks, other)
+    for damaged in (data[:1000], data[:-10], b"", b"PK\3\4", np.random.default_rng(0).bytes(500)):
+        kept.write_bytes(damaged)
+        found = accumulate([bag], SETTINGS, checkpoint=kept)
+        np.testing.assert_array_equal(found.evidence.information.blocks, expected)
+
+
+@pytest.mark.usefixtures("long")
+def test_without_room_for_a_checkpoint_the_work_goes_on(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    found = accumulate([bag], SETTINGS, checkpoint=tmp_path / "no folder" / "kept")
+    assert found.samples == 20_000
+    (tmp_path / "folder").mkdir()
+    accumulate([bag], SETTINGS, checkpoint=tmp_path / "folder")
+    assert list((tmp_path / "folder").iterdir()) == []
+    np.savez(tmp_path / "mine.npz", header=np.asarray(json.dumps({"format": "mine"})))
+    before = (tmp_path / "mine.npz").read_bytes()
+    accumulate([bag], SETTINGS, checkpoint=tmp_path / "mine.npz")
+    assert (tmp_path / "mine.npz").read_bytes() == before
+
+
+@pytest.mark.usefixtures("long")
+def test_an_interrupted_fit_leaves_its_checkpoint_beside_the_output_only(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    output = tmp_path / "out"
+    with pytest.raises(Interrupted):
+        fit_bags([bag], output, SETTINGS, tell=Stop(7))
+    assert [path.name for path in tmp_path.iterdir()] == [".out.checkpoint"]
+    fit = fit_bags([bag], output, SETTINGS)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    again = fit_bags([bag], None, SETTINGS)
+    assert fit.identification.resistance == again.identification.resistance
+
+
+def test_a_short_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
+    with pytest.raises(KeyboardInterrupt) as caught:
+        fit_bags([bag], tmp_path / "out", SETTINGS, tell=Stop(1))
+    assert not isinstance(caught.value, Interrupted)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- memory --------------------------------------------------------------------------------------------------------
+
+MEASURE = """
+import resource, sys, tracemalloc
+from pathlib import Path
+from drive_id.core.fit_settings import FitSettings
+from drive_id.fitting.streaming import accumulate
+tracemalloc.start()
+found = accumulate([Path(sys.argv[1])], FitSettings(method="joint"))
+print(found.samples, tracemalloc.get_traced_memory()[1], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+def repeated(path: Path, samples, times: int) -> Path:
+    blocks = blocks_of(samples)
+    span = int(samples.stamp[-1] - samples.stamp[0]) + 5_000_000
+    many = {
+        topic: [
+            {**block, "stamp": block["stamp"] + k * span, "first": block["first"] + k * len(samples)}
+            for k in range(times)
+            for block in parts
+        ]
+        for topic, parts in blocks.items()
+    }
+    return write_blocks(path, many)
+
+
+def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
+    """A recording of 5 minutes against one of a minute; the shorter one is too long to be kept as a whole already."""
+    measured = []
+    for times in (30, 150):
+        path = repeated(tmp_path / f"bag_{times}", simulation.samples, times)
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+        ran = subprocess.run(
+            [sys.executable, "-c", MEASURE, str(path)], capture_output=True, text=True, check=True, env=environment
+        )
+        samples, traced, resident = (int(word) for word in ran.stdout.split())
+        assert samples == times * len(simulation.samples)
+        measured.append((traced, resident))
+    (traced_short, resident_short), (traced_long, resident_long) = measured
+    assert traced_long < 1.1 * traced_short
+    assert resident_long < 1.2 * resident_short

@@ -1,0 +1,215 @@
+"""Simulate, record, fit: the same from Python as from the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drive_bags import TRAJECTORY
+
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identify import identify, score
+from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError
+from drive_id.files.read.reader import read_recording
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag
+from drive_id.fitting.workflows import fit_bags
+from drive_id.report.tables import fit_table
+
+SHORT = SimulationSettings()
+
+
+def cells(table) -> dict[str, tuple[str, ...]]:
+    columns = [list(column.cells) for column in table.columns]
+    return {row[0]: tuple(row[1:]) for row in zip(*columns, strict=True)}
+
+
+@pytest.mark.parametrize(("machine", "error"), [("ipm", 2e-3), ("spm", 4e-3), ("pmsyrm", 2e-2)])
+def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
+    """Ideal but for an inverter of the model's own shape; the pmsyrm saturates more sharply than 8 splines can bend."""
+    settings = SimulationSettings(inverter="tanh", inverter_current=1.0, harmonics=0.0)
+    simulation = simulate_bag(machine_map(machine), settings, tmp_path / "bag", TRAJECTORY, 2.0)
+    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"))
+    truth, found = simulation.truth, fit.identification
+    assert max(fit.provenance.nrmse) < error
+    assert found.resistance == pytest.approx(truth.resistance, rel=0.05)
+    assert found.voltage_error == pytest.approx(truth.inverter_voltage.max(), rel=0.05)
+    assert found.i_max == pytest.approx(truth.i_max, rel=1e-5)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flux_map.npz", "identification.json"]
+    psm = fit_bags([tmp_path / "bag"], None, FitSettings(method="psm"))
+    assert max(psm.provenance.nrmse) > 2 * max(fit.provenance.nrmse)
+    assert psm.identification.voltage_error == 0.0
+
+
+def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):
+    """But for the rounding to float32."""
+    direct = identify([simulation.samples], FitSettings("joint"))
+    inside = direct.flux_map.inside & fitted.identification.flux_map.inside
+    assert fitted.identification.resistance == pytest.approx(direct.resistance, rel=1e-3)
+    np.testing.assert_allclose(
+        fitted.identification.flux_map.psi_q[inside], direct.flux_map.psi_q[inside], atol=1e-5
+    )  # fmt: skip
+
+
+def test_the_truth_of_a_simulation_is_never_used_by_the_fit(simulation, fitted, tmp_path):
+    write_recording(tmp_path / "bag", simulation.samples)
+    blind = fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
+    assert blind.provenance.nrmse is None
+    assert blind.provenance.machine == ""
+    assert blind.identification.resistance == fitted.identification.resistance
+    assert "Truth" not in [column.header for column in fit_table(blind).columns]
+
+
+def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
+    half = len(simulation.samples) // 2
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    bags = []
+    for k, part in enumerate((slice(0, half), slice(half, None))):
+        samples = replace(simulation.samples, **{name: getattr(simulation.samples, name)[part] for name in names})
+        bags.append(tmp_path / f"part_{k}")
+        write_recording(bags[-1], samples, simulation.truth)
+    fit = fit_bags(bags, None, FitSettings(method="joint"))
+    assert fit.identification.report.samples_used == fitted.identification.report.samples_used - 1
+    assert fit.identification.resistance == pytest.approx(fitted.identification.resistance, rel=0.01)
+    assert fit.provenance.nrmse == pytest.approx(fitted.provenance.nrmse, rel=0.05)
+    assert list(fit.provenance.inputs) == [str(bag / f"{bag.name}_0.mcap") for bag in bags]
+
+
+def test_bags_of_two_machines_are_not_fitted_together(bag, simulation, tmp_path):
+    simulate_bag(machine_map("spm"), SHORT, tmp_path / "spm", TRAJECTORY, 1.0)
+    with pytest.raises(DataError, match=r"different machines \(ipm, spm\)"):
+        fit_bags([bag, tmp_path / "spm"], None, FitSettings(method="joint"))
+    write_recording(tmp_path / "blind", simulation.samples)
+    fit = fit_bags([tmp_path / "blind", tmp_path / "spm"], None, FitSettings(method="joint"))
+    assert fit.provenance.nrmse is None
+
+
+def test_settings_that_the_method_does_not_look_at_are_named(bag):
+    (warning,) = fit_bags([bag], None, FitSettings("psm", maps="free", u_dc=(400.0,))).provenance.warnings
+    assert warning == "Method psm does not look at maps, u_dc: choose another method, or leave it out."
+    with pytest.raises(ConfigurationError, match="u_dc has 2 entries for 1 recordings"):
+        fit_bags([bag], None, FitSettings(u_dc=(400.0, 300.0)))
+
+
+def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_path, monkeypatch):
+    def fail(*_args, **_options):
+        raise AssertionError("too late")
+
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes").touch()
+    monkeypatch.setattr("drive_id.fitting.workflows.accumulate", fail)
+    monkeypatch.setattr("drive_id.fitting.simulated.simulate", fail)
+    with pytest.raises(OutputError):
+        fit_bags([bag], tmp_path / "full", FitSettings(method="joint"))
+    with pytest.raises(OutputError):
+        simulate_bag(machine_map("ipm"), SHORT, tmp_path / "full", TRAJECTORY, 1.0)
+
+
+def test_progress_is_told_in_order(bag, tmp_path):
+    told = []
+    fit_bags(
+        [bag],
+        tmp_path / "out",
+        FitSettings(method="joint"),
+        tell=lambda what, share: told.append((what, share)),
+    )
+    assert list(dict.fromkeys(what for what, _ in told)) == [
+        "Reading", "Accumulating", "Solving and validating", "Writing",
+    ]  # fmt: skip
+    shares = [share for what, share in told if what == "Accumulating"]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+    assert all(0 <= share <= 1 for _, share in told)
+
+
+def test_warnings_of_reading_stand_before_those_of_the_fit(simulation, tmp_path):
+    keep = np.r_[0:8000, 8500:20000]
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    cut = replace(
+        simulation.samples,
+        **{name: getattr(simulation.samples, name)[keep] for name in names},
+        run_starts=np.array([0, 8000]),
+    )
+    write_recording(tmp_path / "bag", cut)
+    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"))
+    assert fit.identification.report.gaps == 1
+    assert fit.warnings == (*fit.recording.warnings, *fit.identification.report.warnings)
+    assert json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"] == list(fit.warnings)
+
+
+def test_the_simulator_holds_a_point_and_the_fit_refuses_it(tmp_path):
+    held = Lissajous(frequency_d=0.0, frequency_q=0.0)
+    simulate_bag(machine_map("ipm"), replace(SHORT, current_noise=1e-3), tmp_path / "bag", held, 0.5)
+    with pytest.raises(CoverageError, match="references stay at"):
+        fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
+
+
+def test_an_experiment_takes_its_radius_from_settings_or_machine():
+    for settings, radius in ((SHORT, 300.0), (replace(SHORT, i_max=120.0), 120.0)):
+        simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, 0.5)
+        reference = np.hypot(*simulation.samples.i_dq_reference.T)
+        assert reference.max() == pytest.approx(radius, rel=0.01)
+        assert simulation.truth.i_max == radius
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, 1.5e-4, float("nan"), float("inf"), 1e9])
+def test_durations_that_are_no_experiment(seconds):
+    with pytest.raises(ConfigurationError, match="choose a duration"):
+        run_experiment(machine_map("ipm"), SHORT, seconds=seconds)
+
+
+def test_machines_by_name_and_by_file(tmp_path):
+    assert load_machine("spm").name == "spm"
+    source = machine_map("spm")
+    arrays = {"id": source.i_d, "iq": source.i_q, "psi_d": source.psi_d, "psi_q": source.psi_q}
+    np.savez(tmp_path / "mine.npz", **arrays, R=0.35, pole_pairs=3, i_max=20.0, u_dc=325.0)
+    np.testing.assert_array_equal(load_machine(str(tmp_path / "mine.npz")).psi_d, source.psi_d)
+    for name in ("apm", "", "none.npz", "none.mat", str(tmp_path), "x" * 300, "a\nb"):
+        with pytest.raises(ConfigurationError):
+            load_machine(name)
+
+
+def test_the_table_says_what_was_found(fitted):
+    table = cells(fit_table(fitted))
+    truth = fitted.recording.truth
+    assert table["R (stator + linear inverter part)"][2] == "10 mohm"
+    assert (
+        table["u_e (drop, opposes the current)"][2]
+        == f"{np.interp(truth.i_max, truth.inverter_current, truth.inverter_voltage):.4g} V"
+    )
+    assert table["Samples used"][0] == "19999 of 20000"
+    diverged = replace(fitted.identification.report, mad_d=float("nan"))
+    other = replace(fitted, identification=replace(fitted.identification, report=diverged))
+    assert cells(fit_table(other))["MAD of simulated i_d / i_q"][0].startswith("diverged / ")
+    short = replace(fitted, identification=replace(fitted.identification, sigma_resistance=float("inf")))
+    assert cells(fit_table(short))["R (stator + linear inverter part)"][1] == "unknown"
+
+
+def test_the_true_drop_is_the_one_at_the_radius_of_the_disc(fitted):
+    """Where the curve ends at the radius, and goes on rising up to there."""
+    current = np.linspace(-300.0, 300.0, 5)
+    truth = replace(fitted.recording.truth, inverter_current=current, inverter_voltage=current / 100, i_max=300.0)
+    other = replace(fitted, recording=replace(fitted.recording, truth=truth))
+    assert cells(fit_table(other))["u_e (drop, opposes the current)"][2] == "3 V"
+
+
+def test_only_the_map_with_data_is_scored(fitted):
+    """A truth that is far off where the map claims nothing costs nothing."""
+    truth, identification = fitted.recording.truth, fitted.identification
+    known = identification.flux_map.inside & (identification.flux_map.i_d > 60)[:, None]
+    right_half = replace(identification, flux_map=replace(identification.flux_map, inside=known))
+    off = replace(truth, psi_d=truth.psi_d + (truth.i_d < 0)[:, None])
+    assert max(score(right_half, off)) < 0.05
+    assert score(identification, off)[0] > 0.2
+
+
+def test_the_recording_reads_back_as_simulated(bag, simulation):
+    recording = read_recording(bag)
+    np.testing.assert_array_equal(recording.samples.stamp, simulation.samples.stamp)
+    np.testing.assert_allclose(recording.samples.u_abc, simulation.samples.u_abc, rtol=1e-6, atol=1e-5)
+    assert recording.truth.details["seed"] == 0

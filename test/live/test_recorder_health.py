@@ -1,0 +1,79 @@
+"""What the recorder says of itself, for each thing that can be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drive_id.health import Level
+from drive_id.live.publishers import Publisher, reliable_wanted
+from drive_id.live.recorder_health import TopicState, recorder_health
+from drive_id.live.recording_report import RecordingReport, TopicReport
+
+KIND = "drive_id_msgs/msg/Resolver"
+BENCH = Publisher("/bench", KIND)
+
+
+def report(**fields):
+    error, waiting = fields.pop("error", ""), fields.pop("waiting", 0)
+    return RecordingReport(Path("/data/bag"), (TopicReport("/resolver", **fields),), 1, 10, waiting, error)
+
+
+def health(found, publishers=(BENCH,), silent_for=0.1):
+    return recorder_health(found, [TopicState("/resolver", KIND, publishers, silent_for)], 1.0, 64.0)
+
+
+def test_nothing_is_wrong():
+    idle = health(None)
+    assert (idle.level, idle.message) == (Level.OK, "Not recording.")
+    assert idle.values["/resolver: publishers"] == "/bench"
+    running = health(report(messages=2, received=20, written=20))
+    assert (running.level, running.message) == (Level.OK, "Recording /data/bag.")
+    assert running.values["samples"] == running.values["/resolver: samples written"] == "20"
+
+
+@pytest.mark.parametrize(
+    ("fields", "level", "said"),
+    [
+        ({"received": 20, "written": 20, "lost": 3, "losses": 2}, Level.WARN, "3 samples of /resolver were lost in 2"),
+        ({"unreadable": 4}, Level.WARN, "4 messages on /resolver are no blocks"),
+        ({"received": 20, "overflowed": 20}, Level.ERROR, "20 samples did not fit into the queue"),
+        ({"received": 20, "waiting": 40_000_000}, Level.WARN, "20 samples, 40.0 MB, wait for it"),
+    ],
+)
+def test_samples_are_missing(fields, level, said):
+    found = health(report(**fields))
+    assert found.level == level
+    assert said in found.message
+
+
+def test_an_error_comes_alone_and_first():
+    found = health(report(error="The disk is full."), silent_for=9.0)
+    assert (found.level, found.message) == (Level.ERROR, "The disk is full.")
+
+
+@pytest.mark.parametrize(
+    ("publishers", "silent_for", "level", "said"),
+    [
+        ((), 0.1, Level.WARN, "Nobody publishes /resolver."),
+        ((BENCH,), None, Level.WARN, "No message has come on /resolver yet."),
+        ((BENCH,), 1.5, Level.WARN, "No message has come on /resolver for 1.5 s."),
+        ((BENCH, Publisher("/other", KIND)), 0.1, Level.WARN, "/bench and /other publish /resolver both"),
+        ((Publisher("/bench", KIND, reliable=False),), 0.1, Level.WARN, "as best effort only"),
+        ((BENCH, Publisher("/x", "a/msg/B")), 0.1, Level.ERROR, f"/x publishes a/msg/B on /resolver instead of {KIND}"),
+    ],
+)
+def test_publishers_that_do_not_fit(publishers, silent_for, level, said):
+    found = health(report(), publishers, silent_for)
+    assert found.level == level
+    assert said in found.message
+
+
+def test_reliability_follows_the_publishers():
+    unreliable, stranger = Publisher("/a", KIND, reliable=False), Publisher("/b", "a/msg/B", reliable=False)
+    for publishers, now, wanted in (
+        ([], True, True), ([], False, False), ([stranger], True, True), ([BENCH, stranger], False, True),
+        ([unreliable], True, False), ([BENCH, unreliable], True, False),
+    ):  # fmt: skip
+        assert reliable_wanted(publishers, KIND, now) is wanted

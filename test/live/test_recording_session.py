@@ -1,0 +1,314 @@
+"""The engine of the recorder: untouched messages, exact counts, whole files, and what a full disk leaves."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed
+from rosbags.rosbag2 import Reader
+
+from drive_id.errors import ConfigurationError, OutputError
+from drive_id.files.messages.block_codec import decode_block, encode_block, read_head
+from drive_id.files.read.info import bag_info
+from drive_id.files.read.reader import read_recording
+from drive_id.live.recording_names import recording_path
+from drive_id.live.recording_session import RecordingSession
+from drive_id.live.recording_settings import RecordingSettings
+
+NO_DISK = os.strerror(errno.ENOSPC)
+
+
+def record(path, settings=None, **options):
+    return RecordingSession(path, TOPICS, settings or RecordingSettings(), **options)
+
+
+def stock_messages(path):
+    with Reader(path) as reader:
+        return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
+
+
+def metadata(path):
+    return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+def wait_for(condition, timeout=30.0):
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+# -- messages and counts -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 7, 100])
+@pytest.mark.parametrize("name", ["", "a", "drive", "drive_12"])
+def test_the_head_of_a_block_is_that_of_the_whole_block(name, size):
+    data = bytearray(encode_block(START + 5, 2**40, PERIOD, [np.arange(size, dtype=np.float32)] * 3, name))
+    whole, head = decode_block(data, 3), read_head(data)
+    assert head == (whole.stamp, whole.first_sample, whole.sample_period, len(whole))
+    for length in range(40):
+        with pytest.raises(ValueError, match=r"too early|like a CDR"):
+            read_head(data[: min(length, 24 + len(name))])
+    with pytest.raises(ValueError, match="like a CDR"):
+        read_head(b"\x00\x09" + bytes(60))
+
+
+def test_messages_are_written_untouched(tmp_path):
+    session = record(tmp_path / "bag")
+    feed(session, 50)
+    assert session.stop()
+    report = session.report()
+    assert (report.samples, report.dropped, report.error) == (5000, 0, "")
+    assert report.duration == pytest.approx(0.4999)
+    assert "no sample was lost" in report.outcome()
+    expected = [
+        (topic.name, START + round((number + 1) * 1e7), block(topic.type_name, number * 100))
+        for number in range(50)
+        for topic in TOPICS
+    ]
+    assert sorted(stock_messages(tmp_path / "bag")) == sorted(expected)
+    recording = read_recording(tmp_path / "bag")
+    assert (len(recording.samples), recording.warnings) == (5000, ())
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def test_losses_are_counted_to_the_sample(tmp_path):
+    session = record(tmp_path / "bag")
+    lose = {(3, "/resolver"), (4, "/resolver"), (9, "/resolver"), (5, "/phase_currents")}
+    feed(session, 20, lose=lose)
+    session.receive("/resolver", b"no block", START)
+    session.stop()
+    report = session.report()
+    currents, voltages, resolver, _ = report.topics
+    assert (currents.received, currents.written, currents.lost, currents.losses) == (1900, 1900, 100, 1)
+    assert (resolver.received, resolver.lost, resolver.losses, resolver.unreadable) == (1700, 300, 2, 1)
+    assert (voltages.lost, report.dropped) == (0, 400)
+    assert "these samples were lost: 100 of /phase_currents, 300 of /resolver" in report.outcome()
+    custom = metadata(tmp_path / "bag")["custom_data"]
+    assert custom["samples_lost:/resolver"] == "300"
+    assert custom["samples_received:/resolver"] == custom["samples_written:/resolver"] == "1700"
+
+
+def test_a_publisher_that_begins_again_is_no_loss(tmp_path):
+    session = record(tmp_path / "bag")
+    feed(session, 5, first=100)
+    feed(session, 5)
+    session.stop()
+    report = session.report()
+    assert (report.dropped, report.topics[0].restarts, report.samples) == (0, 1, 1000)
+
+
+def test_a_queue_that_is_full_loses_and_counts(tmp_path):
+    class SlowDisk(io.FileIO):
+        def write(self, data):
+            time.sleep(0.3)
+            return super().write(data)
+
+    settings = RecordingSettings(queue_size=0.05)
+    session = record(tmp_path / "bag", settings, opener=lambda path: SlowDisk(path, "xb"))
+    feed(session, 300)
+    session.stop()
+    report = session.report()
+    assert report.error == ""
+    assert report.topics[0].received == 30000
+    assert 0 < report.topics[0].written < 30000
+    assert report.overflowed == report.dropped == sum(30000 - topic.written for topic in report.topics)
+    assert len(stock_messages(tmp_path / "bag")) == sum(topic.messages for topic in report.topics)
+
+
+# -- files ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings", [RecordingSettings(max_file_duration=0.1), RecordingSettings(max_file_size=0.05, chunk_size=4096)]
+)
+def test_splitting(tmp_path, settings):
+    session = record(tmp_path / "bag", settings)
+    feed(session, 60)
+    session.stop()
+    report = session.report()
+    information = metadata(tmp_path / "bag")
+    names = information["relative_file_paths"]
+    assert names == [f"bag_{number}.mcap" for number in range(len(names))]
+    assert len(names) >= 3
+    assert report.files == len(names)
+    assert report.size == sum(path.stat().st_size for path in (tmp_path / "bag").glob("*.mcap"))
+    assert sum(file["message_count"] for file in information["files"]) == information["message_count"] == 240
+    assert len(stock_messages(tmp_path / "bag")) == 240
+    for file in information["files"]:
+        assert bag_info(tmp_path / "bag" / file["path"]).messages == file["message_count"]
+    assert len(read_recording(tmp_path / "bag").samples) == 6000
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_compressions(tmp_path, compression):
+    session = record(tmp_path / "bag", RecordingSettings(compression=compression))
+    feed(session, 3)
+    session.stop()
+    assert bag_info(tmp_path / "bag").compression == compression.replace("none", "")
+    assert len(stock_messages(tmp_path / "bag")) == 12
+
+
+def test_what_was_flushed_is_there_before_the_end(tmp_path):
+    session = record(tmp_path / "bag", RecordingSettings(flush_period=0.1))
+    feed(session, 40)
+    wait_for(lambda: bag_info(tmp_path / "bag").messages == 160)
+    recording = read_recording(tmp_path / "bag")
+    assert "was not completed" in recording.warnings[0]
+    assert len(recording.samples) == 4000
+    session.stop()
+    assert read_recording(tmp_path / "bag").warnings == ()
+
+
+# -- disks ---------------------------------------------------------------------------------------------------------
+
+
+def feed_until_error(session):
+    number = 0
+    while not session.error:
+        assert number < 100_000
+        feed(session, 1, first=number)
+        time.sleep(0.0005)
+        number += 1
+    feed(session, 5, first=number)  # arrives too late, and does no harm
+
+
+@pytest.mark.parametrize("room", [200_000, 333_333])
+@pytest.mark.parametrize("duration", [0.0, 0.2])
+def test_a_disk_that_is_full_leaves_a_whole_bag(tmp_path, room, duration):
+    left = [room]
+
+    def opener(path):
+        """The files share the disk; those but the last are about 90 kB."""
+        left.append(max(left[-1] - 90_000, 0) if duration else room)
+        return FullDisk(path, left[-2])
+
+    settings = RecordingSettings(max_file_duration=duration, compression="none", chunk_size=8192)
+    session = record(tmp_path / "bag", settings, opener=opener)
+    feed_until_error(session)
+    session.stop()
+    report = session.report()
+    assert NO_DISK in report.error
+    assert "has ended; what was written until then is complete and readable" in report.error
+    messages = stock_messages(tmp_path / "bag")
+    assert len(messages) == sum(topic.messages for topic in report.topics) > 30
+    for topic in report.topics:
+        heads = [read_head(data) for name, _, data in messages if name == topic.topic]
+        assert sum(head.samples for head in heads) == topic.written
+        assert topic.received > topic.written
+    information = metadata(tmp_path / "bag")
+    assert information["custom_data"]["error"]
+    assert information["custom_data"]["samples_written:/resolver"] == str(report.topics[2].written)
+    assert read_recording(tmp_path / "bag").samples.i_abc.shape[0] >= 0.9 * report.samples
+
+
+def test_a_disk_that_fails_altogether_leaves_what_was_flushed(tmp_path):
+    class BrokenDisk(FullDisk):
+        def truncate(self, *_):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    settings = RecordingSettings(compression="none", chunk_size=8192)
+    session = record(tmp_path / "bag", settings, opener=lambda path: BrokenDisk(path, 100_000))
+    feed_until_error(session)
+    session.stop()
+    assert "complete it with 'drive-id recover'" in session.error
+    recording = read_recording(tmp_path / "bag")
+    assert "was not completed" in recording.warnings[0]
+    assert session.report().samples >= len(recording.samples) > 1000
+
+
+def test_an_error_of_the_index_loses_nothing(tmp_path):
+    """The disk is full when the bag is being completed: a file without index remains, with all messages."""
+    sizes = []
+    for room in (10**9, None):
+        path = tmp_path / str(room)
+        settings = RecordingSettings(compression="none")
+        limit = room or sizes[0] - 300
+        session = record(path, settings, opener=lambda path, limit=limit: FullDisk(path, limit))
+        feed(session, 20)
+        session.stop()
+        sizes.append(session.report().size)
+        assert bool(session.error) == (room is None)
+        assert len(stock_messages(path)) == 80
+    assert bag_info(path).messages == 80
+
+
+def test_a_limit_of_the_system(tmp_path):
+    """The same with a real error of the system: no file may grow beyond 100 kB."""
+    script = """
+        import resource, sys, time
+        from pathlib import Path
+        from recorder_blocks import TOPICS, feed
+        from drive_id.live.recording_session import RecordingSession
+        from drive_id.live.recording_settings import RecordingSettings
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        session = RecordingSession(Path(sys.argv[1]), TOPICS, RecordingSettings(chunk_size=8192))
+        for number in range(10_000):
+            feed(session, 1, first=number)
+            time.sleep(0.0005)
+            if session.error:
+                break
+        session.stop()
+        print(session.report().samples, session.error)
+    """
+    path = tmp_path / "bag"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script), str(path)],
+        env=environment, capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    samples, _, error = done.stdout.partition(" ")
+    assert os.strerror(errno.EFBIG) in error
+    assert "complete and readable" in error
+    assert int(samples) >= len(read_recording(path).samples) > 500
+    assert len(stock_messages(path)) == bag_info(path).messages
+
+
+def test_a_bag_that_cannot_be_begun(tmp_path):
+    with pytest.raises(OutputError, match=f"bag cannot be written .{NO_DISK}"):
+        record(tmp_path / "bag", opener=lambda path: FullDisk(path, 10))
+    assert list(tmp_path.iterdir()) == []
+    record(tmp_path / "bag").stop()
+    with pytest.raises(OutputError, match="exists already"):
+        record(tmp_path / "bag")
+
+
+# -- names ---------------------------------------------------------------------------------------------------------
+
+NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=timezone.utc)
+
+
+def test_names(tmp_path):
+    assert recording_path(tmp_path, "run_1.b", NOW) == tmp_path / "run_1.b"
+    assert recording_path(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07"
+    (tmp_path / "recording_2026-03-04_05-06-07").mkdir()
+    assert recording_path(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07_2"
+    assert recording_path(Path("data"), "x", NOW) == Path.cwd() / "data" / "x"
+
+
+@pytest.mark.parametrize(
+    "name", ["/tmp/x", "..", ".", "../x", "a/b", "a/../../b", ".hidden", "-x", "a\nb", "a\0b", "x" * 201, " ", "ä"]
+)
+def test_names_that_are_none(tmp_path, name):
+    with pytest.raises(ConfigurationError, match="is no name for a recording"):
+        recording_path(tmp_path, name, NOW)
+
+
+def test_nothing_is_overwritten(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").symlink_to(tmp_path / "nowhere")
+    for name in ("a", "b"):
+        with pytest.raises(OutputError, match="exists already"):
+            recording_path(tmp_path, name, NOW)

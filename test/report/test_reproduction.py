@@ -1,0 +1,161 @@
+"""The paper's experiments on one shipped machine, in half their length."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drive_id.cli import app as cli
+from drive_id.errors import OutputError
+from drive_id.report import reproduction
+from drive_id.report.reproduction import COMPENSATED, IDEAL, SIMULATION, check_reproduction_output, write_reproduction
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def results(told):
+    return reproduction.reproduce(lambda what, share: told.append((what, share)), machines=("ipm",), seconds=5.0)
+
+
+def test_the_experiments_are_those_of_the_paper():
+    for settings in (SIMULATION, IDEAL, COMPENSATED):
+        assert (settings.sample_period, settings.speeds) == (1e-4, (500.0,))
+    assert (SIMULATION.inverter, SIMULATION.harmonics, SIMULATION.inverter_compensation) == ("dead_time", 1.0, False)
+    assert (IDEAL.inverter, IDEAL.harmonics, IDEAL.current_noise) == ("none", 0.0, 0.0)
+    assert COMPENSATED.inverter_compensation
+    assert reproduction.SECONDS == 10.0
+
+
+def test_every_experiment_has_all_methods(results):
+    assert [(row.experiment, row.method) for row in results.rows] == [
+        (experiment, method)
+        for experiment in ("simulation", "bench", "ideal", "compensated")
+        for method in ("psm", "joint", "full")
+    ]
+    assert {row.machine for row in results.rows} == {"ipm"}
+    assert all(np.isfinite([row.nrmse_d, row.nrmse_q, row.resistance]).all() for row in results.rows)
+
+
+def test_with_an_inverter_joint_is_at_least_three_times_better(results):
+    psm, joint, _ = results.select("simulation")
+    assert 3 * joint.nrmse_d < psm.nrmse_d
+    assert 3 * joint.nrmse_q < psm.nrmse_q
+    assert joint.mad_d < psm.mad_d
+    assert joint.mad_q < psm.mad_q
+    assert psm.voltage_error == 0.0
+    assert joint.voltage_error == pytest.approx(4.0, rel=0.15)
+    assert abs(joint.resistance - joint.true_resistance) < 0.2 * abs(psm.resistance - psm.true_resistance)
+
+
+@pytest.mark.parametrize("experiment", ["simulation", "bench"])
+def test_full_is_at_least_twenty_times_better_than_joint(results, experiment):
+    _, joint, full = results.select(experiment)
+    assert 20 * full.nrmse_d < joint.nrmse_d
+    assert 20 * full.nrmse_q < joint.nrmse_q
+    assert 3 * full.mad_d < joint.mad_d
+    assert 3 * full.mad_q < joint.mad_q
+
+
+def test_full_finds_the_resistance_and_the_height_of_the_curve(results):
+    _, _, full = results.select("simulation")
+    assert full.resistance == pytest.approx(full.true_resistance, rel=0.01)
+    assert full.voltage_error == pytest.approx(4.0, rel=0.02)
+
+
+def test_at_the_bench_joint_is_better_than_psm(results):
+    psm, joint, _ = results.select("bench")
+    assert joint.nrmse_d < psm.nrmse_d
+    assert joint.nrmse_q < psm.nrmse_q
+    assert joint.mad_d < psm.mad_d
+    assert joint.mad_q < psm.mad_q
+
+
+@pytest.mark.parametrize(("experiment", "limit"), [("ideal", 1e-3), ("compensated", 2e-3)])
+def test_without_an_inverter_all_methods_agree(results, experiment, limit):
+    psm, joint, full = results.select(experiment)
+    for row in (psm, joint, full):
+        assert max(row.nrmse_d, row.nrmse_q) < limit
+        assert row.resistance == pytest.approx(row.true_resistance, rel=0.02)
+    assert max(abs(joint.voltage_error), abs(full.voltage_error)) < 0.05
+    assert results.agreement[experiment] < limit
+    assert results.agreement["simulation"] > 10 * results.agreement[experiment]
+
+
+def test_progress_is_told(told, results):
+    assert results
+    assert told[0] == ("ipm, simulation", 0.0)
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[-1] < 1
+
+
+def test_tables_and_claims_show_the_rows(results):
+    tables = results.tables()
+    assert [len(table.rows) for table in tables] == [3, 3, 3]
+    shown = [list(column.cells) for column in tables[0].columns]
+    assert shown[1] == ["PSM identification", "Joint identification", "Full identification"]
+    assert shown[2] == [f"{100 * row.nrmse_d:.3f} %" for row in results.select("simulation")]
+    claims = results.claims()
+    assert len(claims) == 2
+    _, joint, full = results.select("ideal")
+    assert f"u_e = {joint.voltage_error:+.4f} V by joint, {full.voltage_error:+.4f} V by full" in claims[0]
+    for method in ("psm", "joint", "full"):
+        assert claims[0].count(f"{method} ") >= 2
+
+
+def test_what_diverged_is_said_and_is_null(results):
+    diverged = replace(results.rows[0], mad_d=float("nan"), mad_q=float("nan"))
+    broken = replace(results, rows=(diverged, *results.rows[1:]))
+    assert next(iter(broken.tables()[1].columns[2].cells)) == "diverged"
+    assert broken.tree()["rows"][0]["mad_d"] is None
+    json.dumps(broken.tree(), allow_nan=False)
+
+
+def test_the_files(results, tmp_path):
+    write_reproduction(tmp_path / "out", results)
+    names = ["flux_comparison_d.png", "flux_comparison_q.png", "reproduction.json", "tables.txt"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    for name in names[:2]:
+        png = (tmp_path / "out" / name).read_bytes()
+        assert png.startswith(b"\x89PNG\r\n\x1a\n")
+        assert len(png) > 50_000
+    tree = json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    assert tree == json.loads(json.dumps(results.tree()))
+    assert tree["format"] == "drive_id/reproduction"
+    text = (tmp_path / "out" / "tables.txt").read_text()
+    for said in ("NRMSE of flux maps in simulation", "Joint identification", "Without an inverter"):
+        assert said in text
+    write_reproduction(tmp_path / "out", results)
+
+
+def test_the_command_prints_tables_and_claims(results, tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(reproduction, "reproduce", lambda _tell: results)
+    said = {}
+    for option in ("--json", "--quiet", "--force"):
+        monkeypatch.setattr(sys, "argv", ["drive-id", "reproduce", "--output", str(tmp_path / "out"), option])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert not ended.value.code
+        said[option] = capfd.readouterr()
+    assert all(captured.err == "" for captured in said.values())
+    assert json.loads(said["--json"].out) == json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    assert said["--quiet"].out == ""
+    for text in ("MAD of current at the emulated test bench", "With a compensated inverter"):
+        assert text in said["--force"].out
+
+
+def test_folders_of_others_are_refused(results, tmp_path):
+    (tmp_path / "identification.json").write_text('{"format": "drive_id/identification"}')
+    for refuse in (lambda: check_reproduction_output(tmp_path), lambda: write_reproduction(tmp_path, results)):
+        with pytest.raises(OutputError, match="not results of drive_id"):
+            refuse()
+    check_reproduction_output(tmp_path, force=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["identification.json"]

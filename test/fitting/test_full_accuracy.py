@@ -199,7 +199,8 @@ def test_on_a_ring_noise_does_not_pass_for_a_delay_either(changes, turns, share)
 def test_next_to_nothing_does_not_make_a_machine_non_reciprocal(inverter):
     """Without noise, a ring leaves residuals of 1e-5 of the voltage, and free maps a third less."""
     settings = replace(NOISY, speeds=(-2500.0,), inverter=inverter, harmonics=0.0, current_noise=0.0)
-    simulation = along_a_ring(machine_map("pmsyrm"), settings, 6.0, -0.7)
+    # A ring of constant amplitude covers 4.9 or 5.0 % of the disc, as rounding has it; 5 % are needed.
+    simulation = along_a_ring(machine_map("pmsyrm"), settings, 6.0, -0.7, against=0.005)
     _, joint_errors = errors(simulation, JOINT)
     found, full_errors = errors(simulation)
     assert not any("reciprocal" in warning for warning in found.report.warnings)

@@ -13,9 +13,9 @@ from drive_id.core.checks.plausibility import Plausibility
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify
 from drive_id.core.signals.signal import Signal
-from drive_id.core.signals.stream_join import Piece
+from drive_id.core.signals.stream_join import Piece, joined
 from drive_id.errors import ConfigurationError, DriveIdError, EmptyTopicError
-from drive_id.live.live_evidence import LiveEvidence, concatenate
+from drive_id.live.live_evidence import LiveEvidence
 from drive_id.live.warm_up import warm_up
 
 SETTINGS = FitSettings("joint", i_max=300.0)
@@ -80,10 +80,9 @@ def test_pieces_with_gaps_are_put_together():
     more = replace(part, stamp=part.stamp + 2 * 10**9, run_starts=np.array([0, 200]))
     begun = {n: np.concatenate([last[n], getattr(more, n)]) for n in last}
     going_on = replace(more, **begun, run_starts=np.array([0, 201]))
-    together = concatenate([Piece(part, True), Piece(later, False), Piece(going_on, True)])
+    together = joined([Piece(part, True), Piece(later, False), Piece(going_on, True)])
     assert together.run_starts.tolist() == [0, 500, 600, 1200]
     assert len(together) == 1500
-    assert concatenate([]) is None
 
 
 def test_memory_does_not_grow(samples):

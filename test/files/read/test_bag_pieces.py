@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from test_bag_reader import SPEED, STRANGER, rewrite, stranger
 
+from drive_id.core.signals.stream_join import joined
 from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import pieces as module
@@ -21,7 +22,6 @@ from drive_id.files.read.reader import read_recording
 from drive_id.files.read.signal_stream import UnusualError
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
-from drive_id.live.live_evidence import concatenate
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +44,7 @@ def read(path, signals=None, **options):
 def assert_same_as_whole(path, signals=None, least_pieces=3, **options):
     pieces, facts = read(path, signals, **options)
     expected = read_recording(path, signals)
-    assert_equal_samples(concatenate(pieces), expected.samples)
+    assert_equal_samples(joined(pieces), expected.samples)
     reference = [p.samples.i_dq_reference for p in pieces]
     if all(part is not None for part in reference):
         parts = [part[int(piece.continues) :] for part, piece in zip(reference, pieces, strict=True)]

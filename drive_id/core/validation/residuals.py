@@ -1,0 +1,120 @@
+"""Residual of the voltage balance over the rotor position: what a model leaves unexplained, and at which angle.
+
+The balance in the stator frame over a short window,
+
+    int u_s = psi_s(t_1) - psi_s(t_0) + R int i_s + int drop_s,        psi_s = e^{j theta} f(i, theta),
+
+is evaluated with quadrature rules of its own and shares no code with the regressions, so that their mistakes show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.types import FloatArray, Samples
+
+Flux = Callable[[FloatArray, FloatArray], FloatArray]
+"""Returns psi_dq (W, 2), Wb, at currents i_dq (W, 2), A, and electrical angles (W,), rad."""
+
+_LONGEST = 0.01
+"""s; of a window, where the rotor hardly turns."""
+
+
+class Residual(NamedTuple):
+    """Mean residual voltage of W windows."""
+
+    angle: FloatArray
+    """(W,) electrical angle at the middle of each window, rad, not wrapped."""
+    voltage: FloatArray
+    """(W, 2) commanded minus explained voltage, d and q at that angle, V."""
+
+
+class AngleBins(NamedTuple):
+    """Statistics over B equal bins of one electrical turn; NaN in empty bins."""
+
+    angle: FloatArray
+    """(B,) centres, rad, from 0 to 2 pi."""
+    mean: FloatArray
+    """(B, 2), V."""
+    rms: FloatArray
+    """(B, 2), V; of everything in the bin, its mean included."""
+
+
+def residual_voltage(
+    samples: Samples,
+    flux: Flux,
+    resistance: float,
+    drop: tuple[FloatArray, FloatArray],
+    span: float = np.deg2rad(5.0),
+) -> Residual:
+    """Evaluate the voltage balance over adjacent windows of a few degrees.
+
+    The commanded voltage is held over each sample; phase currents are linear between samples; the drop is integrated
+    by Simpson's rule. A window averages over ``span``: an order h is attenuated to ``sinc(h span / 2 pi)``, 0.99 at
+    the 6th and 0.90 at the 18th.
+
+    Parameters
+    ----------
+    samples : Samples
+        Corrected for the sensor faults that the model was corrected for.
+    flux : callable
+        Flux linkages over current and angle.
+    resistance : float
+        Ohm.
+    drop : (C,) float, (C,) or (C, 3) float
+        Phase currents, A, increasing, and the inverter's drop there, V, of all phases or of each.
+    span : float
+        Electrical angle of a window, rad; a window has at least one sample and lasts 10 ms at most.
+
+    Returns
+    -------
+    Residual
+        Empty where no run has two samples.
+    """
+    period = samples.sample_period
+    i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
+    curves = np.broadcast_to(drop[1].reshape(len(drop[0]), -1), (len(drop[0]), 3))
+
+    def drop_s(i_abc: FloatArray) -> frames.ComplexArray:
+        of_phases = [np.interp(i, drop[0], curve) for i, curve in zip(i_abc.T, curves.T, strict=True)]
+        return frames.space_vector(np.stack(of_phases, axis=1))
+
+    at_samples, between = drop_s(samples.i_abc), drop_s((samples.i_abc[1:] + samples.i_abc[:-1]) / 2)
+    loss = resistance * (i_s[1:] + i_s[:-1]) / 2 + (at_samples[1:] + at_samples[:-1] + 4 * between) / 6
+    balance = np.append(0j, np.cumsum(period * (u_s[:-1] - loss)))
+    angles, voltages = [np.zeros(0)], [np.zeros((0, 2))]
+    for run in samples.runs():
+        turn = float(np.abs(samples.speed[run]).mean()) * period
+        length = max(1, int(min(span / turn if turn else np.inf, _LONGEST / period)))
+        ends = np.arange(run.start, run.stop, length)
+        angle = samples.angle[ends]
+        i_dq = frames.as_pairs(i_s[ends] * np.exp(-1j * angle))
+        psi = flux(i_dq, angle)
+        psi_s = (psi[:, 0] + 1j * psi[:, 1]) * np.exp(1j * angle)
+        middle = angle[:-1] + np.angle(np.exp(1j * np.diff(angle))) / 2
+        residual = np.diff(balance[ends] - psi_s) / (length * period)
+        angles.append(middle)
+        voltages.append(frames.as_pairs(residual * np.exp(-1j * middle)))
+    return Residual(np.concatenate(angles), np.concatenate(voltages))
+
+
+def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
+    """Average a residual in equal bins of the electrical angle.
+
+    Parameters
+    ----------
+    residual : Residual
+    bins : int
+        Of one electrical turn.
+    """
+    place = np.floor(residual.angle / (2 * np.pi) * bins).astype(np.int64) % bins
+    count = np.bincount(place, minlength=bins).astype(np.float64)
+    count[count == 0] = np.nan
+    of_axes = residual.voltage.T
+    mean = np.stack([np.bincount(place, values, bins) / count for values in of_axes], axis=1)
+    rms = np.sqrt(np.stack([np.bincount(place, values**2, bins) / count for values in of_axes], axis=1))
+    return AngleBins((np.arange(bins) + 0.5) * 2 * np.pi / bins, mean, rms)

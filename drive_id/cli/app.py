@@ -14,6 +14,8 @@ import drive_id
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
+    FigureFormat,
+    FigureFormatOption,
     FitConfigOption,
     JsonFlag,
     NamespaceOption,
@@ -129,7 +131,7 @@ def simulate(
 @app.command(epilog="A bag of your own messages: write a signals file, see config/signals_example_stranger.yaml.")
 def fit(
     bags: SourcesArgument,
-    output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and a picture.")],
+    output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and pictures.")],
     method: Annotated[
         str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  \\[default: full]")
     ] = None,
@@ -140,11 +142,14 @@ def fit(
     settings: SetOption = None,
     cluster: ClusterOption = "",
     skip_bad: SkipFlag = False,
+    figure_format: FigureFormatOption = FigureFormat.png,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
     """Identify flux maps, resistance and inverter voltage error from recorded bags."""
+    from functools import partial
+
     from drive_id.core.fit_settings import FitSettings
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.results.folder import results_tree
@@ -159,7 +164,7 @@ def fit(
     with working(quiet or as_json) as tell:
         result = fit_bags(
             bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
-            force=force, draw=result_pictures, tell=tell,
+            force=force, draw=partial(result_pictures, figure_format=figure_format.value), tell=tell,
         )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(results_tree(result.identification, result.provenance), allow_nan=False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -42,6 +43,17 @@ ClusterOption = Annotated[
     str,
     typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Dask cluster that does the work, or N processes here."),
 ]
+
+
+class FigureFormat(str, Enum):
+    """File format of pictures."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
+FigureFormatOption = Annotated[FigureFormat, typer.Option("--figure-format", help="Format of the pictures.")]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
 
 

@@ -24,7 +24,7 @@ from drive_id.fitting.streaming import accumulate
 from drive_id.types import Progress, Samples, silent
 
 Draw = Callable[[Identification, Sequence[Samples], str], Mapping[str, bytes]]
-"""Returns pictures by file name, of a result, excerpts of its samples, and a title."""
+"""Returns pictures by file name, of a result, excerpts of its samples, and the machine's name, empty if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +102,7 @@ def fit_bags(
     fit = _fit(gather, bags, settings, signals, namespace, tell)
     if output is not None:
         tell("Writing", 0.0)
-        name = f"{fit.provenance.machine}, " if fit.provenance.machine else ""
-        title = f"{name}method {settings.method}"
-        pictures = draw(fit.identification, fit.recording.validation, title) if draw else {}
+        pictures = draw(fit.identification, fit.recording.validation, fit.provenance.machine) if draw else {}
         write_results(output, fit.identification, fit.provenance, force=force, pictures=pictures)
     return fit
 

@@ -243,8 +243,7 @@ def _fit_live(
     report = snapshot.report
     provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)
     validation, draw = snapshot.validation(), _draw(settings)
-    title = f"Live samples, method {identification.method}"
-    pictures = draw(identification, [validation] if validation else [], title) if draw else {}
+    pictures = draw(identification, [validation] if validation else [], "Live samples") if draw else {}
     write_results(output, identification, provenance, pictures=pictures)
     warnings = (*report.warnings, *identification.report.warnings)
     stamp = snapshot.join.last_stamp or 0

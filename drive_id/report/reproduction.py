@@ -29,6 +29,8 @@ METHODS = {"psm": "PSM identification", "joint": "Joint identification", "full":
 SECONDS = 10.0
 FORMAT = "drive_id/reproduction"
 _MARKER = "reproduction.json"
+_DPI = 154
+"""Makes the figure of a result 1600 pixels wide."""
 
 SIMULATION = SimulationSettings(inverter="dead_time", current_noise=1e-3)
 """The paper's experiment: 10 s at 10 kHz and 500 rpm, rotor harmonics and an uncompensated inverter."""
@@ -216,14 +218,17 @@ def _difference(first: Identification, second: Identification) -> float:
 
 
 def _draw(fits: Mapping[str, Identification], simulation: Simulation) -> dict[str, bytes]:
-    from drive_id.report.plots import draw_comparison, to_png  # noqa: PLC0415  # matplotlib is slow to import
+    from drive_id.report.comparison import draw_comparison  # noqa: PLC0415  # matplotlib is slow to import
+    from drive_id.report.plots import draw_result, rendered  # noqa: PLC0415
 
-    return {
-        f"flux_comparison_{component}.png": to_png(
-            draw_comparison(fits["joint"], fits["psm"], simulation.truth, component, fits["full"])
+    figures = {
+        f"flux_comparison_{component}.png": rendered(
+            draw_comparison(fits["joint"], fits["psm"], simulation.truth, component, fits["full"]), dpi=120
         )
         for component in "qd"
     }
+    figures["result.png"] = rendered(draw_result(fits["full"], [simulation.samples], simulation.truth), dpi=_DPI)
+    return figures
 
 
 def _nrmse(row: Row) -> tuple[str, str]:

@@ -1,27 +1,54 @@
-"""Pictures: data where there are data, round numbers at the colour bars, and no warning whatever the map."""
+"""Pictures: data where there are data, round numbers at the levels, and no warning whatever the map."""
 
 from __future__ import annotations
 
 import struct
+import time
 from dataclasses import replace
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 
-from drive_id.core import frames
-from drive_id.report.plots import _levels, draw_comparison, draw_flux_maps, to_png
+from drive_id.core.full.calibration import Calibration
+from drive_id.core.result.identification import HarmonicMap
+from drive_id.report.comparison import draw_comparison
+from drive_id.report.diagnostics import draw_diagnostics
+from drive_id.report.panels import Disc, levels
+from drive_id.report.plots import (
+    FORMATS,
+    Caption,
+    draw_flux_maps,
+    draw_result,
+    rendered,
+    result_pictures,
+    trajectory,
+)
+
+NAMES = ["diagnostics.png", "flux_map.png"]
 
 
 @pytest.fixture(scope="module")
-def maps(fitted):
-    (samples,) = fitted.recording.validation
-    return draw_flux_maps(
-        fitted.identification.flux_map,
-        fitted.identification.i_max,
-        frames.to_dq(samples.i_abc, samples.angle),
-        "a title",
-    )
+def excerpts(fitted):
+    return fitted.recording.validation
+
+
+@pytest.fixture(scope="module")
+def drive(fitted):
+    return fitted.identification
+
+
+@pytest.fixture(scope="module")
+def maps(drive, excerpts):
+    caption = Caption.of(drive, excerpts, "a machine")
+    return draw_flux_maps(drive.flux_map, drive.i_max, trajectory(excerpts), caption)
+
+
+@pytest.fixture(scope="module")
+def diagnostics(drive, excerpts):
+    return draw_diagnostics(drive, excerpts)
 
 
 def size(png: bytes) -> tuple[int, int]:
@@ -29,18 +56,50 @@ def size(png: bytes) -> tuple[int, int]:
     return struct.unpack(">II", png[16:24])
 
 
-def test_the_picture_has_content(maps, tmp_path):
-    png = to_png(maps)
-    assert size(png) == (1320, 600)
-    (tmp_path / "maps.png").write_bytes(png)
-    pixels = imread(tmp_path / "maps.png")[..., :3]
+def texts(figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
+def panel(figure, title: str):
+    return next(axes for axes in figure.axes if title in axes.get_title())
+
+
+def half(flux_map):
+    """Return the map with data at positive i_q only."""
+    return replace(flux_map, inside=flux_map.inside & (flux_map.i_q > 0))
+
+
+@pytest.mark.parametrize("which", ["maps", "diagnostics"])
+def test_the_picture_has_content_and_nothing_is_cut_off(which, request, tmp_path):
+    png = rendered(request.getfixturevalue(which))
+    assert size(png)[0] == 1440
+    (tmp_path / "picture.png").write_bytes(png)
+    pixels = imread(tmp_path / "picture.png")[..., :3]
     assert len(np.unique((pixels * 255).astype(int).reshape(-1, 3), axis=0)) > 500
     edge = np.concatenate([pixels[:2].ravel(), pixels[-2:].ravel(), pixels[:, :2].ravel(), pixels[:, -2:].ravel()])
-    assert (edge == 1.0).all()  # nothing is cut off
+    assert (edge == 1.0).all()
+
+
+@pytest.mark.parametrize("which", ["maps", "diagnostics"])
+def test_no_text_stands_on_other_text(which, request):
+    figure = request.getfixturevalue(which)
+    rendered(figure)
+    renderer = figure.canvas.get_renderer()
+    found = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
+    boxes = [text.get_window_extent(renderer) for text in found]
+    page = figure.bbox
+    seen = [
+        (text.get_text(), box.shrunk(0.9))
+        for text, box in zip(found, boxes, strict=True)
+        if box.x1 > page.x0 and box.x0 < page.x1 and box.width > 0
+    ]
+    for number, (text, box) in enumerate(seen):
+        for other, beside in seen[:number]:
+            assert not box.overlaps(beside), (text, other)
 
 
 def test_the_colour_bars_are_as_tall_as_the_axes(maps):
-    to_png(maps)
+    rendered(maps)
     panels = [axes for axes in maps.axes if axes.get_xlabel()]
     assert len(panels) == 2
     for axes in panels:
@@ -51,8 +110,15 @@ def test_the_colour_bars_are_as_tall_as_the_axes(maps):
         assert inner.x0 > outer.x1
 
 
+def test_both_axes_have_the_same_scale(maps, drive):
+    for axes in maps.axes:
+        assert axes.get_aspect() == 1.0
+        assert axes.get_xlim() == axes.get_ylim()
+        assert drive.i_max < axes.get_xlim()[1] < 1.1 * drive.i_max
+
+
 def test_the_ticks_of_the_colour_bars_are_round(maps):
-    to_png(maps)
+    rendered(maps)
     for axes in maps.axes:
         for bar in axes.child_axes:
             labels = [label.get_text().replace("−", "-") for label in bar.get_yticklabels()]
@@ -61,39 +127,238 @@ def test_the_ticks_of_the_colour_bars_are_round(maps):
             assert max(len(text) for text in shown) <= 6
 
 
+def test_level_lines_are_labelled_where_their_flux_is(maps, drive):
+    flux_map = drive.flux_map
+    for axes, psi in zip(maps.axes, (flux_map.psi_d, flux_map.psi_q), strict=True):
+        labels = [text for text in axes.texts if text.get_text() != "no data"]
+        assert len(labels) >= 4
+        for label in labels:
+            i_d, i_q = label.get_position()
+            assert np.hypot(i_d, i_q) < drive.i_max
+            at_d = [np.interp(i_d, flux_map.i_d, column) for column in psi.T]
+            assert float(label.get_text().replace("−", "-")) == pytest.approx(
+                1e3 * np.interp(i_q, flux_map.i_q, at_d), abs=0.3
+            )
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.0113, 0.0981), (-0.0712, 0.0689), (-3e-7, 2e-7), (1e3, 1.7e5)])
 @pytest.mark.parametrize("count", [10, 20])
 def test_levels_enclose_the_range_in_round_steps(low, high, count):
-    levels = _levels(low, high, count)
-    assert levels[0] <= low
-    assert levels[-1] >= high
-    assert 2 <= len(levels) <= count + 3
-    step = np.diff(levels)
+    found = levels(low, high, count)
+    assert found[0] <= low
+    assert found[-1] >= high
+    assert 2 <= len(found) <= count + 3
+    step = np.diff(found)
     np.testing.assert_allclose(step, step[0], rtol=1e-6)
     assert round(step[0] / 10 ** np.floor(np.log10(step[0] * 1.000001)), 6) in (1, 2, 5)
 
 
 def test_levels_of_no_range_at_all():
-    levels = _levels(0.5, 0.5, 10)
-    assert levels[0] <= 0.5 <= levels[-1]
-    assert np.all(np.diff(levels) > 0)
+    found = levels(0.5, 0.5, 10)
+    assert found[0] <= 0.5 <= found[-1]
+    assert np.all(np.diff(found) > 0)
 
 
-def test_a_map_without_any_slope_is_drawn_without_a_warning(fitted):
-    flux_map = fitted.identification.flux_map
-    flat = replace(flux_map, psi_d=np.full_like(flux_map.psi_d, 0.05), psi_q=np.zeros_like(flux_map.psi_q))
-    assert size(to_png(draw_flux_maps(flat, fitted.identification.i_max)))
-
-
-def test_only_what_the_data_support_is_drawn(fitted):
-    flux_map = fitted.identification.flux_map
+def test_only_what_the_data_support_is_drawn(drive):
+    flux_map = drive.flux_map
     corner = replace(flux_map, psi_d=np.where(flux_map.inside, flux_map.psi_d, 1e6))
-    figure = draw_flux_maps(corner, fitted.identification.i_max)
-    to_png(figure)
-    assert max(bar.get_ylim()[1] for axes in figure.axes for bar in axes.child_axes) < 1.0
+    figure = draw_flux_maps(corner, drive.i_max)
+    rendered(figure)
+    assert max(bar.get_ylim()[1] for axes in figure.axes for bar in axes.child_axes) < 1e3  # mWb
 
 
-def test_unused_memory_in_surfaces_is_no_reason_to_warn(fitted, simulation, monkeypatch):
+def test_areas_without_data_are_hatched_and_labelled(drive):
+    disc = Disc(half(drive.flux_map), drive.i_max)
+    lower = disc.blank[:, disc.axis < -0.1 * drive.i_max]
+    assert lower[disc.radius[:, disc.axis < -0.1 * drive.i_max] < drive.i_max].all()
+    assert disc.blank[:, disc.axis > 0.1 * drive.i_max].mean() < 0.05
+    assert not disc.blank[disc.radius > drive.i_max].any()
+    figure = draw_flux_maps(half(drive.flux_map), drive.i_max)
+    for axes in figure.axes:
+        (label,) = [text for text in axes.texts if text.get_text() == "no data"]
+        assert label.get_position()[1] < 0
+    assert "no data" not in texts(draw_flux_maps(full_map(drive.flux_map), drive.i_max))
+
+
+def full_map(flux_map):
+    return replace(flux_map, inside=np.ones_like(flux_map.inside))
+
+
+def test_the_trajectory_is_drawn_sample_by_sample_and_breaks_at_gaps(drive, excerpts):
+    (samples,) = excerpts
+    gapped = replace(samples, run_starts=np.array([0, 1000, 5000]))
+    i_dq = trajectory([gapped, gapped.part(0, 10)])
+    assert len(i_dq) == len(samples) + 3 + 11
+    assert np.flatnonzero(np.isnan(i_dq[:, 0])).tolist() == [1000, 5001, len(samples) + 2, len(samples) + 13]
+    figure = draw_flux_maps(drive.flux_map, drive.i_max, i_dq)
+    for axes in figure.axes:
+        longest = max(axes.lines, key=lambda line: len(line.get_xdata()))
+        np.testing.assert_array_equal(longest.get_xdata(), i_dq[:, 0])
+        assert longest.get_rasterized()
+    assert trajectory([]) is None
+
+
+def test_the_caption_says_what_is_known(drive, excerpts):
+    (samples,) = excerpts
+    stamped = replace(samples, stamp=samples.stamp - samples.stamp[0] + 1_700_000_000 * 10**9)
+    known = replace(drive, method="full", resistance=0.0100012, sigma_resistance=1.4e-5, i_max=300.0)
+    caption = Caption.of(known, [stamped], "ipm")
+    assert caption.text().splitlines() == [
+        "ipm  ·  method full  ·  2023-11-14 22:13 UTC",
+        r"$R$ = 10.001 $\pm$ 0.014 m$\Omega$  ·  speed 209.4 rad/s electrical  ·  $i_\mathrm{max}$ = 300 A",
+    ]
+    assert "speed 500 rpm" in replace(caption, pole_pairs=4).text()
+    assert "speed -100 to 209.4 rad/s" in replace(caption, speeds=(-100.0, 209.44)).text()
+    unknown = replace(caption, machine="", date="", speeds=None, sigma_resistance=float("inf"))
+    assert unknown.text() == "method full\n" r"$R$ = 10 m$\Omega$  ·  $i_\mathrm{max}$ = 300 A"
+    assert Caption().text() == ""
+    since_start = replace(samples, stamp=samples.stamp - samples.stamp[0])
+    assert Caption.of(known, [since_start]).date == ""
+    assert Caption.of(known, []).speeds is None
+
+
+def test_a_name_of_any_characters_is_printed(drive):
+    for name in ("50 $ motor", "$\\frac{", "電動機 \N{PILE OF POO}\n\x00", "x" * 300):
+        assert size(rendered(draw_flux_maps(drive.flux_map, drive.i_max, None, Caption(name))))
+
+
+@pytest.mark.parametrize("figure_format", FORMATS)
+def test_formats(drive, excerpts, figure_format):
+    pictures = result_pictures(drive, excerpts, "ipm", figure_format=figure_format)
+    assert sorted(pictures) == [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
+    start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[figure_format]
+    for content in pictures.values():
+        assert content.startswith(start)
+        assert len(content) < 3e6  # the trajectory is not drawn as 20000 vectors
+
+
+def test_both_pictures_take_less_than_a_second_and_a_half(drive, excerpts):
+    result_pictures(drive, excerpts)
+    taken = []
+    for _ in range(3):
+        begin = time.thread_time()
+        result_pictures(drive, excerpts)
+        taken.append(time.thread_time() - begin)
+    assert min(taken) < 1.5
+
+
+def tiny(flux_map):
+    inside = np.zeros_like(flux_map.inside)
+    inside[30:32, 40] = True
+    return replace(flux_map, inside=inside)
+
+
+def degenerate(drive):
+    flux_map = drive.flux_map
+    nan, few = np.full_like(flux_map.psi_d, np.nan), np.linspace(-300.0, 300.0, 4)
+    square = np.ones((4, 4))
+    maps = {
+        "sigma unknown": replace(flux_map, sigma_d=nan, sigma_q=nan),
+        "sigma infinite": replace(flux_map, sigma_d=np.full_like(nan, np.inf), sigma_q=np.full_like(nan, np.inf)),
+        "sigma zero": replace(flux_map, sigma_d=0 * flux_map.psi_d, sigma_q=0 * flux_map.psi_q),
+        "sigma equal": replace(flux_map, sigma_d=0 * nan + 1e-3, sigma_q=0 * flux_map.psi_q + 1e-3),
+        "sigma of many decades": replace(flux_map, sigma_d=10.0 ** np.linspace(-9, 3, nan.size).reshape(nan.shape)),
+        "no slope": replace(flux_map, psi_d=0 * flux_map.psi_d + 0.05, psi_q=0 * flux_map.psi_q),
+        "one level": replace(flux_map, psi_d=0.05 + 1e-12 * flux_map.psi_d),
+        "tiny": tiny(flux_map),
+        "nothing": replace(flux_map, inside=np.zeros_like(flux_map.inside)),
+        "beyond": replace(flux_map, i_d=flux_map.i_d + 1e4),
+        "one quadrant": replace(flux_map, i_d=flux_map.i_d - 350.0, i_q=flux_map.i_q + 350.0),
+        "huge": replace(flux_map, psi_d=1e6 * flux_map.psi_d, psi_q=1e6 * flux_map.psi_q),
+        "wild outside": replace(flux_map, psi_d=np.where(flux_map.inside, flux_map.psi_d, 1e300)),
+        "coarse": replace(
+            flux_map, i_d=few, i_q=few, psi_d=few[:, None] * square, psi_q=few * square, sigma_d=square, sigma_q=square,
+            inside=square > 0,
+        ),
+    }  # fmt: skip
+    yield from ((name, replace(drive, flux_map=found)) for name, found in maps.items())
+    yield "psm", replace(drive, method="psm", inverter_voltage=0 * drive.inverter_voltage, voltage_error=0.0)
+    yield "no inverter", replace(drive, inverter_voltage=0 * drive.inverter_voltage, voltage_error=0.0)
+    yield "unknown", replace(drive, sigma_voltage_error=float("inf"), sigma_resistance=float("nan"))
+    yield "tiny disc", replace(drive, i_max=1e-3)
+    yield "huge disc", replace(drive, i_max=1e5)
+
+
+def test_degenerate_results_are_drawn_without_a_warning(drive, excerpts):
+    for name, found in degenerate(drive):
+        for samples in ([], [excerpts[0].part(0, 50)]):
+            pictures = result_pictures(found, samples)
+            assert sorted(pictures) == NAMES, name
+            assert all(size(picture)[0] == 1440 for picture in pictures.values()), name
+
+
+def test_the_settings_of_matplotlib_stay_as_they_are(drive):
+    before = dict(matplotlib.rcParams)
+    result_pictures(drive, [])
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_the_inverter_curve_has_its_band(drive):
+    sigma = np.linspace(0.0, 0.1, len(drive.inverter_current))
+    figure = draw_diagnostics(replace(drive, inverter_deviation=sigma), [])
+    axes = panel(figure, "Inverter")
+    (band,) = axes.collections
+    top = band.get_datalim(axes.transData).y1
+    assert top == pytest.approx(drive.inverter_voltage[-1] + 0.196)
+    assert "± 1.96 σ (0.2 V)" in texts(figure)
+    three = np.stack([drive.inverter_voltage * factor for factor in (0.9, 1.0, 1.1)], axis=1)
+    assert {"phase a", "phase b", "phase c"} <= set(texts(draw_diagnostics(replace(drive, phase_voltages=three), [])))
+    psm = texts(draw_diagnostics(replace(drive, method="psm"), []))
+    assert "not modelled by method psm" in psm
+
+
+def test_sections_along_the_axes_are_those_of_the_map(diagnostics, drive):
+    own, cross = panel(diagnostics, "along the axes"), panel(diagnostics, "Cross")
+    flux_map = drive.flux_map
+    row = np.abs(flux_map.i_q).argmin()
+    line = own.lines[0]
+    known = np.isfinite(line.get_ydata())
+    assert known.mean() > 0.5
+    np.testing.assert_array_equal(line.get_xdata(), flux_map.i_d)
+    np.testing.assert_allclose(line.get_ydata()[known], 1e3 * flux_map.psi_d[known, row], atol=1.0)
+    zero = np.nanargmin(np.where(np.isfinite(cross.lines[0].get_ydata()), np.abs(flux_map.i_q), np.nan))
+    assert cross.lines[0].get_ydata()[zero] == 0.0
+    lower = draw_diagnostics(replace(drive, flux_map=tiny(flux_map)), [])
+    assert texts(lower).count("no data on the axes") == 2
+
+
+def curves(figure):
+    """Return mean and rms of the residual, (B, 2) each, V."""
+    lines = panel(figure, "Residual").lines
+    return np.stack([lines[0].get_ydata(), lines[2].get_ydata()], axis=1), np.stack(
+        [lines[1].get_ydata(), lines[3].get_ydata()], axis=1
+    )
+
+
+def test_the_residual_shows_the_harmonics_that_joint_lacks(diagnostics, drive, excerpts):
+    mean, rms = curves(diagnostics)
+    order = np.abs(np.fft.rfft(mean[:, 0]))
+    assert order[1:].argmax() + 1 == 6
+    assert np.all(rms >= np.abs(mean))
+    amplitude = 1e-3
+    wave = HarmonicMap(6, *(np.full_like(drive.flux_map.psi_d, value) for value in (amplitude, 0.0, 0.0, 0.0)))
+    other, _ = curves(draw_diagnostics(replace(drive, harmonics=(wave,)), excerpts))
+    angle = (np.arange(72) + 0.5) * 2 * np.pi / 72
+    speed = excerpts[0].speed.mean()
+    np.testing.assert_allclose((mean - other)[:, 0], -6 * speed * amplitude * np.sin(6 * angle), atol=0.08)
+    np.testing.assert_allclose((mean - other)[:, 1], speed * amplitude * np.cos(6 * angle), atol=0.08)
+
+
+def test_the_residual_is_that_of_corrected_signals(drive, excerpts, diagnostics):
+    offset = Calibration("voltage_offset_alpha", 2.0, 0.1, "V", True, "")
+    mean, _ = curves(draw_diagnostics(replace(drive, calibrations=(offset,)), excerpts))
+    angle = (np.arange(72) + 0.5) * 2 * np.pi / 72
+    np.testing.assert_allclose((curves(diagnostics)[0] - mean)[:, 0], 2 * np.cos(angle), atol=0.05)
+
+
+def test_the_result_in_one_figure(drive, excerpts, simulation):
+    figure = draw_result(drive, excerpts, simulation.truth)
+    assert size(rendered(figure, dpi=154))[0] == 1601
+    assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 3
+    assert "true" in texts(figure)
+
+
+def test_unused_memory_in_surfaces_is_no_reason_to_warn(drive, simulation, monkeypatch):
     """Matplotlib pads faces of fewer corners with whatever the memory held before."""
     empty = np.empty
 
@@ -104,16 +369,16 @@ def test_unused_memory_in_surfaces_is_no_reason_to_warn(fitted, simulation, monk
         return array
 
     monkeypatch.setattr(np, "empty", dirty)
-    figure = draw_comparison(fitted.identification, fitted.identification, simulation.truth, "d")
-    assert size(to_png(figure)) == (1320, 1080)
+    figure = draw_comparison(drive, drive, simulation.truth, "d")
+    assert size(rendered(figure, dpi=120)) == (1320, 1080)
 
 
 @pytest.mark.parametrize("component", ["d", "q"])
-def test_the_comparison(fitted, simulation, component):
-    worse = replace(fitted.identification.flux_map, psi_d=1.1 * fitted.identification.flux_map.psi_d)
-    psm = replace(fitted.identification, flux_map=worse)
-    figure = draw_comparison(fitted.identification, psm, simulation.truth, component)
-    assert size(to_png(figure)) == (1320, 1080)
+def test_the_comparison(drive, simulation, component):
+    worse = replace(drive.flux_map, psi_d=1.1 * drive.flux_map.psi_d)
+    psm = replace(drive, flux_map=worse)
+    figure = draw_comparison(drive, psm, simulation.truth, component)
+    assert size(rendered(figure, dpi=120)) == (1320, 1080)
     flat = [axes for axes in figure.axes if axes.child_axes]
     assert len(flat) == 2
     limits = {axes.collections[0].get_clim() for axes in flat}

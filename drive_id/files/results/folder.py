@@ -24,7 +24,7 @@ from drive_id.errors import OutputError
 FORMAT = "drive_id/identification"
 FORMAT_VERSION = 1
 _JSON, _NPZ, _HARMONICS = "identification.json", "flux_map.npz", "harmonics.npz"
-PICTURE = "flux_map.png"
+_PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 
 
@@ -180,7 +180,7 @@ def write_results(
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     files = {_NPZ: arrays.getvalue(), **harmonics, **(pictures or {}), _JSON: text.encode()}
-    stale = set() if not _is_ours(directory / _JSON, FORMAT) else {_HARMONICS, PICTURE} - set(files)
+    stale = set() if not _is_ours(directory / _JSON, FORMAT) else {_HARMONICS, *_PICTURES} - set(files)
     replace_folder(directory, files, marker=_JSON, kind=FORMAT, force=force, stale=stale)
 
 

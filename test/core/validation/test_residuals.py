@@ -20,7 +20,7 @@ NO_DROP = (CURRENT, np.zeros(801))
 RESISTANCE = 0.02
 
 
-def flux(i_dq, angle):
+def flux(i_dq, _):
     return synthetic.saturating_flux(i_dq)
 
 

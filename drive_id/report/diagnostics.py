@@ -1,0 +1,233 @@
+"""The figure to judge a result by: standard errors, inverter curve, fluxes along the axes, residual voltage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drive_id.core.full.calibration import corrected
+from drive_id.core.result.identification import Identification
+from drive_id.core.validation.residuals import Flux, Residual, over_angle, residual_voltage
+from drive_id.report.panels import (
+    COLOURS,
+    CURRENT,
+    NORMAL,
+    PSI,
+    SMALL,
+    Disc,
+    add_colour_bar,
+    continued,
+    flux_unit,
+    frame,
+    name,
+    place,
+)
+from drive_id.types import BoolArray, FloatArray, GroundTruth, Samples
+
+DARK, LIGHT = "#00429d", "#d55e00"
+"""Two colours that differ in hue for the colour-blind and in lightness in greyscale."""
+_COLOUR, _DASHES = {"d": DARK, "q": LIGHT}, {"d": "solid", "q": "dashed"}
+Section = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
+"""Current, A, flux and its standard error, in the figure's unit, and where there are data, (N,) each."""
+_Z = 1.96
+"""Standard errors on either side of a 95 % band."""
+
+
+def draw_diagnostics(identification: Identification, samples: Sequence[Samples]) -> Figure:
+    """Draw what a result may be judged by.
+
+    Parameters
+    ----------
+    identification : Identification
+    samples : sequence of Samples
+        Excerpts of the recording, for the residual voltage.
+    """
+    figure = Figure(figsize=(7.2, 8.5))
+    disc = Disc(identification.flux_map, identification.i_max)
+    _draw_sigma(place(figure, 0.6, 5.75, 2.4, 2.5), disc)
+    draw_inverter(place(figure, 4.4, 5.75, 2.6, 2.45), identification)
+    _draw_along_axes(place(figure, 0.6, 3.2, 2.6, 1.85), place(figure, 4.4, 3.2, 2.6, 1.85), disc)
+    _draw_residual(place(figure, 0.6, 1.0, 6.4, 1.5), identification, samples)
+    return figure
+
+
+def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth | None = None) -> None:
+    """Draw the drop of one phase over its current, with its 95 % band where known, and the truth of a simulation."""
+    current, voltage = identification.inverter_current, identification.inverter_voltage
+    name(axes, "Inverter voltage drop of one phase", "phase current / A", "drop / V")
+    axes.set_xlim(current[0], current[-1])
+    _grid(axes)
+    if identification.method == "psm":
+        axes.set_yticks([])
+        _say(axes, "not modelled by method psm")
+        return
+    sigma = identification.inverter_deviation
+    if sigma is None:
+        height = identification.voltage_error
+        sigma = np.abs(voltage / height) * identification.sigma_voltage_error if height else np.zeros_like(voltage)
+    if np.isfinite(sigma).all():
+        label = f"± 1.96 σ ({_Z * sigma.max():.2g} V)"
+        axes.fill_between(
+            current, voltage - _Z * sigma, voltage + _Z * sigma, color=DARK, alpha=0.3, linewidth=0, label=label
+        )
+    axes.plot(current, voltage, color=DARK, linewidth=1.2, label="identified")
+    if identification.phase_voltages is not None:
+        for phase, dashes in zip(range(3), ((4, 1), (2, 1), (1, 1)), strict=True):
+            axes.plot(
+                current, identification.phase_voltages[:, phase], color="0.3", linewidth=0.7, linestyle=(0, dashes),
+                label=f"phase {'abc'[phase]}",
+            )  # fmt: skip
+    if truth is not None:
+        axes.plot(
+            truth.inverter_current, truth.inverter_voltage, color="black", linewidth=0.8, linestyle=":", label="true"
+        )
+    axes.legend(fontsize=SMALL, loc="lower right", frameon=False, handlelength=1.2, handletextpad=0.5)
+
+
+def _draw_sigma(axes: Axes, disc: Disc) -> None:
+    """Draw the larger of the standard errors of both fluxes, in steps of 1, 2, 5."""
+    frame(axes, disc)
+    unit, scale = flux_unit(disc)
+    name(axes, f"σ of {PSI['d']} or {PSI['q']}, the larger / {unit}", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    sigma = scale * np.maximum(disc.flux_map.sigma_d, disc.flux_map.sigma_q)
+    known = disc.known & np.isfinite(sigma) & (sigma > 0)
+    if not known.any():
+        if disc.known.any():
+            _say(axes, "σ unknown:\nthe recording is too short")
+        return
+    low, high = np.log10(np.quantile(sigma[known], (0.01, 0.99)))
+    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high) + 1)
+    steps = (decades[:, None] * [1, 2, 5]).ravel()
+    first, last = np.searchsorted(steps, 10.0**low, side="right") - 1, np.searchsorted(steps, 10.0**high)
+    chosen = steps[max(first, 0) : max(last, first + 1) + 1]
+    field = disc.field(continued(np.log10(np.where(known, sigma, 1.0)), known))
+    filled = axes.contourf(
+        disc.axis, disc.axis, field.T, levels=np.log10(chosen), cmap=COLOURS, extend="both", zorder=1.0
+    )
+    add_colour_bar(axes, filled, np.log10(chosen), [f"{step:.3g}" for step in chosen])
+
+
+def _draw_along_axes(own: Axes, cross: Axes, disc: Disc) -> None:
+    """Draw each flux over its own current and over the other one, with 95 % bands."""
+    unit, _ = flux_unit(disc)
+    name(own, "Fluxes along the axes", "current / A", f"flux / {unit}")
+    name(cross, "Cross saturation", "current / A", f"change of flux / {unit}")
+    for component, other in ("dq", "qd"):
+        _draw_section(own, _section(disc, component, other), component, f"{PSI[component]} over {CURRENT[component]}")
+        current, psi, sigma, known = _section(disc, component, component)
+        if known.any():
+            psi = psi - psi[np.argmin(np.where(known, np.abs(current), np.inf))]
+        _draw_section(cross, (current, psi, sigma, known), component, f"{PSI[component]} over {CURRENT[other]}")
+    for axes in (own, cross):
+        axes.set_xlim(-disc.i_max, disc.i_max)
+        _grid(axes)
+        if axes.lines:
+            axes.legend(fontsize=SMALL, loc="best", frameon=False)
+        else:
+            _say(axes, "no data on the axes")
+
+
+def _section(disc: Disc, component: str, zero: str) -> Section:
+    """Cut through the map where the current ``zero`` is zero."""
+    flux_map, axis = disc.flux_map, "dq".index(zero)
+    currents = (flux_map.i_d, flux_map.i_q)
+    over, across = currents[1 - axis], currents[axis]
+    at = float(np.interp(0.0, across, np.arange(len(across))))
+    first = min(int(at), len(across) - 2)
+    share = at - first
+
+    def cut(values: FloatArray | BoolArray) -> tuple[FloatArray, FloatArray]:
+        return np.take(values, first, axis=axis), np.take(values, first + 1, axis=axis)
+
+    psi, sigma = (
+        flux_unit(disc)[1] * ((1 - share) * low + share * high)
+        for low, high in (cut(getattr(flux_map, f"{quantity}_{component}")) for quantity in ("psi", "sigma"))
+    )
+    known = np.logical_and(*cut(disc.known)) & (across[0] <= 0.0 <= across[-1])
+    return over, psi, sigma, known
+
+
+def _draw_section(axes: Axes, section: Section, component: str, label: str) -> None:
+    """Draw a flux with its band where there are data, and its continuation dotted."""
+    current, psi, sigma, known = section
+    if not (known[1:] & known[:-1]).any():
+        return
+    line = np.where(known, psi, np.nan)
+    axes.plot(current, line, linewidth=1.1, label=label, color=_COLOUR[component], linestyle=_DASHES[component])
+    axes.plot(current, psi, linewidth=0.6, color=_COLOUR[component], linestyle=":", scalex=False, scaley=False)
+    if np.isfinite(sigma[known]).any():
+        band = _Z * np.where(np.isfinite(sigma), sigma, np.nan)
+        axes.fill_between(current, line - band, line + band, color=_COLOUR[component], alpha=0.25, linewidth=0)
+
+
+def _draw_residual(axes: Axes, identification: Identification, samples: Sequence[Samples]) -> None:
+    """Draw mean and rms of the voltage that the model leaves, over the electrical angle."""
+    name(axes, "Residual voltage over the rotor position", "electrical angle / °", "residual / V")
+    axes.set(xlim=(0, 360), xticks=range(0, 361, 60))
+    _grid(axes)
+    found = _residual(identification, samples)
+    if not len(found.angle):
+        _say(axes, "no samples")
+        return
+    bins = over_angle(found)
+    degrees = np.rad2deg(bins.angle)
+    for number, component in enumerate("dq"):
+        colour, dashes = _COLOUR[component], _DASHES[component]
+        axes.plot(
+            degrees, bins.mean[:, number], linewidth=1.1, label=f"{component}: mean", color=colour, linestyle=dashes
+        )
+        axes.plot(
+            degrees,
+            bins.rms[:, number],
+            linewidth=0.6,
+            alpha=0.8,
+            label=f"{component}: rms",
+            color=colour,
+            linestyle=dashes,
+        )
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.2 * (high - low))
+    axes.legend(fontsize=SMALL, loc="upper right", frameon=False, ncols=4)
+
+
+def _residual(identification: Identification, samples: Sequence[Samples]) -> Residual:
+    """Return the residual voltage of all samples, the sensor faults that were found corrected."""
+    drop = identification.phase_voltages
+    curve = (identification.inverter_current, identification.inverter_voltage if drop is None else drop)
+    found = [
+        residual_voltage(
+            corrected(part, identification.calibrations), _flux(identification), identification.resistance, curve
+        )
+        for part in samples
+    ]
+    empty = Residual(np.zeros(0), np.zeros((0, 2)))
+    return Residual(*(np.concatenate(arrays) for arrays in zip(empty, *found, strict=True)))
+
+
+def _flux(identification: Identification) -> Flux:
+    """Return the identified flux over current and angle, rotor-position harmonics included."""
+    disc = Disc(identification.flux_map, identification.i_max)
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        psi = identification.flux(i_dq)
+        for harmonic in identification.harmonics:
+            for wave, part in ((np.cos, "cos"), (np.sin, "sin")):
+                swing = wave(harmonic.order * angle)
+                for axis, component in enumerate("dq"):
+                    amplitude = disc.sampled(getattr(harmonic, f"psi_{component}_{part}"), *i_dq.T)
+                    psi[:, axis] += amplitude * swing
+        return psi
+
+    return flux
+
+
+def _grid(axes: Axes) -> None:
+    axes.grid(color="0.85", linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def _say(axes: Axes, sentence: str) -> None:
+    axes.text(0.5, 0.5, sentence, transform=axes.transAxes, fontsize=NORMAL, ha="center", va="center", zorder=3)

@@ -66,9 +66,9 @@ def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth
         return
     sigma = identification.inverter_deviation
     if sigma is None:
-        height = identification.voltage_error
-        sigma = np.abs(voltage / height) * identification.sigma_voltage_error if height else np.zeros_like(voltage)
-    if np.isfinite(sigma).all():
+        height, sigma_height = identification.voltage_error, identification.sigma_voltage_error
+        sigma = np.abs(voltage / height) * sigma_height if height and np.isfinite(sigma_height) else None
+    if sigma is not None and np.isfinite(sigma).all():
         label = f"± 1.96 σ ({_Z * sigma.max():.2g} V)"
         axes.fill_between(
             current, voltage - _Z * sigma, voltage + _Z * sigma, color=DARK, alpha=0.3, linewidth=0, label=label

@@ -1,4 +1,4 @@
-"""Results as tables that an engineer reads."""
+"""Tables for the console: fits, bags, information files, plans."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
+    from collections.abc import Sequence
     from pathlib import Path
 
     from drive_id.core.planning.planner import Plan
@@ -19,14 +20,10 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
 
 def fit_table(fit: Fit) -> Table:
-    """Lay out a fit: value, standard deviation, and the truth where the bag carries it."""
+    """Lay out a fit: values, standard errors, and the ground truth where the bag carries it."""
     identification, report, truth = fit.identification, fit.identification.report, fit.recording.truth
-    table = Table(title=f"Identified drive, method {identification.method}", title_justify="left")
-    table.add_column("Quantity", overflow="fold")
-    table.add_column("Value", justify="right", no_wrap=True, overflow="fold")
-    table.add_column("1-sigma", justify="right", no_wrap=True, overflow="fold")
-    if truth:
-        table.add_column("Truth", justify="right", no_wrap=True, overflow="fold")
+    numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
+    table = _table(f"Identified drive, method {identification.method}", ["Quantity"], numbers)
 
     def row(name: str, value: str, sigma: str = "", true: str = "") -> None:
         table.add_row(name, value, sigma, *([true] if truth else []))
@@ -45,7 +42,7 @@ def fit_table(fit: Fit) -> Table:
             _number(_drop_at_i_max(truth), "V") if truth else "",
         )
     for found in identification.calibrations:
-        applied = "taken out" if found.applied else "not taken out"
+        applied = "corrected" if found.applied else "not corrected"
         if math.isfinite(found.sigma):
             unit = found.unit if found.unit != "1" else ""
             row(f"{found.name} ({applied})", _number(found.value, unit), _number(found.sigma, unit))
@@ -65,43 +62,37 @@ def fit_table(fit: Fit) -> Table:
 
 
 def info_table(info: BagInfo) -> Table:
-    """Lay out what a bag holds."""
+    """List the topics of a bag."""
     compression = f", {info.compression}" if info.compression else ""
     title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB, {info.duration:.3f} s"
-    table = Table(title=escape(title), title_justify="left")
-    for name in ("Topic", "Type"):
-        table.add_column(name, overflow="fold")
-    table.add_column("Messages", justify="right", no_wrap=True, overflow="fold")
+    table = _table(title, ["Topic", "Type"], ["Messages"])
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
     return table
 
 
 def plan_tables(plan: Plan) -> list[Table]:
-    """Lay out a plan: what to do, what the drive needs for it, and what to expect beside the paper's experiment."""
+    """Lay out a plan: the experiment, what it demands of the drive, and standard errors beside the paper's."""
     experiment, trajectory = plan.experiment, plan.experiment.trajectory
-    proposal = Table(title="Proposed experiment", title_justify="left")
-    proposal.add_column("Quantity", overflow="fold")
-    proposal.add_column("Value", overflow="fold")
+    proposal = _table("Proposed experiment", ["Quantity", "Value"])
     frequencies = f"{trajectory.frequency_d:g} Hz on d, {trajectory.frequency_q:g} Hz on q, {trajectory.form}"
     proposal.add_row("Lissajous figure", f"{trajectory.i_max:g} A; {frequencies}")
-    proposal.add_row("Mechanical speeds, in turn", ", ".join(f"{speed:g}" for speed in experiment.speeds) + " rpm")
-    proposal.add_row("Duration", f"{experiment.duration:g} s, {experiment.share:g} s at each speed")
-    voltages = ", ".join(f"{voltage:.3g}" for voltage in plan.voltages)
     proposal.add_row(
-        "Voltage, largest, at each", f"{voltages} V of u_dc / sqrt(3) = {plan.machine.largest_voltage:.4g} V"
+        "Mechanical speeds, one after the other", ", ".join(f"{speed:g}" for speed in experiment.speeds) + " rpm"
     )
-    proposal.add_row("|di/dt|, largest", f"{trajectory.slope / 1e3:.3g} A/ms")
-    expected = Table(title="Deviations to be expected", title_justify="left")
-    expected.add_column("Quantity", overflow="fold")
-    for name in ("Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"):
-        expected.add_column(name, justify="right", no_wrap=True, overflow="fold")
+    proposal.add_row("Duration", f"{experiment.duration:g} s, of which {experiment.share:g} s at each speed")
+    voltages = ", ".join(f"{voltage:.3g}" for voltage in plan.voltages)
+    available = f"{plan.machine.largest_voltage:.4g} V"
+    proposal.add_row("Peak voltage at each speed", f"{voltages} V; available: u_dc / sqrt(3) = {available}")
+    proposal.add_row("Peak |di/dt|", f"{trajectory.slope / 1e3:.3g} A/ms")
+    numbers = ["Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"]
+    expected = _table("Expected relative standard errors", ["Quantity"], numbers)
     names = (
-        "psi_d over the disc, of the largest",
-        "psi_q over the disc, of the largest",
+        "psi_d, rms over the disc",
+        "psi_q, rms over the disc",
         "R",
-        "Inverter's curve, of its height",
-        "R, were the maps not reciprocal",
+        "Inverter curve, rms up to i_max",
+        "R without assuming reciprocal maps",
     )
     for name, ours, paper in zip(names, plan.prediction.values(), plan.paper_prediction.values(), strict=True):
         expected.add_row(name, f"{100 * ours:.3f} %", f"{100 * paper:.3f} %", f"{ours / paper:.2f}")
@@ -109,23 +100,31 @@ def plan_tables(plan: Plan) -> list[Table]:
 
 
 def information_table(path: Path, stored: StoredInformation) -> Table:
-    """Lay out what an information file holds."""
+    """Lay out the content of an information file."""
     found = stored.accumulated
     evidence, information, settings = found.evidence, found.evidence.information, found.evidence.settings
     duration = evidence.samples * evidence.sample_period
     seconds = sum(piece.duration for piece in found.validation)
-    table = Table(title=escape(f"{path}: written by drive_id {stored.software}"), title_justify="left")
-    table.add_column("Quantity", overflow="fold")
-    table.add_column("Value", overflow="fold")
+    table = _table(f"{path}: written by drive_id {stored.software}", ["Quantity", "Value"])
     table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {evidence.gaps} gaps")
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
     table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
-    table.add_row("Blocks of time", f"{len(information.blocks)} of {information.block_duration:.4g} s")
-    table.add_row("Kept for the MAD", f"{seconds:.3f} s of {len(found.validation)} recordings")
+    table.add_row("Time blocks", f"{len(information.blocks)} of {information.block_duration:.4g} s")
+    table.add_row("Samples kept for the MAD", f"{seconds:.3f} s of {len(found.validation)} recordings")
     if found.truth:
-        table.add_row("Truth of", escape(found.truth.machine))
+        table.add_row("Ground truth of", escape(found.truth.machine))
     for file, digest in found.digests.items():
         table.add_row(escape(file), f"sha256 {digest[:16]}...")
+    return table
+
+
+def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:
+    """Return a table without rows: columns of text, which may wrap, then columns of numbers, which do not."""
+    table = Table(title=escape(title), title_justify="left")
+    for name in texts:
+        table.add_column(name, overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", no_wrap=True, overflow="fold")
     return table
 
 

@@ -525,6 +525,15 @@ def test_simulate_and_fit_recover_the_truth(run, tmp_path):
     assert tree(tmp_path / "system_tmp") == []
 
 
+def test_the_format_of_the_pictures_is_an_option(run, bag):
+    for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
+        assert run("fit", bag, "--output", "results", "--method", "psm", "--figure-format", figure_format).code == 0
+        pictures = [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
+        assert tree(Path("results")) == sorted([*pictures, "flux_map.npz", "identification.json"])
+        assert all((Path("results") / name).read_bytes().startswith(start) for name in pictures)
+    assert run("fit", bag, "--output", "other", "--figure-format", "bmp").code == 2
+
+
 def test_json_is_the_file_and_nothing_else(run, bag):
     ran = run("fit", bag, "--output", "results", "--json")
     assert ran.code == 0

@@ -6,7 +6,7 @@ import struct
 import time
 from dataclasses import replace
 
-import matplotlib
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -75,26 +75,39 @@ def test_the_picture_has_content_and_nothing_is_cut_off(which, request, tmp_path
     assert size(png)[0] == 1440
     (tmp_path / "picture.png").write_bytes(png)
     pixels = imread(tmp_path / "picture.png")[..., :3]
-    assert len(np.unique((pixels * 255).astype(int).reshape(-1, 3), axis=0)) > 500
+    assert len(np.unique((pixels * 255).astype(int) @ [1, 256, 65536])) > 500
     edge = np.concatenate([pixels[:2].ravel(), pixels[-2:].ravel(), pixels[:, :2].ravel(), pixels[:, -2:].ravel()])
     assert (edge == 1.0).all()
+
+
+def shown_texts(figure):
+    """Yield everything written, without the tick labels beyond the ends of their axes."""
+    yield from figure.texts
+    for legend in figure.legends:
+        yield from legend.get_texts()
+    for axes in [*figure.axes, *(bar for outer in figure.axes for bar in outer.child_axes)]:
+        yield from (axes.title, axes.xaxis.label, axes.yaxis.label, *axes.texts)
+        yield from axes.get_legend().get_texts() if axes.get_legend() else ()
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            for tick in axis.get_major_ticks():
+                if low <= tick.get_loc() <= high:
+                    yield from (label for label in (tick.label1, tick.label2) if label.get_visible())
 
 
 @pytest.mark.parametrize("which", ["maps", "diagnostics"])
 def test_no_text_stands_on_other_text(which, request):
     figure = request.getfixturevalue(which)
-    rendered(figure)
+    rendered(figure, dpi=figure.dpi)
     renderer = figure.canvas.get_renderer()
-    found = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
-    boxes = [text.get_window_extent(renderer) for text in found]
-    page = figure.bbox
-    seen = [
-        (text.get_text(), box.shrunk(0.9))
-        for text, box in zip(found, boxes, strict=True)
-        if box.x1 > page.x0 and box.x0 < page.x1 and box.width > 0
+    boxes = [
+        (text.get_text(), text.get_window_extent(renderer).shrunk(0.9, 0.8))
+        for text in shown_texts(figure)
+        if text.get_text().strip()
     ]
-    for number, (text, box) in enumerate(seen):
-        for other, beside in seen[:number]:
+    assert len(boxes) > 40
+    for number, (text, box) in enumerate(boxes):
+        for other, beside in boxes[:number]:
             assert not box.overlaps(beside), (text, other)
 
 
@@ -233,9 +246,8 @@ def test_formats(drive, excerpts, figure_format):
 
 
 def test_both_pictures_take_less_than_a_second_and_a_half(drive, excerpts):
-    result_pictures(drive, excerpts)
     taken = []
-    for _ in range(3):
+    for _ in range(3):  # the first one loads fonts
         begin = time.thread_time()
         result_pictures(drive, excerpts)
         taken.append(time.thread_time() - begin)
@@ -249,48 +261,45 @@ def tiny(flux_map):
 
 
 def degenerate(drive):
+    """Yield results of which each is odd in several ways that do not hide each other."""
     flux_map = drive.flux_map
-    nan, few = np.full_like(flux_map.psi_d, np.nan), np.linspace(-300.0, 300.0, 4)
-    square = np.ones((4, 4))
-    maps = {
-        "sigma unknown": replace(flux_map, sigma_d=nan, sigma_q=nan),
-        "sigma infinite": replace(flux_map, sigma_d=np.full_like(nan, np.inf), sigma_q=np.full_like(nan, np.inf)),
-        "sigma zero": replace(flux_map, sigma_d=0 * flux_map.psi_d, sigma_q=0 * flux_map.psi_q),
-        "sigma equal": replace(flux_map, sigma_d=0 * nan + 1e-3, sigma_q=0 * flux_map.psi_q + 1e-3),
-        "sigma of many decades": replace(flux_map, sigma_d=10.0 ** np.linspace(-9, 3, nan.size).reshape(nan.shape)),
-        "no slope": replace(flux_map, psi_d=0 * flux_map.psi_d + 0.05, psi_q=0 * flux_map.psi_q),
-        "one level": replace(flux_map, psi_d=0.05 + 1e-12 * flux_map.psi_d),
-        "tiny": tiny(flux_map),
-        "nothing": replace(flux_map, inside=np.zeros_like(flux_map.inside)),
-        "beyond": replace(flux_map, i_d=flux_map.i_d + 1e4),
-        "one quadrant": replace(flux_map, i_d=flux_map.i_d - 350.0, i_q=flux_map.i_q + 350.0),
-        "huge": replace(flux_map, psi_d=1e6 * flux_map.psi_d, psi_q=1e6 * flux_map.psi_q),
-        "wild outside": replace(flux_map, psi_d=np.where(flux_map.inside, flux_map.psi_d, 1e300)),
-        "coarse": replace(
-            flux_map, i_d=few, i_q=few, psi_d=few[:, None] * square, psi_q=few * square, sigma_d=square, sigma_q=square,
-            inside=square > 0,
-        ),
-    }  # fmt: skip
-    yield from ((name, replace(drive, flux_map=found)) for name, found in maps.items())
-    yield "psm", replace(drive, method="psm", inverter_voltage=0 * drive.inverter_voltage, voltage_error=0.0)
-    yield "no inverter", replace(drive, inverter_voltage=0 * drive.inverter_voltage, voltage_error=0.0)
-    yield "unknown", replace(drive, sigma_voltage_error=float("inf"), sigma_resistance=float("nan"))
-    yield "tiny disc", replace(drive, i_max=1e-3)
-    yield "huge disc", replace(drive, i_max=1e5)
+    nan, zero, few = np.full_like(flux_map.psi_d, np.nan), np.zeros_like(flux_map.psi_d), np.linspace(-300.0, 300.0, 4)
+    square, none = np.ones((4, 4)), 0 * drive.inverter_voltage
+    many = 10.0 ** np.linspace(-9, 3, nan.size).reshape(nan.shape)
+    wild = np.where(flux_map.inside, flux_map.psi_d, 1e300)
+    coarse = replace(
+        flux_map, i_d=few, i_q=few, psi_d=few[:, None] * square, psi_q=few * square, sigma_d=square, sigma_q=square,
+        inside=square > 0,
+    )  # fmt: skip
+    for changes in (
+        {"psi_d": zero + 0.05, "psi_q": zero, "sigma_d": nan, "sigma_q": nan},
+        {"psi_d": 0.05 + 1e-12 * flux_map.psi_d, "sigma_d": zero + np.inf, "sigma_q": zero + np.inf},
+        {"psi_d": 1e6 * flux_map.psi_d, "psi_q": 1e6 * flux_map.psi_q, "sigma_d": zero, "sigma_q": zero},
+        {"psi_d": wild, "sigma_d": zero + 1e-3, "sigma_q": zero + 1e-3},
+        {"i_d": flux_map.i_d - 350.0, "i_q": flux_map.i_q + 350.0, "sigma_d": many},
+        {"i_d": flux_map.i_d + 1e4},
+        {"inside": zero > 0},
+    ):
+        yield replace(drive, flux_map=replace(flux_map, **changes))
+    yield replace(drive, flux_map=tiny(flux_map), method="psm", inverter_voltage=none, voltage_error=0.0)
+    yield replace(drive, flux_map=coarse, inverter_voltage=none, voltage_error=0.0)
+    yield replace(drive, i_max=1e-3, sigma_voltage_error=float("inf"), sigma_resistance=float("nan"))
+    yield replace(drive, i_max=1e5)
 
 
-def test_degenerate_results_are_drawn_without_a_warning(drive, excerpts):
-    for name, found in degenerate(drive):
-        for samples in ([], [excerpts[0].part(0, 50)]):
-            pictures = result_pictures(found, samples)
-            assert sorted(pictures) == NAMES, name
-            assert all(size(picture)[0] == 1440 for picture in pictures.values()), name
+@pytest.mark.parametrize("part", [0, 1])  # for two processes
+def test_degenerate_results_are_drawn_without_a_warning(drive, excerpts, part):
+    for found in list(degenerate(drive))[part::2]:
+        pictures = result_pictures(found, [excerpts[0].part(0, 50)])
+        assert sorted(pictures) == NAMES
+        assert all(size(picture)[0] == 1440 for picture in pictures.values())
+    assert sorted(result_pictures(drive, [])) == NAMES
 
 
 def test_the_settings_of_matplotlib_stay_as_they_are(drive):
-    before = dict(matplotlib.rcParams)
+    before = dict(mpl.rcParams)
     result_pictures(drive, [])
-    assert dict(matplotlib.rcParams) == before
+    assert dict(mpl.rcParams) == before
 
 
 def test_the_inverter_curve_has_its_band(drive):
@@ -323,32 +332,29 @@ def test_sections_along_the_axes_are_those_of_the_map(diagnostics, drive):
 
 
 def curves(figure):
-    """Return mean and rms of the residual, (B, 2) each, V."""
+    """Return angle (B,), rad, mean and rms of the residual, (B, 2) each, V."""
     lines = panel(figure, "Residual").lines
-    return np.stack([lines[0].get_ydata(), lines[2].get_ydata()], axis=1), np.stack(
-        [lines[1].get_ydata(), lines[3].get_ydata()], axis=1
-    )
+    mean_d, rms_d, mean_q, rms_q = (line.get_ydata() for line in lines)
+    return np.deg2rad(lines[0].get_xdata()), np.stack([mean_d, mean_q], axis=1), np.stack([rms_d, rms_q], axis=1)
 
 
 def test_the_residual_shows_the_harmonics_that_joint_lacks(diagnostics, drive, excerpts):
-    mean, rms = curves(diagnostics)
+    angle, mean, rms = curves(diagnostics)
     order = np.abs(np.fft.rfft(mean[:, 0]))
     assert order[1:].argmax() + 1 == 6
     assert np.all(rms >= np.abs(mean))
     amplitude = 1e-3
     wave = HarmonicMap(6, *(np.full_like(drive.flux_map.psi_d, value) for value in (amplitude, 0.0, 0.0, 0.0)))
-    other, _ = curves(draw_diagnostics(replace(drive, harmonics=(wave,)), excerpts))
-    angle = (np.arange(72) + 0.5) * 2 * np.pi / 72
+    _, other, _ = curves(draw_diagnostics(replace(drive, harmonics=(wave,)), excerpts))
     speed = excerpts[0].speed.mean()
-    np.testing.assert_allclose((mean - other)[:, 0], -6 * speed * amplitude * np.sin(6 * angle), atol=0.08)
-    np.testing.assert_allclose((mean - other)[:, 1], speed * amplitude * np.cos(6 * angle), atol=0.08)
+    np.testing.assert_allclose((mean - other)[:, 0], -6 * speed * amplitude * np.sin(6 * angle), atol=0.03)
+    np.testing.assert_allclose((mean - other)[:, 1], speed * amplitude * np.cos(6 * angle), atol=0.03)
 
 
 def test_the_residual_is_that_of_corrected_signals(drive, excerpts, diagnostics):
     offset = Calibration("voltage_offset_alpha", 2.0, 0.1, "V", True, "")
-    mean, _ = curves(draw_diagnostics(replace(drive, calibrations=(offset,)), excerpts))
-    angle = (np.arange(72) + 0.5) * 2 * np.pi / 72
-    np.testing.assert_allclose((curves(diagnostics)[0] - mean)[:, 0], 2 * np.cos(angle), atol=0.05)
+    angle, mean, _ = curves(draw_diagnostics(replace(drive, calibrations=(offset,)), excerpts))
+    np.testing.assert_allclose((curves(diagnostics)[1] - mean)[:, 0], 2 * np.cos(angle), atol=0.02)
 
 
 def test_the_result_in_one_figure(drive, excerpts, simulation):

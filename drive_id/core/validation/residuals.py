@@ -37,7 +37,7 @@ class AngleBins(NamedTuple):
     """Statistics over B equal bins of one electrical turn; NaN in empty bins."""
 
     angle: FloatArray
-    """(B,) centres, rad, from 0 to 2 pi."""
+    """(B,) means of the angles in each bin, rad, from 0 to 2 pi; centres of empty bins."""
     mean: FloatArray
     """(B, 2), V."""
     rms: FloatArray
@@ -111,10 +111,12 @@ def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
     bins : int
         Of one electrical turn.
     """
-    place = np.floor(residual.angle / (2 * np.pi) * bins).astype(np.int64) % bins
+    angle = residual.angle % (2 * np.pi)
+    place = np.minimum((angle / (2 * np.pi) * bins).astype(np.int64), bins - 1)
     count = np.bincount(place, minlength=bins).astype(np.float64)
     count[count == 0] = np.nan
+    centre, found = (np.arange(bins) + 0.5) * 2 * np.pi / bins, np.bincount(place, angle, bins) / count
     of_axes = residual.voltage.T
     mean = np.stack([np.bincount(place, values, bins) / count for values in of_axes], axis=1)
     rms = np.sqrt(np.stack([np.bincount(place, values**2, bins) / count for values in of_axes], axis=1))
-    return AngleBins((np.arange(bins) + 0.5) * 2 * np.pi / bins, mean, rms)
+    return AngleBins(np.where(np.isnan(count), centre, found), mean, rms)

@@ -69,7 +69,7 @@ def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth
         height, sigma_height = identification.voltage_error, identification.sigma_voltage_error
         sigma = np.abs(voltage / height) * sigma_height if height and np.isfinite(sigma_height) else None
     if sigma is not None and np.isfinite(sigma).all():
-        label = f"± 1.96 σ ({_Z * sigma.max():.2g} V)"
+        label = f"± 1.96 σ (≤ {_Z * sigma.max():.2g} V)"
         axes.fill_between(
             current, voltage - _Z * sigma, voltage + _Z * sigma, color=DARK, alpha=0.3, linewidth=0, label=label
         )
@@ -125,6 +125,8 @@ def _draw_along_axes(own: Axes, cross: Axes, disc: Disc) -> None:
         axes.set_xlim(-disc.i_max, disc.i_max)
         _grid(axes)
         if axes.lines:
+            if not disc.known[np.hypot(disc.flux_map.i_d[:, None], disc.flux_map.i_q) <= disc.i_max].all():
+                axes.plot([], [], linewidth=0.6, color="black", linestyle=":", label="no data")
             axes.legend(fontsize=SMALL, loc="best", frameon=False)
         else:
             _say(axes, "no data on the axes")

@@ -309,7 +309,7 @@ def test_the_inverter_curve_has_its_band(drive):
     (band,) = axes.collections
     top = band.get_datalim(axes.transData).y1
     assert top == pytest.approx(drive.inverter_voltage[-1] + 0.196)
-    assert "± 1.96 σ (0.2 V)" in texts(figure)
+    assert "± 1.96 σ (≤ 0.2 V)" in texts(figure)
     three = np.stack([drive.inverter_voltage * factor for factor in (0.9, 1.0, 1.1)], axis=1)
     assert {"phase a", "phase b", "phase c"} <= set(texts(draw_diagnostics(replace(drive, phase_voltages=three), [])))
     psm = texts(draw_diagnostics(replace(drive, method="psm"), []))

@@ -84,7 +84,9 @@ def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth
         axes.plot(
             truth.inverter_current, truth.inverter_voltage, color="black", linewidth=0.8, linestyle=":", label="true"
         )
-    axes.legend(fontsize=SMALL, loc="lower right", frameon=False, handlelength=1.2, handletextpad=0.5)
+    axes.legend(
+        fontsize=SMALL, loc="lower right", frameon=False, handlelength=1.0, handletextpad=0.4, borderaxespad=0.2
+    )
 
 
 def _draw_sigma(axes: Axes, disc: Disc) -> None:

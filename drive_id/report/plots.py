@@ -157,7 +157,7 @@ def draw_result(identification: Identification, samples: Sequence[Samples], trut
     disc, i_dq = Disc(identification.flux_map, identification.i_max), trajectory(samples)
     for left, component in zip((0.55, 4.05), "dq", strict=True):
         draw_flux(place(figure, left, 0.65, 2.5, 2.6), disc, component, i_dq)
-    draw_inverter(place(figure, 7.6, 0.65, 2.6, 2.6), identification, truth)
+    draw_inverter(place(figure, 7.6, 0.7, 2.6, 2.5), identification, truth)
     add_key(figure, disc, i_dq, height=0.2)
     return figure
 
@@ -191,7 +191,7 @@ def rendered(figure: Figure, figure_format: str = "png", dpi: int = _DPI) -> byt
 
 def _with_error(value: float, sigma: float) -> str:
     """Return a value to two digits of its standard error, or to four of its own where that is not known."""
-    if not (math.isfinite(sigma) and 0 < sigma < abs(value)):
+    if not (math.isfinite(sigma) and sigma > 0):
         return f"{value:.4g}"
     digits = max(0, 1 - math.floor(math.log10(sigma)))
     return rf"{value:.{digits}f} $\pm$ {sigma:.{digits}f}"

@@ -359,7 +359,7 @@ def test_the_residual_is_that_of_corrected_signals(drive, excerpts, diagnostics)
 
 def test_the_result_in_one_figure(drive, excerpts, simulation):
     figure = draw_result(drive, excerpts, simulation.truth)
-    assert size(rendered(figure, dpi=154))[0] == 1601
+    assert size(rendered(figure, dpi=140))[0] == 1456
     assert len([axes for axes in figure.axes if axes.get_xlabel()]) == 3
     assert "true" in texts(figure)
 

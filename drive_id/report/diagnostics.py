@@ -47,10 +47,10 @@ def draw_diagnostics(identification: Identification, samples: Sequence[Samples])
     """
     figure = Figure(figsize=(7.2, 8.5))
     disc = Disc(identification.flux_map, identification.i_max)
-    _draw_sigma(place(figure, 0.6, 5.75, 2.4, 2.5), disc)
+    _draw_sigma(place(figure, 0.65, 5.75, 2.4, 2.5), disc)
     draw_inverter(place(figure, 4.4, 5.75, 2.6, 2.45), identification)
-    _draw_along_axes(place(figure, 0.6, 3.2, 2.6, 1.85), place(figure, 4.4, 3.2, 2.6, 1.85), disc)
-    _draw_residual(place(figure, 0.6, 1.0, 6.4, 1.5), identification, samples)
+    _draw_along_axes(place(figure, 0.65, 3.2, 2.6, 1.85), place(figure, 4.4, 3.2, 2.6, 1.85), disc)
+    _draw_residual(place(figure, 0.65, 1.0, 6.35, 1.5), identification, samples)
     return figure
 
 
@@ -69,7 +69,7 @@ def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth
         height, sigma_height = identification.voltage_error, identification.sigma_voltage_error
         sigma = np.abs(voltage / height) * sigma_height if height and np.isfinite(sigma_height) else None
     if sigma is not None and np.isfinite(sigma).all():
-        label = f"± 1.96 σ (≤ {_Z * sigma.max():.2g} V)"
+        label = f"±1.96 σ ≤ {_Z * sigma.max():.2g} V"
         axes.fill_between(
             current, voltage - _Z * sigma, voltage + _Z * sigma, color=DARK, alpha=0.3, linewidth=0, label=label
         )

@@ -142,10 +142,10 @@ def draw_flux_maps(
     caption : Caption or str
         Below the panels; text is printed as it is.
     """
-    figure = Figure(figsize=(WIDTH, 3.85))
+    figure = Figure(figsize=(WIDTH, 3.75))
     disc = Disc(flux_map, i_max)
-    for left, component in zip((0.55, 4.05), "dq", strict=True):
-        draw_flux(place(figure, left, 1.05, 2.4, 2.5), disc, component, i_dq)
+    for left, component in zip((0.65, 4.17), "dq", strict=True):
+        draw_flux(place(figure, left, 1.05, 2.3, 2.4), disc, component, i_dq)
     add_key(figure, disc, i_dq, height=0.57)
     add_caption(figure, caption)
     return figure
@@ -155,9 +155,9 @@ def draw_result(identification: Identification, samples: Sequence[Samples], trut
     """Draw both fluxes, the trajectory and the inverter's curve, beside the true one of a simulation, in one figure."""
     figure = Figure(figsize=(10.4, 3.55))
     disc, i_dq = Disc(identification.flux_map, identification.i_max), trajectory(samples)
-    for left, component in zip((0.55, 4.05), "dq", strict=True):
+    for left, component in zip((0.65, 4.22), "dq", strict=True):
         draw_flux(place(figure, left, 0.65, 2.5, 2.6), disc, component, i_dq)
-    draw_inverter(place(figure, 7.6, 0.7, 2.6, 2.5), identification, truth)
+    draw_inverter(place(figure, 7.8, 0.7, 2.45, 2.5), identification, truth)
     add_key(figure, disc, i_dq, height=0.2)
     return figure
 

@@ -1,0 +1,44 @@
+"""The pages: their Python runs, their links lead somewhere, the files that they name exist."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+OF_TODAY = [page for page in PAGES if page.parent.name != "adr" and page.name != "CHANGELOG.md"]
+"""The others may name what is gone."""
+PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+SOURCE = re.compile(r"`((?:drive_id|core|files|fitting|config|examples|benchmarks|test|tools|docs)/[\w./]+)`")
+
+
+def test_the_python_of_the_page_runs(bag, tmp_path, monkeypatch):
+    shutil.copytree(bag, tmp_path / "my_bag")
+    shutil.copy(ROOT / "config" / "signals_default.yaml", tmp_path / "my_signals.yaml")
+    monkeypatch.chdir(tmp_path)
+    blocks = PYTHON.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))
+    assert len(blocks) > 5
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(compile(block, "docs/python.md", "exec"), names)
+    assert (tmp_path / "my_drive" / "identification.json").exists()
+    assert (tmp_path / "flux.pdf").exists()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    targets = [target for target in LINK.findall(text) if not target.startswith(("http:", "https:", "mailto:"))]
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("page", OF_TODAY, ids=lambda page: str(page.relative_to(ROOT)))
+def test_named_files_exist(page):
+    named = SOURCE.findall(page.read_text(encoding="utf-8"))
+    missing = [name for name in named if not any((ROOT / base / name).exists() for base in ("", "drive_id"))]
+    assert missing == []

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ class Cost:
 
 def in_turns(actions: dict[str, Callable[[], Any]], repeats: int, warm_up: bool = True) -> dict[str, Cost]:
     """Run each action ``repeats`` times, in turns, after one run that does not count."""
-    return best_of({name: lambda action=action: timed(action) for name, action in actions.items()}, repeats, warm_up)
+    return best_of({name: partial(timed, action) for name, action in actions.items()}, repeats, warm_up)
 
 
 def best_of(measured: dict[str, Callable[[], Cost]], repeats: int, warm_up: bool = False) -> dict[str, Cost]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from measuring import HERE, Cost, best_of, process
@@ -31,7 +32,7 @@ def against_plain(folder: Path, repeats: int) -> Section:
         bag = recording(folder, duration)
         drive_id_fit(bag)  # compiles what is not in the cache yet
         count = repeats if duration < 60 else min(repeats, 2)
-        costs = best_of({"plain": lambda bag=bag: plain(bag), "ours": lambda bag=bag: drive_id_fit(bag)}, count)
+        costs = best_of({"plain": partial(plain, bag), "ours": partial(drive_id_fit, bag)}, count)
         rows += [
             faster(f"{duration:.0f} s: time", costs["plain"], costs["ours"], goal),
             smaller(f"{duration:.0f} s: peak memory", costs["plain"], costs["ours"], less),
@@ -46,7 +47,7 @@ def growth(folder: Path, durations: list[float], repeats: int) -> Section:
     for duration in durations:
         bag = recording(folder, duration)
         drive_id_fit(bag)
-        costs[duration] = best_of({"": lambda bag=bag: drive_id_fit(bag)}, repeats if duration < 600 else 1)[""]
+        costs[duration] = best_of({"": partial(drive_id_fit, bag)}, repeats if duration < 600 else 1)[""]
     base = costs[60.0]
     rows = []
     for duration, cost in costs.items():
@@ -62,14 +63,14 @@ def growth(folder: Path, durations: list[float], repeats: int) -> Section:
 def start_up(folder: Path, repeats: int) -> Section:
     """Measure what commands take that hardly work."""
     bag = recording(folder, 10.0)
-    commands = {
+    commands: dict[str, list[str | Path]] = {
         "bare": [sys.executable, "-c", "pass"],
         "numerics": [sys.executable, "-c", "import numpy, numba, scipy.interpolate, matplotlib.figure"],
         "help": [SCRIPT, "--help"],
         "info": [SCRIPT, "info", bag],
         "load": [sys.executable, "-c", "import drive_id.fitting.workflows"],
     }
-    costs = best_of({name: lambda words=words: process(words) for name, words in commands.items()}, max(repeats, 5))
+    costs = best_of({name: partial(process, words) for name, words in commands.items()}, max(repeats, 5))
     rows = (
         faster("`drive-id --help`", costs["numerics"], costs["help"]),
         faster("`drive-id info BAG`", costs["numerics"], costs["info"]),

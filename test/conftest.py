@@ -7,6 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads of BLAS only wait
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
+
 import hypothesis
 import pytest
 from drive_bags import TRAJECTORY
@@ -15,6 +18,7 @@ import drive_id
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.planning import planner
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.workflows import fit_bags
@@ -75,6 +79,13 @@ def bag(simulation, tmp_path_factory):
     path = tmp_path_factory.mktemp("recorded") / "bag"
     write_recording(path, simulation.samples, simulation.truth)
     return path
+
+
+@pytest.fixture
+def coarse_plans(monkeypatch):
+    """Predict experiments with fewer cells and windows, which is faster by far."""
+    monkeypatch.setattr(planner, "_FINE", (8, 2000))
+    monkeypatch.setattr(planner, "_MIDDLE", (6, 1000))
 
 
 @pytest.fixture(scope="session")

@@ -694,6 +694,7 @@ def test_an_interrupt_from_which_a_second_call_goes_on_says_so(bag, tmp_path, mo
 # -- plans -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("coarse_plans")
 def test_a_plan_is_printed_and_written(run):
     ran = run("plan", "--machine", "spm", "--duration", "4", "--speed-max", "800", "--output", "plan.yaml")
     assert ran.code == 0, ran.err
@@ -704,6 +705,7 @@ def test_a_plan_is_printed_and_written(run):
     assert max(written["/**/bench_simulator"]["ros__parameters"]["speeds"]) <= 800.0
 
 
+@pytest.mark.usefixtures("coarse_plans")
 def test_a_plan_from_rough_data_as_json(run):
     data = {"i-max": 20, "pole-pairs": 3, "resistance": 0.35, "inductance-d": 2e-3, "inductance-q": 3e-3}
     data |= {"magnet-flux": 0.09, "u-dc": 325, "duration": 4, "speed-max": 800}

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.planning.candidates import (
     FEWEST_CYCLES,
     Experiment,
@@ -133,6 +134,7 @@ class Plan:
         return not inside or self.machine.steady_voltage(PAPER_SPEED) > self.machine.largest_voltage
 
 
+@one_blas_thread(with_scipy=True)
 def plan(settings: PlanSettings, tell: Tell = lambda _what, _share: None) -> Plan:
     """Propose an experiment.
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -121,6 +122,16 @@ def test_settings_that_contradict_themselves(change, said):
         replace(SETTINGS, **change)
 
 
+def test_it_works_with_one_thread_of_blas(monkeypatch):
+    def seen(*_):
+        raise LookupError(*(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"))
+
+    monkeypatch.setattr(plan_module, "highest_frequency", seen)
+    with threadpool_limits(2, user_api="blas"), pytest.raises(LookupError) as caught:
+        plan(SETTINGS)
+    assert set(caught.value.args) == {1}
+
+
 def test_several_speeds_wherever_there_are_two():
     for speeds in speed_sets(100.0, 1500.0, reverse=True):
         assert len(set(speeds)) >= 2
@@ -220,9 +231,10 @@ def _errors(experiment: Experiment, seed: int) -> np.ndarray:
     return np.array([*score(found, truth), resistance, np.std(found.inverter_voltage - curve)])
 
 
+@pytest.mark.usefixtures("coarse_plans")
 def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
-    monkeypatch.setattr(plan_module, "_FINE", (8, 2000))  # sooner
-    monkeypatch.setattr(plan_module, "_MIDDLE", (6, 1000))
+    scout, scouts = plan_module._Scout, {}  # what a figure tells does not depend on the accuracy
+    monkeypatch.setattr(plan_module, "_Scout", lambda *args: scouts.setdefault(args[2], scout(*args)))
     known = replace(SETTINGS, current_noise=5e-3, speed_min=500.0, speed_max=500.0)
     easy = plan(replace(known, accuracy=1.0))
     assert easy.met
@@ -238,9 +250,8 @@ def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
     assert "not to the wanted 0.001 %" in warning
 
 
-def test_one_speed_leaves_the_rotation_to_the_reciprocity(monkeypatch):
-    monkeypatch.setattr(plan_module, "_FINE", (8, 2000))
-    monkeypatch.setattr(plan_module, "_MIDDLE", (6, 1000))
+@pytest.mark.usefixtures("coarse_plans")
+def test_one_speed_leaves_the_rotation_to_the_reciprocity():
     one = plan(replace(SETTINGS, speed_min=700.0, speed_max=700.0, reverse=False, duration=4.0))
     assert one.experiment.speeds == (700.0,)
     assert one.prediction.free_resistance > 1.1 * one.prediction.resistance

@@ -269,9 +269,9 @@ def test_ten_seconds_take_milliseconds():
     import time
 
     signals = three(100_000)
-    start = time.perf_counter()
+    start = time.process_time()  # whatever else the machine does
     join(*signals)
-    assert time.perf_counter() - start < 0.5
+    assert time.process_time() - start < 0.5
 
 
 def test_merged_recordings_keep_apart():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,9 @@ FIRST = ("test/nodes/",)
 LAST = ("test/fitting/test_full_accuracy.py",)
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell; tests interrupt processes
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # Tests are not timed: the machine may be busy. The examples are the same each time, so that a push is judged by what it
 # changed; to look for others: DRIVE_ID_EXPLORE=1 make test ARGS="-m hypothesis"
 hypothesis.settings.register_profile("drive_id", deadline=None, derandomize="DRIVE_ID_EXPLORE" not in os.environ)
@@ -37,13 +41,14 @@ hypothesis.settings.load_profile("drive_id")
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes(config):
     """Compile the kernels before the workers start, once after each change: not in each worker and node at a time."""
+    cache = getattr(config, "cache", None)  # with -p no:cacheprovider there is none
     changed = max(file.stat().st_mtime_ns for file in Path(drive_id.__file__).parent.rglob("*.py"))
-    if config.cache.get("drive_id/compiled", None) == changed:
+    if cache is not None and cache.get("drive_id/compiled", None) == changed:
         return
     config.get_terminal_writer().line("Compiling the kernels (up to a minute)")
     script = Path(__file__).parent / "support" / "compile_kernels.py"
-    if subprocess.run([sys.executable, script], check=False).returncode == 0:
-        config.cache.set("drive_id/compiled", changed)
+    if subprocess.run([sys.executable, script], check=False).returncode == 0 and cache is not None:
+        cache.set("drive_id/compiled", changed)
 
 
 @pytest.hookimpl(optionalhook=True)

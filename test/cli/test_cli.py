@@ -650,7 +650,10 @@ def test_help_does_not_wait_for_the_numerics():
         "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'mcap'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    environment = os.environ | {"COLUMNS": "100"}  # names of options are cut in a narrow terminal
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False, env=environment
+    )
     assert ran.returncode == 0, ran.stderr
     assert "--signals" in ran.stdout
 

@@ -22,7 +22,7 @@ from drive_id.files.messages.signals_file import (
     SignalMap,
     TimeSource,
 )
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import IntArray
 
 if TYPE_CHECKING:

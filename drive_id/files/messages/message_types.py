@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 from drive_id.errors import MessageTypeError
 from drive_id.files.messages.messages import DEFINITIONS, message_typestore
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.storage.storage import TopicInfo
+from drive_id.files.storage.container import TopicInfo
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict

@@ -14,7 +14,7 @@ import yaml
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.field_path import parse_field_path
-from drive_id.files.storage.storage import reason
+from drive_id.files.storage.container import reason
 from drive_id.settings import check, from_mapping, setting
 
 STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}

@@ -13,7 +13,7 @@ from drive_id.files.messages.block_kernel import FIRST, LOGGED, SAMPLES, STAMP, 
 from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, Piece, Reader, message_reader
 from drive_id.files.messages.signals_file import PhaseSource, ReferenceSource, RotorSource, SignalMap, TimeSource
 from drive_id.files.storage.bag import Bag
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import FloatArray, IntArray
 
 _LONGEST_PERIOD = 1e4

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from drive_id.errors import BagError, DriveIdError
 from drive_id.files.storage.bag import Bag, open_bag
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo, file_size
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from drive_id.files.read.info import printable_errors
 from drive_id.files.read.reader import REQUIRED, find_topics
 from drive_id.files.read.signal_stream import Part, SignalStream, UnusualError
 from drive_id.files.storage.bag import Bag, open_bag
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
 from drive_id.types import FloatArray, GroundTruth, IntArray
 
 CAPACITY = 1 << 20

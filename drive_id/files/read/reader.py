@@ -15,7 +15,7 @@ from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.extraction import extract_signals
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
 from drive_id.types import GroundTruth, Samples
 
 REQUIRED = ("currents", "voltages", "resolver")

@@ -15,9 +15,8 @@ from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import RotorSource, SignalMap
 from drive_id.files.read.extraction import SignalBuilder, empty_error, read_piece, read_pieces, readable_sources
 from drive_id.files.storage.bag import Bag
-from drive_id.files.storage.mcap import McapStorage, PlainChunk
-from drive_id.files.storage.mcap_records import MESSAGE, RECORD
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
 
 PART_BYTES = 1 << 21
 """Unpacked records worked on at a time, bytes."""

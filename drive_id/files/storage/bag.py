@@ -11,10 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
-from drive_id.files.storage.folder import BagMetadata, storage_files
-from drive_id.files.storage.mcap import McapStorage
-from drive_id.files.storage.sqlite import SqliteStorage
-from drive_id.files.storage.storage import (
+from drive_id.files.storage.container import (
     MCAP_MAGIC,
     ROSBAG1_MAGIC,
     SQLITE_MAGIC,
@@ -27,6 +24,9 @@ from drive_id.files.storage.storage import (
     reason,
     unpack_file,
 )
+from drive_id.files.storage.folder import BagMetadata, storage_files
+from drive_id.files.storage.mcap import McapStorage
+from drive_id.files.storage.sqlite import SqliteStorage
 
 
 class Bag:

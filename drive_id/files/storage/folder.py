@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from drive_id.errors import NotABagError
-from drive_id.files.storage.storage import reason
+from drive_id.files.storage.container import reason
 
 _ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.lz4", ".db3.lz4", ".mcap.zst", ".db3.zst")
 _LARGEST_METADATA = 1 << 26

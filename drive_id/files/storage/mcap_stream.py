@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 from mcap.opcode import Opcode
 
-from drive_id.files.storage.storage import MCAP_MAGIC
+from drive_id.files.storage.container import MCAP_MAGIC
 
 FileOpener = Callable[[Path], BinaryIO]
 _END_WITHOUT_SUMMARY = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0)

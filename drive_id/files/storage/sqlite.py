@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
-from drive_id.files.storage.storage import (
+from drive_id.files.storage.container import (
     RawMessage,
     TopicInfo,
     file_size,
@@ -24,7 +24,7 @@ _INT64 = 2**63
 
 
 class SqliteStorage:
-    """Storage back-end for sqlite3 files; see :class:`~drive_id.files.storage.storage.Storage`."""
+    """Storage back-end for sqlite3 files; see :class:`~drive_id.files.storage.container.Storage`."""
 
     kind = "sqlite3"
 

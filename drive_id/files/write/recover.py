@@ -11,15 +11,14 @@ from typing import IO, Any, cast
 
 import yaml
 from mcap import records
-from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from drive_id.errors import EmptyTopicError, NotABagError, OutputError
+from drive_id.files.storage.container import MCAP_MAGIC, read_magic, reason, unpack_file
 from drive_id.files.storage.folder import present_files
-from drive_id.files.storage.mcap_records import MESSAGE, DamageError, McapRecords, Record, chunk_records, parsed
+from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records, plain_chunk
 from drive_id.files.storage.mcap_stream import McapStream
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
-from drive_id.files.storage.storage import MCAP_MAGIC, read_magic, reason, unpack_file
 
 _LIBRARY = "drive_id recover"
 _CHUNK_SIZE = 512 * 1024
@@ -128,7 +127,7 @@ class _Copy:
         self._schemas: dict[int, int] = {0: 0}
         self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[int, str]] = {}
-        self._file = McapRecords(source, shown)
+        self._file = McapFile(source, shown)
         self._stream = McapStream(target)
         self._writer = Writer(
             cast(IO[Any], self._stream),
@@ -145,47 +144,60 @@ class _Copy:
         """Copy what there is, and complete the copy."""
         header = self._file.header()
         self._writer.start(profile=header.profile if header else "", library=_LIBRARY)
-        try:
-            for record in self._file.data_section():
-                self._copy_record(record)
-        except DamageError as damage:
-            lost = self._file.size - self._file.whole
-            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+        position = len(MCAP_MAGIC)
+        while position:
+            position = self._copy_from(position)
         information = bag_information(list(self._topics.values()), [self.entry], self.distro, None)
         self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.sync()
 
-    def _copy_record(self, record: Record) -> None:
+    def _copy_from(self, begin: int) -> int:
+        """Copy the records from byte ``begin`` on; return where to go on behind a damaged one, 0 at the end."""
+        try:
+            for position, record in self._file.data(begin):
+                self._copy_record(record, position)
+        except RecordError as damage:
+            self.damage.append(f"{self._shown}: {damage}; it is left out.")
+            return self._file.end
+        except DamageError as damage:
+            lost = self._file.size - self._file.begin
+            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+        return 0
+
+    def _copy_record(self, record: records.McapRecord, position: int) -> None:
         """Copy one record; a damaged one is left out and named."""
         try:
-            if record.opcode == Opcode.CHUNK:
-                for opcode, body in list(chunk_records(record)[1]):
-                    self._copy_content(opcode, body, record.position)
+            if isinstance(record, records.Chunk):
+                for inner in list(chunk_records(plain_chunk(record, position), position)):
+                    self._copy_content(inner, position)
             else:
-                self._copy_content(record.opcode, memoryview(record.body), record.position)
+                self._copy_content(record, position)
         except DamageError as damage:
             self.damage.append(f"{self._shown}: {damage}; it is left out.")
 
-    def _copy_content(self, opcode: int, body: memoryview, position: int) -> None:
-        if opcode == Opcode.MESSAGE:
-            self._copy_message(body, position)
-        elif opcode == Opcode.SCHEMA:
-            schema = parsed(records.Schema, body, position)
-            if schema.id not in self._schemas:
-                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-                self._types[schema.id] = schema.name
-        elif opcode == Opcode.CHANNEL:
-            self._copy_channel(parsed(records.Channel, body, position), position)
-        elif opcode == Opcode.ATTACHMENT:
-            found = parsed(records.Attachment, body, position)
-            self._writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
-        elif opcode == Opcode.METADATA:
-            metadata = parsed(records.Metadata, body, position)
-            if metadata.name == "rosbag2":
-                self.distro = self.distro or _distro(metadata.metadata.get("serialized_metadata", ""))
+    def _copy_content(self, record: records.McapRecord, position: int) -> None:
+        if isinstance(record, records.Message):
+            if record.channel_id not in self._channels:
+                raise DamageError(f"a message at byte {position} belongs to no channel")
+            number, topic = self._channels[record.channel_id]
+            data = bytes(record.data)
+            self._writer.add_message(number, record.log_time, data, record.publish_time, record.sequence)
+            self.entry.note(topic, record.log_time)
+        elif isinstance(record, records.Schema):
+            if record.id not in self._schemas:
+                self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+                self._types[record.id] = record.name
+        elif isinstance(record, records.Channel):
+            self._copy_channel(record, position)
+        elif isinstance(record, records.Attachment):
+            times = record.create_time, record.log_time
+            self._writer.add_attachment(*times, record.name, record.media_type, record.data)
+        elif isinstance(record, records.Metadata):
+            if record.name == "rosbag2":
+                self.distro = self.distro or _distro(record.metadata.get("serialized_metadata", ""))
             else:
-                self._writer.add_metadata(metadata.name, metadata.metadata)
+                self._writer.add_metadata(record.name, record.metadata)
 
     def _copy_channel(self, channel: records.Channel, position: int) -> None:
         if channel.id in self._channels:
@@ -203,16 +215,6 @@ class _Copy:
                 channel.metadata.get("topic_type_hash", ""),
                 _offered_qos(channel.metadata.get("offered_qos_profiles", "")),
             )
-
-    def _copy_message(self, body: memoryview, position: int) -> None:
-        if len(body) < MESSAGE.size:
-            raise DamageError(f"a message at byte {position} is too short")
-        key, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
-        if key not in self._channels:
-            raise DamageError(f"a message at byte {position} belongs to no channel")
-        number, topic = self._channels[key]
-        self._writer.add_message(number, log_time, bytes(body[MESSAGE.size :]), publish_time, sequence)
-        self.entry.note(topic, log_time)
 
 
 def _offered_qos(text: str) -> list[Any]:

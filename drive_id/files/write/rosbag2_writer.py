@@ -13,9 +13,9 @@ import yaml
 
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import DEFINITIONS, schema_text, type_hash
+from drive_id.files.storage.container import reason
 from drive_id.files.storage.mcap_stream import FileOpener, open_unbuffered
 from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_information, write_metadata
-from drive_id.files.storage.storage import reason
 from drive_id.files.write.rosbag2_file import CHUNK_SIZE, FileOptions, RosbagFile
 
 if TYPE_CHECKING:

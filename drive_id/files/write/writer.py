@@ -21,7 +21,7 @@ from drive_id.files.messages.messages import (
     PHASE_VOLTAGES,
     RESOLVER,
 )
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, reason
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, reason
 from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter
 from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
 

@@ -15,8 +15,7 @@ from drive_id.core.signals.sample_count import SampleCount
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import NANOSECONDS, BlockHead, read_head
 from drive_id.files.storage.mcap import McapStorage
-from drive_id.files.storage.mcap_stream import FileOpener, open_unbuffered
-from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
+from drive_id.files.write.rosbag2_writer import FileOpener, Qos, Rosbag2McapWriter, open_unbuffered
 from drive_id.live.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording_settings import RecordingSettings
 
@@ -37,7 +36,6 @@ class _Waiting(NamedTuple):
     topic: str
     data: bytes
     log_time: int
-    publish_time: int | None
     head: BlockHead | None
 
 
@@ -129,7 +127,7 @@ class RecordingSession:
         """Why the recording ended before it was stopped; empty if it did not."""
         return self._error
 
-    def receive(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None) -> None:
+    def receive(self, topic: str, data: bytes, log_time: int) -> None:
         """Count a message and enqueue it; to be called by one thread.
 
         Parameters
@@ -137,8 +135,8 @@ class RecordingSession:
         topic : str
         data : bytes
             CDR.
-        log_time, publish_time : int
-            ns; when it was received and published.
+        log_time : int
+            When it was received, ns.
         """
         if not self._open:
             return
@@ -153,7 +151,7 @@ class RecordingSession:
         if self._bytes_in - self._bytes_out + size > self._limit:
             received.overflowed += head.samples if head else 0
             return
-        self._queue.append(_Waiting(topic, data, log_time, publish_time, head))
+        self._queue.append(_Waiting(topic, data, log_time, head))
         self._bytes_in += size
 
     def stop(self, patience: float | None = None) -> bool:
@@ -220,7 +218,7 @@ class RecordingSession:
             self._writer.split()
             self._file_begin = message.log_time
             self._before = self._snapshot()
-        self._writer.write(message.topic, message.data, message.log_time, message.publish_time)
+        self._writer.write(message.topic, message.data, message.log_time)
         self._written[message.topic].add(message.head)
         self._bytes_out += len(message.data) + _OVERHEAD
 

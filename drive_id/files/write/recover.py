@@ -1,8 +1,7 @@
-"""Making a whole recording of one that breaks off or is damaged, without touching it."""
+"""Recovery: a complete copy of what can be read of a truncated or damaged MCAP recording."""
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,12 +12,12 @@ import yaml
 from mcap import records
 from mcap.writer import CompressionType, Writer
 
-from drive_id.errors import EmptyTopicError, NotABagError, OutputError
-from drive_id.files.storage.container import MCAP_MAGIC, read_magic, reason, unpack_file
+from drive_id.errors import EmptyTopicError, NotABagError
+from drive_id.files.storage.container import MCAP_MAGIC, read_magic, unpack_file
 from drive_id.files.storage.folder import present_files
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records, plain_chunk
-from drive_id.files.storage.mcap_stream import McapStream
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
+from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
 _CHUNK_SIZE = 512 * 1024
@@ -26,18 +25,18 @@ _CHUNK_SIZE = 512 * 1024
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was recovered.
+    """Result of a recovery.
 
     Parameters
     ----------
     output : Path
-        The whole recording.
+        The complete recording.
     topics : dict of str to int
         Messages by topic.
     duration : float
         Between the first and the last message, s.
     damage : tuple of str
-        Sentences about what could not be recovered; empty when the recording was whole.
+        Sentences about what could not be recovered; empty when the recording was complete.
     """
 
     output: Path
@@ -47,12 +46,12 @@ class Recovery:
 
 
 def recover_bag(path: Path, output: Path | None = None) -> Recovery:
-    """Write what can be read of an MCAP recording as a new, whole one; the given one is not touched.
+    """Write what can be read of an MCAP recording as a new, complete one; the original is not changed.
 
     Parameters
     ----------
     path : Path
-        Storage file or folder; a ``metadata.yaml`` is not believed.
+        Storage file or folder; its ``metadata.yaml`` is ignored.
     output : Path, optional
         Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
 
@@ -68,23 +67,9 @@ def recover_bag(path: Path, output: Path | None = None) -> Recovery:
     files = present_files(path)
     absolute = path.absolute()
     output = output or absolute.with_name((absolute.name if path.is_dir() else absolute.stem) + "_recovered")
-    if output.exists() or output.is_symlink():
-        raise OutputError(f"{output} exists already: choose another name with --output, or remove it.")
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{output.name}.partial-", dir=output.parent))
-    except OSError as error:
-        raise _refused(output, error) from error
-    try:
-        folder = partial / output.name
+    with whole_or_nothing(output) as folder:
         folder.mkdir()
-        recovery = _recover_files(files, path, folder, output)
-        folder.rename(output)
-    except OSError as error:
-        raise _refused(output, error) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return recovery
+        return _recover_files(files, path, folder, output)
 
 
 def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Path) -> Recovery:
@@ -96,7 +81,7 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
         with ExitStack() as stack:
             plain, _ = unpack_file(file, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_"))))
             if not read_magic(plain, file).startswith(MCAP_MAGIC):
-                raise NotABagError(f"{file} is no MCAP file: only those can be recovered here.")
+                raise NotABagError(f"{file} is no MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'.")
             copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
             stack.callback(copy.release)
             copy.run()
@@ -116,7 +101,7 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
 
 
 class _Copy:
-    """The copy of all whole records of one file."""
+    """Copies the whole records of one file."""
 
     def __init__(self, source: Path, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
         self.entry = FileEntry(target.name)
@@ -141,7 +126,7 @@ class _Copy:
         self._stream.close()
 
     def run(self) -> None:
-        """Copy what there is, and complete the copy."""
+        """Copy all whole records, and complete the copy."""
         header = self._file.header()
         self._writer.start(profile=header.profile if header else "", library=_LIBRARY)
         position = len(MCAP_MAGIC)
@@ -231,7 +216,3 @@ def _distro(text: str) -> str:
     except yaml.YAMLError:
         return ""
     return str(tree.get("ros_distro") or "") if isinstance(tree, dict) else ""
-
-
-def _refused(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path} cannot be written ({reason(error)}): check its folder, permissions and free space.")

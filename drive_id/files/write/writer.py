@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.signals.signal import finite_rows
-from drive_id.errors import ConfigurationError, OutputError
+from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import encode_truth
 from drive_id.files.messages.block_codec import NANOSECONDS, encode_block
 from drive_id.files.messages.messages import (
@@ -21,12 +19,13 @@ from drive_id.files.messages.messages import (
     PHASE_VOLTAGES,
     RESOLVER,
 )
-from drive_id.files.storage.container import TRUTH_ATTACHMENT, reason
-from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter
+from drive_id.files.storage.container import TRUTH_ATTACHMENT
+from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
 from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
 
 BLOCK_SIZE = 100
 """Samples per message: 100 messages a second at 10 kHz."""
+_FRAME = "drive"
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 
@@ -60,7 +59,6 @@ def write_recording(
     topics: Topics | None = None,
     block_size: int = BLOCK_SIZE,
     start_stamp: int | None = None,
-    frame_id: str = "drive",
     compression: str = "zstd",
     chunk_size: int = CHUNK_SIZE,
 ) -> None:
@@ -79,8 +77,6 @@ def write_recording(
         Samples per message.
     start_stamp : int, optional
         ns, moves the first sample there; default: the stamps as they are.
-    frame_id : str
-        Name of the drive.
     compression, chunk_size
         See :class:`~drive_id.files.write.rosbag2_writer.Rosbag2McapWriter`.
 
@@ -93,26 +89,13 @@ def write_recording(
     """
     if block_size < 1:
         raise ConfigurationError(f"block_size is {block_size}: it must be at least 1 sample.")
-    if path.exists() or path.is_symlink():
-        raise OutputError(f"{path} exists already: choose another name, or remove it.")
     shift = 0 if start_stamp is None else start_stamp - int(samples.stamp[0])
-    messages = sorted(
-        _messages(samples, shift, topics or Topics(), block_size, frame_id), key=lambda message: message.log_time
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
-    try:
-        folder = partial / path.name
-        with Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer:
-            _fill(writer, messages, topics or Topics(), samples, truth)
-        folder.rename(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    messages = sorted(_messages(samples, shift, topics or Topics(), block_size), key=lambda message: message.log_time)
+    with (
+        whole_or_nothing(path) as folder,
+        Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer,
+    ):
+        _fill(writer, messages, topics or Topics(), samples, truth)
 
 
 def _fill(
@@ -129,7 +112,7 @@ def _fill(
         writer.attach(TRUTH_ATTACHMENT, encode_truth(truth), "application/zip")
 
 
-def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, frame_id: str) -> Iterator[_Message]:
+def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> Iterator[_Message]:
     """Yield all messages, topic by topic; references are logged when due, the others when their block is full."""
     angle = np.clip(_wrapped(samples.angle).astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
     signals = [
@@ -150,7 +133,7 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, fra
             stamp = int(every[start])
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
-            data = encode_block(stamp, int(start), samples.sample_period, columns, frame_id)
+            data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME)
             yield _Message(end_time if when_full else stamp, topics.absolute(name), data)
 
 

@@ -62,7 +62,7 @@ def bag_info(path: Path) -> BagInfo:
         When nothing of it can be read.
     """
     with printable_errors(), open_bag(path, salvage=True) as bag:
-        problems = [text for storage in bag.storages if (text := getattr(storage, "damage", ""))]
+        problems = [storage.damage for storage in bag.storages if storage.damage]
         declared = bag.metadata.counts if bag.metadata else {}
         for name, topic in bag.topics.items():
             if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:

@@ -16,10 +16,9 @@ from drive_id.core.signals.stream_join import Piece, StreamJoin
 from drive_id.errors import DataError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.extraction import extract_signals
+from drive_id.files.read.extraction import Part, SignalStream, UnusualError, extract_signals
 from drive_id.files.read.info import printable_errors
 from drive_id.files.read.reader import REQUIRED, find_topics
-from drive_id.files.read.signal_stream import Part, SignalStream, UnusualError
 from drive_id.files.storage.bag import Bag, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
 from drive_id.types import FloatArray, GroundTruth, IntArray

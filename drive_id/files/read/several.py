@@ -14,8 +14,7 @@ from drive_id.core.signals.stream_join import Piece
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.pieces import BagFacts, bag_pieces
-from drive_id.files.storage.bag import file_digest
-from drive_id.files.storage.folder import storage_files
+from drive_id.files.storage.bag import file_digest, storage_files
 from drive_id.types import GroundTruth, Progress
 
 _LONG = 1 << 18

@@ -13,8 +13,8 @@ from mcap import records
 from mcap.writer import CompressionType, Writer
 
 from drive_id.errors import EmptyTopicError, NotABagError
+from drive_id.files.storage.bag import present_files
 from drive_id.files.storage.container import MCAP_MAGIC, read_magic, unpack_file
-from drive_id.files.storage.folder import present_files
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records, plain_chunk
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing

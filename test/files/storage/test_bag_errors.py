@@ -119,7 +119,7 @@ def test_devices_are_no_bags():
     ("text", "said"),
     [
         ("", "it has no rosbag2_bagfile_information"),
-        ("{", "no YAML in line 1"),
+        ("{", "not YAML, see line 1"),
         ("- 1", "it has no rosbag2"),
         ("\x01", "damaged"),
         ("rosbag2_bagfile_information: 3", "is not of type dict"),

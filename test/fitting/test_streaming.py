@@ -22,7 +22,7 @@ from drive_id.core.result.identify import gather
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
-from drive_id.files.read import pieces as bag_pieces
+from drive_id.files.read import reader as bag_pieces
 from drive_id.files.read.reader import read_recordings
 from drive_id.files.results import checkpoint
 from drive_id.files.write.writer import write_recording

@@ -13,7 +13,7 @@ from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overla
 from drive_id.core.signals.stream_join import Piece
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.pieces import BagFacts, bag_pieces
+from drive_id.files.read.reader import BagFacts, bag_pieces
 from drive_id.files.storage.bag import file_digest, storage_files
 from drive_id.types import GroundTruth, Progress
 
@@ -86,7 +86,7 @@ class SeveralBags:
         Raises
         ------
         DriveIdError, UnusualError
-            See :func:`~drive_id.files.read.pieces.bag_pieces`.
+            See :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()

@@ -16,10 +16,9 @@ from drive_id.core.signals.stream_join import joined
 from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
-from drive_id.files.read import pieces as module
+from drive_id.files.read import reader as module
 from drive_id.files.read.extraction import UnusualError
-from drive_id.files.read.pieces import bag_pieces, prefetched
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.reader import bag_pieces, prefetched, read_recording
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 

@@ -26,7 +26,7 @@ from drive_id.files.messages.block_kernel import (
 from drive_id.files.messages.message_reader import (
     DECODE_ERRORS,
     STAMP_LIMIT,
-    Piece,
+    MessageSamples,
     Reader,
     block_columns,
     message_reader,
@@ -81,7 +81,7 @@ class UnusualError(Exception):
 
 
 @dataclass(frozen=True)
-class Part:
+class SignalPart:
     """One part of the signals.
 
     Parameters
@@ -89,7 +89,7 @@ class Part:
     signals : dict of str to Signal
         By section of the signal map; sections without a sample in this part are missing.
     progress : float
-        Part of the bag read so far, 0 to 1.
+        SignalPart of the bag read so far, 0 to 1.
     """
 
     signals: dict[str, Signal]
@@ -141,13 +141,13 @@ class SignalStream:
 
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals; see :func:`extract_signals`."""
-        pieces: dict[str, list[Piece]] = defaultdict(list)
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
         for section, piece in self._pieces():
             pieces[section].append(piece)
         self._refuse_empty(section for section in self._sources if section not in pieces)
         return self._built({section: pieces[section] for section in self._sources})
 
-    def parts(self) -> Generator[Part, None, None]:
+    def parts(self) -> Generator[SignalPart, None, None]:
         """Yield the signals part by part; for the errors, see :func:`extract_signals`.
 
         Raises
@@ -170,7 +170,7 @@ class SignalStream:
 
     # -- message by message ----------------------------------------------------------------------------------------
 
-    def _pieces(self) -> Iterator[tuple[str, Piece]]:
+    def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
         """Yield section and piece for each message with samples, in order of arrival."""
         for message in self._bag.messages(frozenset(self._readers)):
             for section, reader in self._readers[message.topic]:
@@ -178,7 +178,7 @@ class SignalStream:
                 if len(piece.columns[0]):
                     yield section, piece
 
-    def _read_message(self, message: RawMessage, section: str, reader: Reader) -> Piece:
+    def _read_message(self, message: RawMessage, section: str, reader: Reader) -> MessageSamples:
         try:
             return reader(message)
         except DECODE_ERRORS as error:
@@ -188,19 +188,19 @@ class SignalStream:
                 f"{self._topics[section].type_name} ({said}): name the right fields in a signals file."
             ) from error
 
-    def _message_parts(self) -> Iterator[Part]:
-        pieces: dict[str, list[Piece]] = defaultdict(list)
+    def _message_parts(self) -> Iterator[SignalPart]:
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
         count = 0
         for section, piece in self._pieces():
             pieces[section].append(piece)
             if section == "currents":
                 count += len(piece.columns[0])
             if count >= PART_SAMPLES:
-                yield Part(self._built(pieces), self._progress())
+                yield SignalPart(self._built(pieces), self._progress())
                 pieces, count = defaultdict(list), 0
-        yield Part(self._built(pieces), self._progress())
+        yield SignalPart(self._built(pieces), self._progress())
 
-    def _built(self, pieces: dict[str, list[Piece]]) -> dict[str, Signal]:
+    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
         with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
             return {section: self._builders[section].build(found) for section, found in pieces.items()}
 
@@ -209,7 +209,7 @@ class SignalStream:
 
     # -- our own blocks, straight from the chunks of MCAP files ----------------------------------------------------
 
-    def _chunk_parts(self) -> Iterator[Part]:
+    def _chunk_parts(self) -> Iterator[SignalPart]:
         found: Counter[str] = Counter()
         for storage in self._bag.storages:
             assert isinstance(storage, McapStorage)
@@ -231,7 +231,7 @@ class SignalStream:
 
     def _read_chunks(
         self, storage: McapStorage, channels: dict[int, str], chunks: list[PlainChunk], counts: Counter[int]
-    ) -> Part:
+    ) -> SignalPart:
         data = np.frombuffer(b"".join(chunk.data for chunk in chunks), np.uint8)
         sections = np.full(1 << 16, -1, np.int64)
         names = list(self._sources)
@@ -260,7 +260,7 @@ class SignalStream:
             if own.any():
                 build = self._builders[section].build_blocks
                 signals[section] = build(data, table[own], periods[own], self._columns[number])
-        return Part(signals, self._progress())
+        return SignalPart(signals, self._progress())
 
     def _refuse_message(self, channels: dict[int, str], data: bytes, position: int) -> NoReturn:
         """Raise the error for the message at a position of a chunk, or UnusualError if it is correct."""
@@ -294,7 +294,7 @@ class SignalBuilder:
         self._begun = False
         self._expected: int | None = None
 
-    def build(self, pieces: list[Piece]) -> Signal:
+    def build(self, pieces: list[MessageSamples]) -> Signal:
         """Return the next pieces, one or more, as a signal.
 
         Raises
@@ -391,7 +391,7 @@ class SignalBuilder:
         if not self._begun:
             self.period, self._begun = period, True
 
-    def _check_periods(self, pieces: list[Piece]) -> None:
+    def _check_periods(self, pieces: list[MessageSamples]) -> None:
         """Check that all messages declare the same period."""
         self._begin(pieces[0].sample_period)
         for piece in pieces:

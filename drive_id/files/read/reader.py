@@ -18,7 +18,7 @@ from drive_id.core.signals.stream_join import Piece, StreamJoin
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.extraction import Part, SignalStream, UnusualError
+from drive_id.files.read.extraction import SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
@@ -219,7 +219,7 @@ def _joined(
     joining = StreamJoin(
         names, batch=2 * CAPACITY, capacity=CAPACITY, locking=_LOCKING_PAIRS, recorded=True, reference=references.at
     )
-    before: Part | None = None
+    before: SignalPart | None = None
     with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:
         for part in parts:
             references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
@@ -235,7 +235,7 @@ def _joined(
     warnings.extend(end.report().warnings)
 
 
-def _advanced(path: Path, joining: StreamJoin, part: Part) -> list[Piece]:
+def _advanced(path: Path, joining: StreamJoin, part: SignalPart) -> list[Piece]:
     for number, section in enumerate(REQUIRED):
         if section in part.signals:
             joining.add(number, part.signals[section])
@@ -254,7 +254,7 @@ class _References:
     def __init__(self) -> None:
         self._held: HeldReferences | None = None
 
-    def add(self, part: Part) -> None:
+    def add(self, part: SignalPart) -> None:
         signal = part.signals.get("reference")
         if signal is None:
             return

@@ -216,19 +216,12 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     NotABagError
         When there is none, or ``metadata.yaml`` is unreadable or names other files than those that are there.
     """
-    try:
-        if not path.exists():
-            raise NotABagError(f"{path} does not exist: give a rosbag2 file or folder.")
-        if not path.is_dir():
-            return (path,), None
+    with _readable(path):
+        described = path.is_dir() and (path / "metadata.yaml").exists()
         present = _present(path)
-        metadata = read_metadata(path / "metadata.yaml") if (path / "metadata.yaml").exists() else None
-    except OSError as error:
-        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
-    if metadata is None:
-        if not present:
-            raise NotABagError(f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder.")
-        return tuple(present), None
+    if not described:
+        return present_files(path), None
+    metadata = read_metadata(path / "metadata.yaml")
     files = tuple(path / name for name in metadata.files)
     for file in files:
         if not file.is_file():
@@ -253,21 +246,29 @@ def present_files(path: Path) -> tuple[Path, ...]:
     NotABagError
         When there is none.
     """
-    try:
-        if not path.exists():
-            raise NotABagError(f"{path} does not exist: give a rosbag2 file or folder.")
-        files = _present(path) if path.is_dir() else [path]
-    except OSError as error:
-        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
+    with _readable(path):
+        files = _present(path)
     if not files:
         raise NotABagError(f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder.")
     return tuple(files)
 
 
-def _present(folder: Path) -> list[Path]:
-    return sorted(
-        (entry for entry in folder.iterdir() if entry.name.endswith(_ENDINGS) and entry.is_file()), key=_natural
-    )
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise NotABagError when a path does not exist or cannot be read."""
+    try:
+        if not path.exists():
+            raise NotABagError(f"{path} does not exist: give a rosbag2 file or folder.")
+        yield
+    except OSError as error:
+        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
+
+
+def _present(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = (entry for entry in path.iterdir() if entry.name.endswith(_ENDINGS) and entry.is_file())
+    return sorted(files, key=_natural)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

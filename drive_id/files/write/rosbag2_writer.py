@@ -209,9 +209,7 @@ class Rosbag2McapWriter:
     Parameters
     ----------
     path : Path
-        Folder to create.
-    name : str, optional
-        Of the recording, from which its files are named ``<name>_<N>.mcap``; default: the folder's.
+        Folder to create; its files are named ``<folder>_<N>.mcap``.
     chunk_size : int
         Bytes.
     compression : str
@@ -233,7 +231,6 @@ class Rosbag2McapWriter:
         self,
         path: Path,
         *,
-        name: str = "",
         chunk_size: int = CHUNK_SIZE,
         compression: str = "zstd",
         ros_distro: str = "jazzy",
@@ -241,7 +238,6 @@ class Rosbag2McapWriter:
         opener: FileOpener = open_unbuffered,
     ) -> None:
         self.path = path
-        self._name = name or path.name
         self._new_file = partial(_OpenFile, chunk_size=chunk_size, compression=compression, live=live, opener=opener)
         self._distro = ros_distro
         self._topics: dict[str, TopicEntry] = {}
@@ -415,7 +411,7 @@ class Rosbag2McapWriter:
                 self.abandon()
 
     def _open_file(self, number: int) -> _OpenFile:
-        file = self._new_file(self.path / f"{self._name}_{number}.mcap")
+        file = self._new_file(self.path / f"{self.path.name}_{number}.mcap")
         for topic in self._topics.values():
             file.add_topic(topic)
         return file

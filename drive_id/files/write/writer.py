@@ -1,4 +1,4 @@
-"""Samples to a recording: blocks of our messages, the truth of a simulation beside them."""
+"""Samples to a recording of our own messages, with the ground truth of a simulation as an attachment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drive_id.files.messages.messages import (
     PHASE_VOLTAGES,
     RESOLVER,
 )
-from drive_id.files.storage.container import TRUTH_ATTACHMENT
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, RawMessage
 from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
 from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
 
@@ -31,7 +31,7 @@ _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 @dataclass(frozen=True)
 class Topics:
-    """Names of our topics below a namespace (empty, or like ``drive_1``)."""
+    """Names of the topics in a namespace (empty, or like ``drive_1``)."""
 
     namespace: str = ""
     currents: str = "phase_currents"
@@ -42,13 +42,6 @@ class Topics:
     def absolute(self, name: str) -> str:
         """Return the absolute name of a topic."""
         return "/" + "/".join(part for part in (*self.namespace.split("/"), *name.split("/")) if part)
-
-
-@dataclass(frozen=True)
-class _Message:
-    log_time: int
-    topic: str
-    data: bytes
 
 
 def write_recording(
@@ -62,7 +55,7 @@ def write_recording(
     compression: str = "zstd",
     chunk_size: int = CHUNK_SIZE,
 ) -> None:
-    """Write samples as a rosbag2 recording; it appears whole or not at all.
+    """Write samples as a rosbag2 recording, all of it or nothing.
 
     Parameters
     ----------
@@ -76,7 +69,7 @@ def write_recording(
     block_size : int
         Samples per message.
     start_stamp : int, optional
-        ns, moves the first sample there; default: the stamps as they are.
+        Stamp of the first sample, ns; default: stamps are not shifted.
     compression, chunk_size
         See :class:`~drive_id.files.write.rosbag2_writer.Rosbag2McapWriter`.
 
@@ -99,7 +92,7 @@ def write_recording(
 
 
 def _fill(
-    writer: Rosbag2McapWriter, messages: list[_Message], topics: Topics, samples: Samples, truth: GroundTruth | None
+    writer: Rosbag2McapWriter, messages: list[RawMessage], topics: Topics, samples: Samples, truth: GroundTruth | None
 ) -> None:
     writer.add_topic(topics.absolute(topics.currents), PHASE_CURRENTS)
     writer.add_topic(topics.absolute(topics.voltages), PHASE_VOLTAGES)
@@ -107,13 +100,13 @@ def _fill(
     if samples.i_dq_reference is not None:
         writer.add_topic(topics.absolute(topics.reference), CURRENT_REFERENCE)
     for message in messages:
-        writer.write(message.topic, message.data, message.log_time)
+        writer.write(message.topic, bytes(message.data), message.log_time)
     if truth is not None:
         writer.attach(TRUTH_ATTACHMENT, encode_truth(truth), "application/zip")
 
 
-def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> Iterator[_Message]:
-    """Yield all messages, topic by topic; references are logged when due, the others when their block is full."""
+def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> Iterator[RawMessage]:
+    """Yield all messages by topic; set-points are logged when due, measurements at the end of their block."""
     angle = np.clip(_wrapped(samples.angle).astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
     signals = [
         (topics.currents, samples.i_abc.astype(np.float32), True),
@@ -134,11 +127,11 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> 
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
             data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME)
-            yield _Message(end_time if when_full else stamp, topics.absolute(name), data)
+            yield RawMessage(topics.absolute(name), end_time if when_full else stamp, data)
 
 
 def _blocks(samples: Samples, known: NDArray[np.bool_], block_size: int) -> tuple[IntArray, IntArray]:
-    """Divide the known samples into blocks that span neither a gap nor an unknown sample nor an uneven stamp."""
+    """Return begins and ends of blocks of known samples; no block spans a gap, an unknown sample or an uneven stamp."""
     index = np.arange(len(samples))
     uneven = (
         np.abs(np.diff(samples.stamp) - samples.sample_period * NANOSECONDS)

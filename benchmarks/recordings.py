@@ -10,7 +10,7 @@ from pathlib import Path
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.files.storage.bag import open_bag
-from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter, whole_or_nothing
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import Samples
@@ -60,15 +60,13 @@ def _repeat(source: Path, target: Path, times: int, before: int = 0) -> None:
         types = {name: topic.type_name for name, topic in bag.topics.items()}
         messages = [(entry.topic, entry.log_time, bytes(entry.data)) for entry in bag.messages(frozenset(types))]
     samples = round(PART * RATE) + BLOCK
-    partial = target.with_name(f"{target.name}_partial")
-    with Rosbag2McapWriter(partial, name=target.name) as writer:
+    with whole_or_nothing(target) as partial, Rosbag2McapWriter(partial) as writer:
         for topic, type_name in types.items():
             writer.add_topic(topic, type_name)
         for number in range(before, before + times):
             shift = number * samples * (1_000_000_000 // RATE)
             for topic, log_time, data in messages:
                 writer.write(topic, _moved(data, shift, number * samples), log_time + shift)
-    partial.rename(target)
 
 
 def _moved(data: bytes, shift: int, count: int) -> bytes:

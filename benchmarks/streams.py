@@ -28,7 +28,7 @@ from drive_id.files.messages.messages import (
 )
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.block_stream import BlockStream
-from drive_id.files.read.pieces import bag_pieces
+from drive_id.files.read.reader import bag_pieces
 from drive_id.files.storage.bag import open_bag
 from drive_id.live.live_evidence import LiveEvidence
 from drive_id.types import Samples

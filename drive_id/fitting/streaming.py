@@ -20,8 +20,8 @@ from drive_id.core.checks.survey import Survey
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.several import SeveralBags, digests_of
-from drive_id.files.read.signal_stream import UnusualError
 from drive_id.files.results.checkpoint import Checkpoint, Progressed
 from drive_id.types import Progress, silent
 

@@ -20,7 +20,7 @@ from drive_id.files.results.folder import Provenance, check_output, write_result
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.workflows import Draw, fit_bags
 from drive_id.health import Finding, Health, Level
-from drive_id.live.confined import confined_bag
+from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
 from drive_id.live.publishers import Publisher, publisher_findings
@@ -134,7 +134,7 @@ class Identifier:
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
         if bags:
-            paths = [confined_bag(Path(self.settings.data_directory), name) for name in bags]
+            paths = [existing_recording(Path(self.settings.data_directory), name) for name in bags]
             return partial(_guarded, partial(_fit_bags, paths, self.topics, fit, self.settings))
         snapshot = self.live.snapshot(method)
         return partial(_guarded, partial(_fit_live, snapshot, fit, self.settings, self._forgotten))

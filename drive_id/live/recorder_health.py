@@ -1,4 +1,4 @@
-"""What a recorder says of itself and of its topics: a level, sentences and figures, without ROS."""
+"""Diagnostics of the recorder and its topics: level, sentences and figures, without ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drive_id.live.recording_report import RecordingReport, TopicReport
 
 @dataclass(frozen=True)
 class TopicState:
-    """What the recorder sees of a topic.
+    """Publishers and activity of a topic.
 
     Parameters
     ----------
@@ -32,18 +32,18 @@ class TopicState:
 def recorder_health(
     report: RecordingReport | None, topics: Sequence[TopicState], longest_silence: float, queue_size: float
 ) -> Health:
-    """Judge the recorder and its topics.
+    """Return the diagnostics of the recorder.
 
     Parameters
     ----------
     report : RecordingReport or None
-        Of the recording that runs, or that ended by itself and was not yet stopped.
+        Of the current recording, which may have ended by an error; None when there is none.
     topics : sequence of TopicState
         In the order of the report.
     longest_silence : float
-        That is no warning, s; 0: any.
+        Longest time without a message before a warning, s; 0: no such warning.
     queue_size : float
-        MB.
+        Capacity of the queue, MB.
     """
     findings: list[Finding] = []
     values: dict[str, str] = {}
@@ -66,10 +66,9 @@ def _recording_findings(report: RecordingReport, queue_size: float) -> list[Find
     if report.error:
         return [(Level.ERROR, report.error)]
     findings = []
-    unwritten = sum(topic.received - topic.written for topic in report.topics)
     if report.waiting > 0.5e6 * queue_size:
-        megabytes = report.waiting / 1e6
-        findings.append((Level.WARN, f"The disk is too slow: {unwritten} samples, {megabytes:.1f} MB, wait for it."))
+        samples, megabytes = sum(topic.queued for topic in report.topics), report.waiting / 1e6
+        findings.append((Level.WARN, f"The disk is too slow: {samples} samples, {megabytes:.1f} MB, wait for it."))
     if report.overflowed:
         findings.append((Level.ERROR, f"The disk is too slow: {report.overflowed} samples did not fit into the queue."))
     return findings

@@ -1,4 +1,4 @@
-"""What became of a recording: samples received, written and lost, in figures and in sentences."""
+"""State of a recording: samples received, written and lost, as figures and as sentences."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drive_id.files.messages.block_codec import NANOSECONDS
 
 @dataclass(frozen=True)
 class TopicReport:
-    """What became of one topic.
+    """State of one topic.
 
     Parameters
     ----------
@@ -20,13 +20,15 @@ class TopicReport:
     received, written : int
         Samples that arrived, and samples in the bag.
     lost, losses : int
-        Samples missing on the way here by the blocks' own count, and the number of places.
+        Samples that never arrived (gaps in ``first_sample``), and the number of gaps.
     overflowed : int
-        Samples that arrived but did not fit into the queue.
+        Samples that arrived when the queue was full.
+    discarded : int
+        Samples that were in the queue when the disk refused and the recording ended.
     restarts : int
-        Places where the count ran backwards.
+        Places where ``first_sample`` ran backwards.
     unreadable : int
-        Messages that are no blocks; they are recorded all the same.
+        Messages that are not blocks of samples; they are recorded nevertheless.
     first_stamp, last_stamp : int or None
         Of the first and of the last sample in the bag, ns.
     """
@@ -38,6 +40,7 @@ class TopicReport:
     lost: int = 0
     losses: int = 0
     overflowed: int = 0
+    discarded: int = 0
     restarts: int = 0
     unreadable: int = 0
     first_stamp: int | None = None
@@ -45,8 +48,13 @@ class TopicReport:
 
     @property
     def dropped(self) -> int:
-        """Samples missing in the bag: lost on the way here, or not written."""
-        return self.lost + self.received - self.written
+        """Samples that will never be in the bag; those in the queue are not counted, so it only grows."""
+        return self.lost + self.overflowed + self.discarded
+
+    @property
+    def queued(self) -> int:
+        """Samples in the queue."""
+        return self.received - self.written - self.overflowed - self.discarded
 
     @property
     def duration(self) -> float:
@@ -58,14 +66,14 @@ class TopicReport:
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What became of a recording, or has so far.
+    """State of a recording, running or ended.
 
     Parameters
     ----------
     path : Path
         The bag.
     topics : tuple of TopicReport
-        The first is the one whose samples are reported, the phase currents.
+        The first one, the phase currents, gives ``samples`` and ``duration``.
     files : int
     size : int
         Bytes on the disk.
@@ -89,12 +97,12 @@ class RecordingReport:
 
     @property
     def overflowed(self) -> int:
-        """Samples that did not fit into the queue, of all topics."""
+        """Samples of all topics that arrived when the queue was full."""
         return sum(topic.overflowed for topic in self.topics)
 
     @property
     def dropped(self) -> int:
-        """Samples missing in the bag, of all topics; those that wait count as missing."""
+        """Samples of all topics that will never be in the bag."""
         return sum(topic.dropped for topic in self.topics)
 
     @property
@@ -103,7 +111,7 @@ class RecordingReport:
         return self.topics[0].duration
 
     def sentence(self) -> str:
-        """Say what was recorded and what was lost."""
+        """Return a sentence with the samples recorded and lost."""
         first = self.topics[0]
         text = f"{first.written} samples of {first.topic} ({first.duration:.3f} s) are in {self.path}"
         missing = [f"{topic.dropped} of {topic.topic}" for topic in self.topics if topic.dropped]
@@ -113,7 +121,7 @@ class RecordingReport:
         return f"{text}; {lost}{silent}."
 
     def outcome(self) -> str:
-        """Say how the recording ended, the error first."""
+        """Return the error, if there was one, and the sentence."""
         return f"{self.error} {self.sentence()}".strip()
 
     def custom_data(self) -> dict[str, str]:

@@ -15,8 +15,7 @@ from drive_id.core.signals.sample_count import SampleCount
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import NANOSECONDS, BlockHead, read_head
 from drive_id.files.storage.mcap import McapStorage
-from drive_id.files.storage.mcap_stream import FileOpener, open_unbuffered
-from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
+from drive_id.files.write.rosbag2_writer import FileOpener, Qos, Rosbag2McapWriter, open_unbuffered
 from drive_id.live.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording_settings import RecordingSettings
 
@@ -37,13 +36,12 @@ class _Waiting(NamedTuple):
     topic: str
     data: bytes
     log_time: int
-    publish_time: int | None
     head: BlockHead | None
 
 
 @dataclass
 class _Received:
-    """What the receiving thread knows of a topic."""
+    """Counters of a topic that the receiving thread keeps."""
 
     count: SampleCount = field(default_factory=SampleCount)
     unreadable: int = 0
@@ -52,7 +50,7 @@ class _Received:
 
 @dataclass
 class _Written:
-    """What the writing thread knows of a topic."""
+    """Counters of a topic that the writing thread keeps."""
 
     messages: int = 0
     samples: int = 0
@@ -70,7 +68,7 @@ class _Written:
 
 
 class RecordingSession:
-    """Record messages, untouched, into a bag until :meth:`stop`, or until the disk refuses.
+    """Record serialized messages into a bag until :meth:`stop`, or until the disk refuses.
 
     Parameters
     ----------
@@ -109,7 +107,7 @@ class RecordingSession:
         self._before = self._snapshot()
         self._file_begin: int | None = None
         self._error = ""
-        self._open = True
+        self._open, self._failed = True, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
             path,
@@ -126,10 +124,10 @@ class RecordingSession:
 
     @property
     def error(self) -> str:
-        """Why the recording ended by itself; empty while it has not."""
+        """Why the recording ended before it was stopped; empty if it did not."""
         return self._error
 
-    def receive(self, topic: str, data: bytes, log_time: int, publish_time: int | None = None) -> None:
+    def receive(self, topic: str, data: bytes, log_time: int) -> None:
         """Count a message and enqueue it; to be called by one thread.
 
         Parameters
@@ -137,8 +135,8 @@ class RecordingSession:
         topic : str
         data : bytes
             CDR.
-        log_time, publish_time : int
-            ns; when it was received and published.
+        log_time : int
+            When it was received, ns.
         """
         if not self._open:
             return
@@ -153,11 +151,11 @@ class RecordingSession:
         if self._bytes_in - self._bytes_out + size > self._limit:
             received.overflowed += head.samples if head else 0
             return
-        self._queue.append(_Waiting(topic, data, log_time, publish_time, head))
+        self._queue.append(_Waiting(topic, data, log_time, head))
         self._bytes_in += size
 
     def stop(self, patience: float | None = None) -> bool:
-        """Write what waits and complete the bag; may be called again.
+        """Write the queue to the disk and complete the bag; may be called again.
 
         Parameters
         ----------
@@ -175,14 +173,16 @@ class RecordingSession:
         return not self._thread.is_alive()
 
     def report(self) -> RecordingReport:
-        """Tell what has become of the recording so far."""
+        """Return the state of the recording."""
         topics = []
         for name, received in self._received.items():
             count, written = received.count, self._written[name]
+            discarded = count.samples - written.samples - received.overflowed if self._failed else 0
             topics.append(
                 TopicReport(
                     name, written.messages, count.samples, written.samples, count.lost, count.losses,
-                    received.overflowed, count.restarts, received.unreadable, written.first_stamp, written.last_stamp,
+                    received.overflowed, discarded, count.restarts, received.unreadable, written.first_stamp,
+                    written.last_stamp,
                 )
             )  # fmt: skip
         files = self._writer.files
@@ -218,7 +218,7 @@ class RecordingSession:
             self._writer.split()
             self._file_begin = message.log_time
             self._before = self._snapshot()
-        self._writer.write(message.topic, message.data, message.log_time, message.publish_time)
+        self._writer.write(message.topic, message.data, message.log_time)
         self._written[message.topic].add(message.head)
         self._bytes_out += len(message.data) + _OVERHEAD
 
@@ -231,23 +231,25 @@ class RecordingSession:
         return (0 < size <= self._writer.file_size / 1e6) or (0 < duration <= (log_time - begin) / NANOSECONDS)
 
     def _fail(self, reason: str) -> None:
-        """End the bag behind what was written, and count anew what is there."""
+        """End the bag behind the last record that was written, and count its messages again."""
         self._open = False
         self._queue.clear()
         self._bytes_out = self._bytes_in
         advice = "what was written until then is complete and readable."
         try:
             self._writer.end_early()
-            self._recount()
+            self._count_written()
+            self._failed = True
             self._writer.describe(self.report().custom_data() | {"error": reason})
         except DriveIdError:
             advice = "what was written until then breaks off: complete it with 'drive-id recover'."
             with suppress(DriveIdError):
-                self._recount()
+                self._count_written()
+        self._failed = True
         self._error = f"{reason} The recording has ended; {advice}"
 
-    def _recount(self) -> None:
-        """Count what is in the last file, of which the writer knows only what it wanted to write."""
+    def _count_written(self) -> None:
+        """Count the messages in the last file again: some of those handed to the writer never reached the disk."""
         written = self._before
         file = self._writer.files[-1]
         storage = McapStorage(file, file)

@@ -16,8 +16,8 @@ from rclpy.node import Node
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Health
+from drive_id.live.data_directory import new_recording
 from drive_id.live.recorder_health import TopicState, recorder_health
-from drive_id.live.recording_names import recording_path
 from drive_id.live.recording_session import RecordedTopic, RecordingSession
 from drive_id.live.recording_settings import RecordingSettings
 from drive_id.nodes.diagnostics import Diagnostics
@@ -112,7 +112,7 @@ class Recorder(Node):
             response.message = f"{self._session.path} {verb}: stop it first."
             return response
         try:
-            path = recording_path(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
+            path = new_recording(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
             for topic in self._topics:
                 topic.match()
             self._drain()

@@ -21,8 +21,8 @@ from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
 from drive_id.files.messages.signals_file import parse_signals
-from drive_id.files.read import pieces as bag_pieces
-from drive_id.files.read import signal_stream
+from drive_id.files.read import extraction
+from drive_id.files.read import reader as bag_pieces
 from drive_id.files.read.reader import read_recordings
 from drive_id.files.results import checkpoint
 from drive_id.files.write.writer import write_recording
@@ -36,8 +36,8 @@ SETTINGS = FitSettings(method="joint")
 @pytest.fixture
 def long(monkeypatch):
     """Treat the short recordings of the tests as long ones."""
-    monkeypatch.setattr(signal_stream, "PART_BYTES", 20_000)
-    monkeypatch.setattr(signal_stream, "PART_SAMPLES", 700)
+    monkeypatch.setattr(extraction, "PART_BYTES", 20_000)
+    monkeypatch.setattr(extraction, "PART_SAMPLES", 700)
     monkeypatch.setattr(bag_pieces, "_LOCKING_PAIRS", 1000)
     monkeypatch.setattr(streaming, "Spans", partial(Spans, 1000, 4))
 

@@ -33,6 +33,11 @@ def test_nothing_is_wrong():
     assert running.values["samples"] == running.values["/resolver: samples written"] == "20"
 
 
+def test_samples_in_the_queue_are_not_dropped():
+    found = health(report(received=50, written=20, lost=4, losses=1, overflowed=3, waiting=1000))
+    assert found.values["samples dropped"] == found.values["/resolver: samples lost"] == "7"
+
+
 @pytest.mark.parametrize(
     ("fields", "level", "said"),
     [

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from datetime import datetime, timezone
 from pathlib import Path
@@ -22,7 +23,7 @@ from drive_id.errors import ConfigurationError, OutputError
 from drive_id.files.messages.block_codec import decode_block, encode_block, read_head
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import read_recording
-from drive_id.live.recording_names import recording_path
+from drive_id.live.data_directory import new_recording
 from drive_id.live.recording_session import RecordingSession
 from drive_id.live.recording_settings import RecordingSettings
 
@@ -126,6 +127,58 @@ def test_a_queue_that_is_full_loses_and_counts(tmp_path):
     assert 0 < report.topics[0].written < 30000
     assert report.overflowed == report.dropped == sum(30000 - topic.written for topic in report.topics)
     assert len(stock_messages(tmp_path / "bag")) == sum(topic.messages for topic in report.topics)
+
+
+def test_waiting_for_the_disk_is_not_a_loss_and_the_count_of_losses_only_grows(tmp_path):
+    class SlowDisk(io.FileIO):
+        def write(self, data):
+            time.sleep(0.02)
+            return super().write(data)
+
+    settings = RecordingSettings(flush_period=0.05, compression="none", chunk_size=8192)
+    session = record(tmp_path / "bag", settings, opener=lambda path: SlowDisk(path, "xb"))
+    dropped, waiting = [], []
+
+    def observe():
+        report = session.report()
+        dropped.append(report.dropped)
+        waiting.append(sum(topic.queued for topic in report.topics))
+
+    for number in range(60):
+        feed(session, 1, first=number, lose={(30, "/resolver")})
+        observe()
+        time.sleep(0.002)
+    stopping = threading.Thread(target=session.stop)
+    stopping.start()
+    while stopping.is_alive():
+        observe()
+        time.sleep(0.002)
+    observe()
+    assert max(waiting) > 400
+    assert waiting[-1] == 0
+    assert dropped == sorted(dropped)
+    assert set(dropped) == {0, 100}
+    information = metadata(tmp_path / "bag")["custom_data"]
+    assert information["samples_lost:/resolver"] == "100"
+
+
+def test_samples_that_the_disk_refused_are_dropped_and_none_is_counted_twice(tmp_path):
+    settings = RecordingSettings(compression="none", chunk_size=8192)
+    session = record(tmp_path / "bag", settings, opener=lambda path: FullDisk(path, 200_000))
+    dropped = []
+    number = 0
+    while not session.error:
+        feed(session, 1, first=number, lose={(3, "/resolver")})
+        dropped.append(session.report().dropped)
+        time.sleep(0.0005)
+        number += 1
+    session.stop()
+    report = session.report()
+    assert dropped == sorted(dropped)
+    for topic in report.topics:
+        assert topic.queued == 0
+        assert topic.dropped == topic.lost + topic.received - topic.written
+    assert report.dropped > 100
 
 
 # -- files ---------------------------------------------------------------------------------------------------------
@@ -291,19 +344,19 @@ NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=timezone.utc)
 
 
 def test_names(tmp_path):
-    assert recording_path(tmp_path, "run_1.b", NOW) == tmp_path / "run_1.b"
-    assert recording_path(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07"
+    assert new_recording(tmp_path, "run_1.b", NOW) == tmp_path / "run_1.b"
+    assert new_recording(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07"
     (tmp_path / "recording_2026-03-04_05-06-07").mkdir()
-    assert recording_path(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07_2"
-    assert recording_path(Path("data"), "x", NOW) == Path.cwd() / "data" / "x"
+    assert new_recording(tmp_path, "", NOW) == tmp_path / "recording_2026-03-04_05-06-07_2"
+    assert new_recording(Path("data"), "x", NOW) == Path.cwd() / "data" / "x"
 
 
 @pytest.mark.parametrize(
     "name", ["/tmp/x", "..", ".", "../x", "a/b", "a/../../b", ".hidden", "-x", "a\nb", "a\0b", "x" * 201, " ", "ä"]
 )
 def test_names_that_are_none(tmp_path, name):
-    with pytest.raises(ConfigurationError, match="is no name for a recording"):
-        recording_path(tmp_path, name, NOW)
+    with pytest.raises(ConfigurationError, match="is not a name for a recording"):
+        new_recording(tmp_path, name, NOW)
 
 
 def test_nothing_is_overwritten(tmp_path):
@@ -311,4 +364,4 @@ def test_nothing_is_overwritten(tmp_path):
     (tmp_path / "b").symlink_to(tmp_path / "nowhere")
     for name in ("a", "b"):
         with pytest.raises(OutputError, match="exists already"):
-            recording_path(tmp_path, name, NOW)
+            new_recording(tmp_path, name, NOW)

@@ -170,7 +170,8 @@ def test_names_are_confined(ros):
     recorder = Recorder(ros)
     (recorder.data / "there").mkdir(parents=True)
     for name, said in (
-        ("../out", "is no name"), ("/tmp/out", "is no name"), ("a/b", "is no name"), ("there", "exists already"),
+        ("../out", "is not a name"), ("/tmp/out", "is not a name"), ("a/b", "is not a name"),
+        ("there", "exists already"),
     ):  # fmt: skip
         reply = recorder.start(name)
         assert (reply.success, reply.uri) == (False, "")

@@ -1,4 +1,4 @@
-"""The truth of a simulation beside its recording: an ``.npz`` in an attachment, never in a topic."""
+"""Ground truth of a simulation: an ``.npz`` attached to the recording or beside it, never in a topic."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ERRORS = (
 
 
 def encode_truth(truth: GroundTruth) -> bytes:
-    """Write the ground truth as the content of an ``.npz`` file."""
+    """Return the ground truth as the content of an ``.npz`` file."""
     stream = io.BytesIO()
     arrays = {name: np.asarray(getattr(truth, name), float) for name in _ARRAYS}
     numbers = {name: np.asarray(getattr(truth, name)) for name in _NUMBERS}
@@ -41,12 +41,12 @@ def encode_truth(truth: GroundTruth) -> bytes:
 
 
 def decode_truth(data: bytes, where: str) -> GroundTruth:
-    """Read the ground truth back.
+    """Read the content of such a file.
 
     Raises
     ------
     BagError
-        When ``data``, found in ``where``, are not what :func:`encode_truth` writes.
+        When ``data``, from the recording ``where``, were not written by :func:`encode_truth`.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
@@ -69,7 +69,7 @@ def decode_truth(data: bytes, where: str) -> GroundTruth:
 
 
 def write_truth(path: Path, truth: GroundTruth) -> None:
-    """Write the ground truth as a file of its own, all of it or nothing; an existing file is replaced.
+    """Write the ground truth to a file, all of it or nothing; an existing file is replaced.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
-_DEFAULT_SPEED = 3000.0  # rpm, at which the default DC link still drives i_max through the machine
+_DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
 
 
 def read_machine(
@@ -40,18 +40,19 @@ def read_machine(
     path : path
         An ``.npz`` file, or a ``.mat`` file of SyR-e (up to MATLAB's version 7).
     resistance, pole_pairs, i_max, u_dc : float, optional
-        What takes the place of the file's own value, in ohm, 1, A, V. A file without ``i_max`` gets the radius of the
-        disc that its map covers, one without ``u_dc`` enough voltage for 3000 rpm.
+        Replaces the file's value, in ohm, 1, A, V. Without ``i_max``, the radius of the disc that the map covers is
+        used; without ``u_dc``, enough voltage for 3000 rpm.
 
     Returns
     -------
     MachineMap
-        With increasing axes. A map over i_q >= 0 only is mirrored: psi_d(-i_q, -theta) = psi_d, psi_q likewise negated.
+        With increasing axes. A map over i_q >= 0 only is mirrored: psi_d(-i_q, -theta) = psi_d(i_q, theta) and
+        psi_q(-i_q, -theta) = -psi_q(i_q, theta).
 
     Raises
     ------
     ConfigurationError
-        When the file is not such a file, a value is missing or wrong, or the map is not oriented as it must be.
+        When the file is not a machine file, a value is missing or wrong, or the axes are oriented differently.
     """
     path = Path(path)
     if not path.is_file():
@@ -68,7 +69,7 @@ def read_machine(
 
 
 def write_machine(path: str | os.PathLike[str], machine_map: MachineMap) -> None:
-    """Write a machine file in the ``.npz`` layout, all of it or nothing.
+    """Write a machine file (``.npz``), all of it or nothing.
 
     Parameters
     ----------
@@ -119,10 +120,10 @@ def _read_npz(path: Path) -> dict[str, Any]:
         with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
             names = {name.removesuffix(".npy"): name for name in archive.namelist()}
             return {key: _read_member(archive, names[key]) for key in wanted if key in names}
-    except Exception as error:  # zipfile and numpy raise whatever the damaged bytes lead them to
+    except Exception as error:  # zipfile and numpy raise many types on damaged files
         raise ConfigurationError(
-            f"Machine file '{path}' is damaged, no .npz archive, or holds objects instead of numbers: write it again "
-            "with numpy.savez."
+            f"Machine file '{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it "
+            "again with numpy.savez."
         ) from error
 
 
@@ -217,7 +218,7 @@ def _ascending(arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _check_orientation(path: Path, arrays: dict[str, FloatArray]) -> None:
-    """Flux must rise with its own current nearly everywhere, and the magnet's must lie on +d."""
+    """Check that flux rises with the current of its axis nearly everywhere, and that the magnet is on +d."""
     psi_d, psi_q = arrays["psi_d"], arrays["psi_q"]
 
     def rising(d: FloatArray, q: FloatArray) -> bool:
@@ -227,7 +228,7 @@ def _check_orientation(path: Path, arrays: dict[str, FloatArray]) -> None:
         hint = (
             "transpose psi_d and psi_q to [id, iq]" if rising(psi_d.T, psi_q.T) else "check signs and order of the axes"
         )
-        raise ConfigurationError(f"In machine file '{path}' flux does not rise with its own axis' current: {hint}.")
+        raise ConfigurationError(f"In machine file '{path}' flux does not rise with the current of its axis: {hint}.")
     i_d, i_q = arrays["id"], arrays["iq"]
     zero = (min(max(0.0, i_d[0]), i_d[-1]), min(max(0.0, i_q[0]), i_q[-1]))
     at_zero = [[np.interp(zero[1], i_q, line) for line in psi] for psi in (psi_d, psi_q)]

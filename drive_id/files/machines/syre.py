@@ -1,9 +1,8 @@
 """Flux maps in the ``.mat`` files of SyR-e (https://github.com/SyR-e/syre_public).
 
-They sit in the struct ``motorModel``: ``FluxMap_dq`` is indexed [iq, id] and ``FluxMap_dqt`` [id, iq, theta]. With
-``axisType`` 'SR' the d axis is that of largest permeance, 90 degrees ahead of the magnet axis, which is d in our
-convention and in the type 'PM'. So i_pm = J i_sr, the fluxes alike, and theta_pm = theta_sr - 90 degrees: the same
-fluxes of the phases must come out.
+They are in the struct ``motorModel``: ``FluxMap_dq`` is indexed [iq, id] and ``FluxMap_dqt`` [id, iq, theta]. With
+``axisType`` 'PM', as in our convention, d is the magnet axis; with 'SR' it is the axis of largest permeance, 90 degrees
+ahead. Equal phase fluxes require i_pm = J i_sr, psi_pm = J psi_sr and theta_pm = theta_sr - 90 degrees.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _OVER_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 
 
 def read_syre(path: Path) -> dict[str, Any]:
-    """Read the flux map of a SyR-e file: the one over the rotor position if there is one, else the averaged one.
+    """Read the flux map of a SyR-e file: the map over rotor position if there is one, else the averaged map.
 
     Parameters
     ----------
@@ -34,16 +33,16 @@ def read_syre(path: Path) -> dict[str, Any]:
     Raises
     ------
     ConfigurationError
-        When the file is not such a file.
+        When the file is not a SyR-e file with a flux map.
     """
     from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
 
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
-        raise ConfigurationError(f"Machine file '{path}' is of MATLAB's version 7.3: save it with '-v7'.") from error
-    except Exception as error:  # scipy raises whatever the damaged bytes lead it to
-        raise ConfigurationError(f"Machine file '{path}' is damaged or no MATLAB file: export it again.") from error
+        raise ConfigurationError(f"Machine file '{path}' has MATLAB's version 7.3: save it with '-v7'.") from error
+    except Exception as error:  # scipy raises many types on damaged files
+        raise ConfigurationError(f"Machine file '{path}' is damaged or not a MATLAB file: export it again.") from error
     model = content.get("motorModel")
     data = getattr(model, "data", None)
     flat, turning = getattr(model, "FluxMap_dq", None), getattr(model, "FluxMap_dqt", None)
@@ -68,7 +67,7 @@ def read_syre(path: Path) -> dict[str, Any]:
 
 
 def _syre_flat(flat: Any) -> dict[str, Any]:
-    """Take the averaged map, turned from [iq, id] to [id, iq]."""
+    """Return the averaged map, transposed from [iq, id] to [id, iq]."""
     i_d, i_q = (np.atleast_2d(np.asarray(x, np.float64)) for x in (flat.Id, flat.Iq))
     psi_d, psi_q = np.asarray(flat.Fd, np.float64), np.asarray(flat.Fq, np.float64)
     if not (
@@ -79,7 +78,7 @@ def _syre_flat(flat: Any) -> dict[str, Any]:
 
 
 def _syre_turning(turning: Any) -> dict[str, Any]:
-    """Take the map over the rotor position, without a repeated end point."""
+    """Return the map over rotor position, without a repeated end point."""
     values = {
         "id": np.asarray(turning.Id, np.float64),
         "iq": np.asarray(turning.Iq, np.float64),

@@ -1,7 +1,6 @@
-"""Blocks of samples to and from CDR, the one layout that all our sample messages share.
+"""Codec of our sample messages, which share one CDR layout: a header and two or three float32 arrays.
 
-A direct codec, because a block is a header and two or three float32 arrays: numpy reads these without a Python object
-per value. The tests hold it against the general deserializer of rosbags.
+The tests compare it with the general deserializer of rosbags.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _COUNTS = (struct.Struct(">QdI"), struct.Struct("<QdI"))
 
 
 class BlockHead(NamedTuple):
-    """What stands before the arrays of a block: stamp of the first sample (ns), counts, and sample period (s)."""
+    """Head of a block: stamp (ns) and running count of the first sample, sample period (s), number of samples."""
 
     stamp: int
     first_sample: int
@@ -38,11 +37,11 @@ class Block:
     stamp : int
         Time of the first sample, ns.
     first_sample : int
-        Running count of the first sample.
+        Running count of samples, at the first one.
     sample_period : float
         s, as declared; not checked here.
     values : tuple of (n,) float32
-        The arrays in order of definition, of equal length.
+        The arrays in order of definition, all of one length.
     """
 
     stamp: int
@@ -87,12 +86,12 @@ def encode_block(
 
 
 def read_head(data: bytes | memoryview) -> BlockHead:
-    """Read the head of one block of any of our types, without its arrays; about a microsecond.
+    """Read the head of a block of any of our types, without its arrays.
 
     Raises
     ------
     ValueError
-        When the bytes do not begin like such a message.
+        When the message does not begin like a block.
     """
     try:
         order = data[1]
@@ -111,7 +110,7 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
     Raises
     ------
     ValueError
-        When the bytes are not such a message; says what is wrong.
+        When the message is not such a block; says why.
     """
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("it does not begin like a CDR message")

@@ -1,6 +1,7 @@
-"""Our block messages straight from the records of MCAP chunks into arrays, without a Python object for any of them.
+"""Compiled reader of our sample messages: from the records of MCAP chunks into arrays, without Python objects.
 
-The layout is that of :mod:`~.block_codec`, little-endian. Whatever is not exactly so is left to it.
+It reads the layout of :mod:`~.block_codec`, little-endian, and leaves all other messages to that module. A file of its
+own, because nodes that only record must not load numba.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from drive_id.types import FloatArray, IntArray
 ByteArray = NDArray[np.uint8]
 
 STAMP, FIRST, SAMPLES, POSITION, LOGGED, SECTION = range(6)
-"""Columns of the table of blocks: ns, running count, number of samples, where the arrays begin, ns, section."""
+"""Columns of the table of blocks: stamp (ns), running count, samples, offset of the arrays, log time (ns), section."""
 DONE, DAMAGED, UNUSUAL = range(3)
-"""How :func:`read_blocks` ended: at the end, at a record that is damaged, at a message that is no such block."""
+"""Results of :func:`read_blocks`: end reached, damaged record, message in another layout."""
 
 _MESSAGE = 5
 _NANOSECONDS = 1_000_000_000
@@ -39,17 +40,17 @@ def read_blocks(
     ----------
     data : (B,) uint8
     start, stop : int
-        Where its records begin and end.
+        Begin and end of its records.
     sections : (65536,) int64
-        Of each channel, the section that its blocks are of; -1 for those to be passed over.
+        Section of each channel; -1 to skip the channel.
     fields : (S,) int64
         Number of arrays in the blocks of each section.
     table : (M, 6) int64
-        Filled, see the constants above; M must be at least ``(stop - start) / 31``.
+        Output, see the constants above; M must be at least ``(stop - start) / 31``.
     periods : (M,) float
-        Filled with their sample periods, s.
+        Output: sample periods, s.
     found : (65536,) int64
-        Messages of each channel; increased.
+        Number of messages of each channel; incremented.
 
     Returns
     -------
@@ -58,7 +59,7 @@ def read_blocks(
     count : int
         Blocks listed.
     position : int
-        Where the record begins that is damaged or unusual.
+        Begin of the record that is damaged or has another layout.
     """
     count, position = 0, start
     while position < stop:
@@ -87,7 +88,7 @@ def read_blocks(
 def _read_block(
     data: ByteArray, start: int, stop: int, fields: int, row: IntArray, periods: FloatArray, at: int
 ) -> bool:
-    """Fill the row with one block, and tell whether it is one without any fault."""
+    """Fill the row with one block; return False if the message has another layout or a fault."""
     body = start + 4
     if stop < body + 12 or data[start] != 0 or data[start + 1] != 1:
         return False
@@ -120,20 +121,20 @@ def copy_blocks(
     data: ByteArray, table: IntArray, columns: IntArray, periods: FloatArray, logged: bool, stamp: IntArray,
     values: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the samples of blocks of one section behind each other.
+    """Concatenate the samples of the blocks of one section.
 
     Parameters
     ----------
     data : (B,) uint8
     table : (M, 6) int64
     columns : (K,) int64
-        Which of the arrays to take.
+        Indices of the arrays to copy.
     periods : (M,) float
         s.
     logged : bool
-        Count time from when the blocks were logged, not from their stamps.
+        Take the time from the log times instead of the stamps.
     stamp : (N,) int64
-        N being the number of their samples; ns.
+        Output: time of each sample, ns.
     values : (N, K) float
     """
     row = 0
@@ -159,6 +160,6 @@ def _uint32(data: ByteArray, at: int) -> int:
 
 @compiled
 def _uint64(data: ByteArray, at: int) -> int:
-    """Return eight bytes as a number; what does not fit is negative."""
+    """Return eight bytes as a number; negative from 2**63 on."""
     number: int = np.int64(data[at : at + 8].view(np.int64)[0])
     return number

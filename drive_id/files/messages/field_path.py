@@ -1,4 +1,4 @@
-"""Paths into messages, as a signals file writes them: ``state.current[0]``, ``samples[:].a``, ``data[0::3]``."""
+"""Field paths of a signals file: ``state.current[0]``, ``samples[:].a``, ``data[0::3]``."""
 
 from __future__ import annotations
 
@@ -19,15 +19,12 @@ _SLICE = re.compile(r"\[(-?\d*):(-?\d*)(?::(\d+))?\]")
 
 
 class FieldPathError(ValueError):
-    """A message does not have what a path asks for; the text says what it has."""
+    """A message has no such field; the text names those it has."""
 
 
 @dataclass(frozen=True)
 class FieldPath:
-    """A parsed path: names of fields, indices and slices, applied from left to right.
-
-    After a slice, what follows applies to each of its elements.
-    """
+    """A parsed path: field names, indices and slices, applied from left to right; after a slice, to each element."""
 
     text: str
     steps: tuple[str | int | slice, ...]
@@ -52,7 +49,7 @@ class FieldPath:
         return array
 
     def find(self, message: object) -> Any:
-        """Return what the path points to, whatever it is; FieldPathError when there is nothing."""
+        """Return the value at the path; FieldPathError when there is none."""
         return _follow(message, self.steps, self.text)
 
 
@@ -97,7 +94,7 @@ def _follow(value: Any, steps: Sequence[str | int | slice], text: str) -> Any:
             value = getattr(value, step if step in names else f"{step}_")
             continue
         if not isinstance(value, (np.ndarray, list, tuple)):
-            raise FieldPathError(f"'{text}' takes an element of something that is no array")
+            raise FieldPathError(f"'{text}' takes an element of a field that is not an array")
         if isinstance(step, int):
             if not -len(value) <= step < len(value):
                 raise FieldPathError(f"'{text}' asks for element {step} of an array of {len(value)}")

@@ -1,4 +1,4 @@
-"""One message to its part of a signal: which fields, which time."""
+"""Reading one message: the samples that it holds of a signal, and their time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drive_id.files.messages.signals_file import (
     SignalMap,
     TimeSource,
 )
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import IntArray
 
 if TYPE_CHECKING:
@@ -38,19 +38,19 @@ DECODE_ERRORS = (
     MemoryError,
     RecursionError,
 )
-"""What a message that is not what its type says can raise in :data:`Reader`."""
+"""What a :data:`Reader` raises when a message does not fit its type."""
 STAMP_LIMIT = 2**61
-"""ns; stamps beyond it (73 years) could overflow in differences."""
+"""Largest stamp, ns (73 years): differences of larger ones could overflow."""
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """What one message gives to one signal.
+class MessageSamples:
+    """The samples of one signal in one message.
 
     Parameters
     ----------
     stamp : int or (n,) int64
-        ns, of the first sample or of each.
+        Of the first sample or of each, ns.
     first_sample : int or None
     sample_period : float or None
         s.
@@ -63,7 +63,7 @@ class Piece:
     columns: tuple[NDArray[np.floating], ...]
 
 
-Reader = Callable[[RawMessage], Piece]
+Reader = Callable[[RawMessage], MessageSamples]
 
 
 def _value_paths(source: TimeSource) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ def _value_paths(source: TimeSource) -> tuple[str, ...]:
 
 
 def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
-    """Choose how to read one signal from the messages of a topic."""
+    """Return the function that reads one signal from a message of a topic."""
     if topic.encoding != "cdr":
         raise MessageTypeError(
             f"{topic.name} is encoded as '{topic.encoding}', not as CDR: record it with ROS 2, or convert the bag."
@@ -86,7 +86,7 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
-    """Return which arrays of our own messages the signal is in; ``None`` when it is not to be read from such."""
+    """Return the arrays of our own messages that hold the signal; ``None`` if it is not read from such messages."""
     paths = _value_paths(source)
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
     usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
@@ -97,7 +97,7 @@ def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> l
 
 
 def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
-    """Tell whether a topic's messages have the fields of ours of that name; the very text need not be parsed."""
+    """Tell whether a topic has our message of that name; a definition with our very text is not parsed."""
     given = (topic.definition_format, topic.definition)
     if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
         return True
@@ -105,19 +105,19 @@ def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
 
 
 def _typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
-    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # bags of our own messages need no rosbags
+    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # not needed for bags of our own messages
 
     return typestore_for(topic, signals)
 
 
 def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
-    """Read our own messages, without a Python object per message field."""
+    """Read our own messages by :func:`decode_block`."""
     logged = source.stamp == "log_time"
 
-    def read(message: RawMessage) -> Piece:
+    def read(message: RawMessage) -> MessageSamples:
         block = decode_block(message.data, count)
         stamp = message.log_time if logged else block.stamp
-        return Piece(stamp, block.first_sample, block.sample_period, tuple(block.values[k] for k in columns))
+        return MessageSamples(stamp, block.first_sample, block.sample_period, tuple(block.values[k] for k in columns))
 
     return read
 
@@ -133,7 +133,7 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
     stamp_path = parse_field_path("header.stamp" if source.stamp in ("header", "log_time") else source.stamp, "stamp")
     factor = STAMP_UNITS[source.stamp_unit]
 
-    def read(message: RawMessage) -> Piece:
+    def read(message: RawMessage) -> MessageSamples:
         try:
             decoded = store.deserialize_cdr(message.data, type_name)
         except SerdeError as error:
@@ -146,7 +146,7 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
             raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {len(columns[0])} samples")
         count = None if count_path is None else int(_one(count_path, decoded))
         declared = _one(period_path, decoded) if period_path else period
-        return Piece(stamp, count, None if declared is None else float(declared), columns)
+        return MessageSamples(stamp, count, None if declared is None else float(declared), columns)
 
     return read
 
@@ -170,11 +170,11 @@ def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
     if raw.dtype.kind in "iu":
         limit = STAMP_LIMIT // int(factor)
         if raw.size and (int(raw.max()) > limit or int(raw.min()) < -limit):
-            raise FieldPathError(f"'{path.text}' is no time")
+            raise FieldPathError(f"'{path.text}' is not a time")
         exact: IntArray = raw.astype(np.int64) * int(factor)
     else:
         values = path.values(decoded) * factor
         if not (np.abs(values) < STAMP_LIMIT).all():
-            raise FieldPathError(f"'{path.text}' is no time")
+            raise FieldPathError(f"'{path.text}' is not a time")
         exact = np.rint(values).astype(np.int64)
     return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact

@@ -1,4 +1,4 @@
-"""Message definitions for the topics of any bag: embedded in it, from a signals file, or of a ROS distribution."""
+"""Message definitions for any bag: embedded in it, from a signals file, or from a ROS distribution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 from drive_id.errors import MessageTypeError
 from drive_id.files.messages.messages import DEFINITIONS, message_typestore
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.storage.storage import TopicInfo
+from drive_id.files.storage.container import TopicInfo
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
@@ -36,12 +36,12 @@ def typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
     Raises
     ------
     MessageTypeError
-        When the definition is missing or makes no sense.
+        When the definition is missing or cannot be parsed.
     """
     name = topic.type_name
     if not _TYPE_NAME.fullmatch(name):
         shown = " ".join(name.split())[:80]
-        raise MessageTypeError(f"{topic.name} is of type '{shown}', which is no message type: name another topic.")
+        raise MessageTypeError(f"{topic.name} is of type '{shown}', which is not a message type: name another topic.")
     try:
         if name in signals.definitions or not topic.definition:
             store = _known(name, signals)
@@ -87,9 +87,9 @@ def _embedded(name: str, form: str, definition: str) -> Typestore:
 
 
 def _register(store: Typestore, types: Typesdict) -> None:
-    """Register parsed types, but only names that are names: rosbags makes Python source of them."""
+    """Register parsed types, after checking all names: rosbags generates Python source from them."""
     for name, (constants, fields) in types.items():
         members = [str(member[0]) for member in (*constants, *fields)]
         if not _TYPE_NAME.fullmatch(name) or not all(_FIELD_NAME.fullmatch(member) for member in members):
-            raise ValueError(f"'{name[:80]}' or one of its fields is no name")
+            raise ValueError(f"'{name[:80]}' or one of its fields is not a name")
     store.register(types)

@@ -1,7 +1,7 @@
-"""The sample messages of ``drive_id_msgs``, known without ROS: definitions, type hashes and a typestore.
+"""The sample messages of ``drive_id_msgs`` without ROS: definitions, type hashes and a typestore.
 
-The texts follow ``msg_defs/msg/*.msg`` token by token (a test compares them), so that ``pip install`` alone can read
-and write bags; the hashes are those that ROS 2 computes from the same definitions.
+The texts are those of ``msg_defs/msg/*.msg`` (a test compares them token by token), so that bags can be read and
+written after ``pip install`` alone; the hashes are those that ROS 2 computes from the same definitions.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BLOCK_FIELDS: dict[str, tuple[str, ...]] = {
 """The ``float32[]`` fields of each message, in order of definition."""
 
 DEFINITIONS: dict[str, str] = {name: _HEAD + body for name, body in _BODIES.items()}
-"""The text of each message's own ``.msg`` file."""
+"""The text of each ``.msg`` file."""
 
 _SEPARATOR = "=" * 80
 _DEPENDENCIES = f"""\
@@ -62,8 +62,8 @@ def schema_text(type_name: str) -> str:
 
 @cache
 def message_typestore() -> Typestore:
-    """Return a typestore that knows our messages and what they are made of, and nothing else."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  # our own bags need it not
+    """Return a typestore of our messages and their dependencies."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  # not needed for bags of our own messages
 
     store = get_typestore(Stores.EMPTY)
     for name in DEFINITIONS:

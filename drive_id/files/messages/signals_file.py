@@ -1,4 +1,4 @@
-"""Signals files: which topics and fields of any bag are the currents, voltages and rotor position of a drive.
+"""Signals files: which topics and fields of a bag hold the currents, voltages and rotor position of a drive.
 
 The defaults describe the messages of ``drive_id_msgs``. ``config/signals_example_stranger.yaml`` shows every field.
 """
@@ -14,7 +14,7 @@ import yaml
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.field_path import parse_field_path
-from drive_id.files.storage.storage import reason
+from drive_id.files.storage.container import reason
 from drive_id.settings import check, from_mapping, setting
 
 STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
@@ -259,7 +259,7 @@ def _parsed_yaml(text: str, where: str) -> tuple[dict[str, Any], dict[str, int]]
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
-        raise ConfigurationError(f"{where} is no YAML{line}: correct its indentation and punctuation.") from error
+        raise ConfigurationError(f"{where} is not YAML{line}: correct its indentation and punctuation.") from error
     finally:
         loader.dispose()
     if not isinstance(tree, dict):

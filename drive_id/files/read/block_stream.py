@@ -1,4 +1,4 @@
-"""The messages of one topic, as they arrive, to parts of a signal."""
+"""Live messages of one topic to signals, one message at a time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _LONGEST_PERIOD = 1e4
 
 
 class BlockStream:
-    """Decodes blocks and follows their running count.
+    """Decodes blocks and counts lost samples.
 
     Parameters
     ----------
     topic : str
-        For messages.
+        Name of the topic in errors.
     type_name : str
         One of our sample messages.
     """
@@ -36,14 +36,14 @@ class BlockStream:
         Returns
         -------
         Signal
-            Its losses are those since the message before.
+            ``lost`` and ``losses`` count the samples missing since the previous message.
 
         Raises
         ------
         MessageTypeError
-            When it is no such message.
+            When the message is not of this type.
         SamplePeriodError
-            When it declares a period that is no time.
+            When the declared period is not positive, or absurdly long.
         """
         try:
             block = decode_block(data, self._fields)

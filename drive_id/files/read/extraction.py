@@ -1,27 +1,54 @@
-"""Messages of a bag to signals: all pieces of a topic put together, in SI units."""
+"""Messages of a bag to signals in SI units: all at once, or part by part in bounded memory."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
-from drive_id.files.messages.block_kernel import FIRST, LOGGED, SAMPLES, STAMP, ByteArray, copy_blocks
-from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, Piece, Reader, message_reader
+from drive_id.files.messages.block_kernel import (
+    DAMAGED,
+    FIRST,
+    LOGGED,
+    SAMPLES,
+    SECTION,
+    STAMP,
+    UNUSUAL,
+    ByteArray,
+    copy_blocks,
+    read_blocks,
+)
+from drive_id.files.messages.message_reader import (
+    DECODE_ERRORS,
+    STAMP_LIMIT,
+    MessageSamples,
+    Reader,
+    block_columns,
+    message_reader,
+)
+from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import PhaseSource, ReferenceSource, RotorSource, SignalMap, TimeSource
 from drive_id.files.storage.bag import Bag
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
 from drive_id.types import FloatArray, IntArray
 
+PART_BYTES = 1 << 21
+"""Size of a part read from the chunks of MCAP files, bytes."""
+PART_SAMPLES = 1 << 15
+"""Size of a part read message by message, samples of the currents."""
+_LEAST_MESSAGE = RECORD.size + MESSAGE.size
 _LONGEST_PERIOD = 1e4
 _SAME_PERIOD = 1e-6
 
 
 def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> dict[str, Signal]:
-    """Read the signals of a drive from a bag in one pass.
+    """Read the signals of a drive from a bag at once.
 
     Parameters
     ----------
@@ -33,83 +60,222 @@ def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) 
     Returns
     -------
     dict
-        Section to signal, in SI units; the reference only when its topic is there.
+        Section to signal, in SI units; the reference only if its topic is there.
 
     Raises
     ------
     MessageTypeError
-        When a topic is of a type, or lacks a field, from which the signal cannot be read.
+        When a topic has a type or a field from which the signal cannot be read.
     EmptyTopicError
         When a topic holds no sample.
     SamplePeriodError
-        When the declared period of a topic changes, is no time, or is missing where it is needed.
+        When the declared period of a topic changes, is not positive, or is missing where it is needed.
     BagError
-        When the bag is damaged, or holds other than the declared number of messages.
+        When the bag is damaged, or holds more or fewer messages than declared.
     """
-    sources = readable_sources(bag, signals, topics)
-    readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
-    for section, source in sources.items():
-        readers[topics[section].name].append((section, message_reader(topics[section], source, signals)))
-    pieces: dict[str, list[Piece]] = defaultdict(list)
-    with np.errstate(invalid="ignore", over="ignore"):  # join names values that are not finite
-        for section, piece in read_pieces(bag, readers, topics):
+    return SignalStream(bag, signals, topics).whole()
+
+
+class UnusualError(Exception):
+    """The bag cannot be read part by part: read it as a whole."""
+
+
+@dataclass(frozen=True)
+class SignalPart:
+    """One part of the signals.
+
+    Parameters
+    ----------
+    signals : dict of str to Signal
+        By section of the signal map; sections without a sample in this part are missing.
+    progress : float
+        SignalPart of the bag read so far, 0 to 1.
+    """
+
+    signals: dict[str, Signal]
+    progress: float
+
+
+class SignalStream:
+    """The signals of one drive in an open bag.
+
+    Parameters
+    ----------
+    bag : Bag
+    signals : SignalMap
+    topics : dict
+        Section of the signal map to its topic in the bag.
+
+    Raises
+    ------
+    MessageTypeError, EmptyTopicError
+    """
+
+    def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
+        self._bag = bag
+        self._topics = topics
+        self._sources = {section: source for section, source in signals.sources().items() if section in topics}
+        self._refuse_empty(section for section in self._sources if topics[section].count == 0)
+        self._builders = {
+            section: SignalBuilder(topics[section].name, section, source) for section, source in self._sources.items()
+        }
+        self._readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
+        self._columns: list[list[int]] = []
+        for section, source in self._sources.items():
+            self._readers[topics[section].name].append((section, message_reader(topics[section], source, signals)))
+            self._columns.append(block_columns(topics[section], source, signals) or [])
+
+    @property
+    def ours(self) -> bool:
+        """Whether all signals are blocks of our own messages in MCAP files, on a topic each."""
+        apart = len(self._readers) == len(self._sources)
+        mcap = all(isinstance(storage, McapStorage) for storage in self._bag.storages)
+        return apart and mcap and all(self._columns)
+
+    @property
+    def continuous(self) -> bool:
+        """Whether every part is complete by itself: all sample periods are declared and the speed is recorded."""
+        resolver = self._sources["resolver"]
+        speed = isinstance(resolver, RotorSource) and bool(resolver.speed)
+        return speed and all(source.sample_period is not None for source in self._sources.values())
+
+    def whole(self) -> dict[str, Signal]:
+        """Return the complete signals; see :func:`extract_signals`."""
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        for section, piece in self._pieces():
             pieces[section].append(piece)
-        return _all_assembled(bag, pieces, sources, topics)
+        self._refuse_empty(section for section in self._sources if section not in pieces)
+        return self._built({section: pieces[section] for section in self._sources})
 
+    def parts(self) -> Generator[SignalPart, None, None]:
+        """Yield the signals part by part; for the errors, see :func:`extract_signals`.
 
-def readable_sources(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> dict[str, TimeSource]:
-    """Return where the signals come from that are in the bag; EmptyTopicError when a topic of them is empty."""
-    sources = {section: source for section, source in signals.sources().items() if section in topics}
-    for section in sources:
-        if topics[section].count == 0:
-            raise empty_error(bag, topics[section].name)
-    return sources
+        Raises
+        ------
+        UnusualError
+            When blocks of our own messages are stored in a form that the compiled reader does not know.
+        """
+        seen: set[str] = set()
+        for part in self._chunk_parts() if self.ours else self._message_parts():
+            seen.update(part.signals)
+            yield part
+        self._refuse_empty(section for section in self._sources if section not in seen)
 
+    def _refuse_empty(self, sections: Iterator[str]) -> None:
+        for section in sections:
+            raise EmptyTopicError(
+                f"{self._topics[section].name} in {self._bag.path} holds no sample: record again while the drive "
+                "publishes it."
+            )
 
-def read_pieces(
-    bag: Bag, readers: dict[str, list[tuple[str, Reader]]], topics: dict[str, TopicInfo]
-) -> Iterator[tuple[str, Piece]]:
-    """Yield section and piece for each message of the topics, empty ones aside, in order of arrival."""
-    for message in bag.messages(frozenset(readers)):
-        for section, reader in readers[message.topic]:
-            piece = read_piece(bag, message, reader, topics[section])
-            if len(piece.columns[0]):
-                yield section, piece
+    # -- message by message ----------------------------------------------------------------------------------------
 
+    def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
+        """Yield section and piece for each message with samples, in order of arrival."""
+        for message in self._bag.messages(frozenset(self._readers)):
+            for section, reader in self._readers[message.topic]:
+                piece = self._read_message(message, section, reader)
+                if len(piece.columns[0]):
+                    yield section, piece
 
-def read_piece(bag: Bag, message: RawMessage, reader: Reader, topic: TopicInfo) -> Piece:
-    """Read one message; MessageTypeError when it is not what its type says."""
-    try:
-        return reader(message)
-    except DECODE_ERRORS as error:
-        raise MessageTypeError(
-            f"A message on {message.topic} of {bag.path}, logged at {message.log_time} ns, cannot be read as "
-            f"{topic.type_name} ({_said(error)}): name the right fields in a signals file."
-        ) from error
+    def _read_message(self, message: RawMessage, section: str, reader: Reader) -> MessageSamples:
+        try:
+            return reader(message)
+        except DECODE_ERRORS as error:
+            said = (str(error) or type(error).__name__).split("\n")[0][:200]
+            raise MessageTypeError(
+                f"A message on {message.topic} of {self._bag.path}, logged at {message.log_time} ns, cannot be read as "
+                f"{self._topics[section].type_name} ({said}): name the right fields in a signals file."
+            ) from error
 
+    def _message_parts(self) -> Iterator[SignalPart]:
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        count = 0
+        for section, piece in self._pieces():
+            pieces[section].append(piece)
+            if section == "currents":
+                count += len(piece.columns[0])
+            if count >= PART_SAMPLES:
+                yield SignalPart(self._built(pieces), self._progress())
+                pieces, count = defaultdict(list), 0
+        yield SignalPart(self._built(pieces), self._progress())
 
-def _all_assembled(
-    bag: Bag, pieces: dict[str, list[Piece]], sources: dict[str, TimeSource], topics: dict[str, TopicInfo]
-) -> dict[str, Signal]:
-    found = {}
-    for section, source in sources.items():
-        if not pieces[section]:
-            raise empty_error(bag, topics[section].name)
-        found[section] = SignalBuilder(topics[section].name, section, source).build(pieces[section])
-    return found
+    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
+        with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
+            return {section: self._builders[section].build(found) for section, found in pieces.items()}
 
+    def _progress(self) -> float:
+        return sum(storage.progress for storage in self._bag.storages) / max(len(self._bag.storages), 1)
 
-def empty_error(bag: Bag, topic: str) -> EmptyTopicError:
-    """Return the error for a topic without a sample."""
-    return EmptyTopicError(f"{topic} in {bag.path} holds no sample: record again while the drive publishes it.")
+    # -- our own blocks, straight from the chunks of MCAP files ----------------------------------------------------
 
+    def _chunk_parts(self) -> Iterator[SignalPart]:
+        found: Counter[str] = Counter()
+        for storage in self._bag.storages:
+            assert isinstance(storage, McapStorage)
+            channels = storage.channels(self._readers)
+            counts: Counter[int] = Counter()
+            chunks: list[PlainChunk] = []
+            size = 0
+            for chunk in storage.chunks(channels):
+                chunks.append(chunk)
+                size += len(chunk.data)
+                if size >= PART_BYTES:
+                    yield self._read_chunks(storage, channels, chunks, counts)
+                    chunks, size = [], 0
+            yield self._read_chunks(storage, channels, chunks, counts)
+            storage.check_counts(channels, counts)
+            for key, topic in channels.items():
+                found[topic] += counts[key]
+        self._bag.check_counts(frozenset(self._readers), found)
 
-def _said(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).split("\n")[0][:200]
+    def _read_chunks(
+        self, storage: McapStorage, channels: dict[int, str], chunks: list[PlainChunk], counts: Counter[int]
+    ) -> SignalPart:
+        data = np.frombuffer(b"".join(chunk.data for chunk in chunks), np.uint8)
+        sections = np.full(1 << 16, -1, np.int64)
+        names = list(self._sources)
+        for key, topic in channels.items():
+            sections[key] = names.index(self._readers[topic][0][0])
+        fields = np.array([len(BLOCK_FIELDS[self._topics[section].type_name]) for section in names], np.int64)
+        table = np.empty((len(data) // _LEAST_MESSAGE + 1, 6), np.int64)
+        periods = np.empty(len(table))
+        count = start = 0
+        found = np.zeros(len(sections), np.int64)
+        for chunk in chunks:
+            stop, room = start + len(chunk.data), slice(count, None)
+            end, more, position = read_blocks(data, start, stop, sections, fields, table[room], periods[room], found)
+            if end == DAMAGED:
+                storage.refuse(chunk)
+            if end == UNUSUAL:
+                self._refuse_message(channels, chunk.data, position - start)
+            count += more
+            start = stop
+        table, periods = table[:count], periods[:count]
+        for key in channels:
+            counts[key] += int(found[key])
+        signals = {}
+        for number, section in enumerate(names):
+            own = (table[:, SECTION] == number) & (table[:, SAMPLES] > 0)
+            if own.any():
+                build = self._builders[section].build_blocks
+                signals[section] = build(data, table[own], periods[own], self._columns[number])
+        return SignalPart(signals, self._progress())
+
+    def _refuse_message(self, channels: dict[int, str], data: bytes, position: int) -> NoReturn:
+        """Raise the error for the message at a position of a chunk, or UnusualError if it is correct."""
+        body = position + RECORD.size
+        length = RECORD.unpack_from(data, position)[1]
+        channel, _, log_time, _ = MESSAGE.unpack_from(data, body)
+        topic = channels[channel]
+        message = RawMessage(topic, log_time, memoryview(data)[body + MESSAGE.size : body + length])
+        ((section, reader),) = self._readers[topic]
+        self._read_message(self._bag.decompressed(message), section, reader)
+        raise UnusualError
 
 
 class SignalBuilder:
-    """Puts the pieces of one signal together, in order of arrival, all at once or some at a time.
+    """Puts the pieces of one signal together in order of arrival, all at once or part by part.
 
     Parameters
     ----------
@@ -128,8 +294,8 @@ class SignalBuilder:
         self._begun = False
         self._expected: int | None = None
 
-    def build(self, pieces: list[Piece]) -> Signal:
-        """Return the next pieces, at least one, as a signal.
+    def build(self, pieces: list[MessageSamples]) -> Signal:
+        """Return the next pieces, one or more, as a signal.
 
         Raises
         ------
@@ -161,7 +327,7 @@ class SignalBuilder:
         return self._signal(stamp, _in_si_units(columns, self.source), block_start, lost)
 
     def build_blocks(self, data: ByteArray, table: IntArray, periods: FloatArray, columns: list[int]) -> Signal:
-        """Return blocks of our own messages, at least one and none of them empty, as a signal.
+        """Return blocks of our own messages, one or more and none of them empty, as a signal.
 
         Parameters
         ----------
@@ -205,11 +371,11 @@ class SignalBuilder:
         for stamp in (earliest, latest):
             if abs(stamp) >= STAMP_LIMIT:
                 raise MessageTypeError(
-                    f"A stamp of {self.topic} is {stamp} ns, beyond all clocks: give the right stamp and stamp_unit."
+                    f"A stamp of {self.topic} is {stamp} ns, out of range: give the right stamp and stamp_unit."
                 )
 
     def _block_period(self, largest: int) -> float:
-        """Return the declared period, s, of messages of up to so many samples."""
+        """Return the declared period, s, of messages of up to ``largest`` samples."""
         if self.period is None:
             raise SamplePeriodError(
                 f"Messages on {self.topic} hold up to {largest} samples: give their sample_period in section "
@@ -225,8 +391,8 @@ class SignalBuilder:
         if not self._begun:
             self.period, self._begun = period, True
 
-    def _check_periods(self, pieces: list[Piece]) -> None:
-        """Check the period that all messages declare, s."""
+    def _check_periods(self, pieces: list[MessageSamples]) -> None:
+        """Check that all messages declare the same period."""
         self._begin(pieces[0].sample_period)
         for piece in pieces:
             if piece.sample_period is not None and self.period is not None:
@@ -246,7 +412,7 @@ class SignalBuilder:
             )
 
     def _losses(self, first: Sequence[int] | IntArray, count: IntArray) -> tuple[int, int]:
-        """Count samples missing by the messages' own count, and the places; a count that starts again is no loss."""
+        """Return the number of samples missing by ``first_sample``, and of gaps; a count that restarts is no loss."""
         begin = np.array(first, object) if isinstance(first, list) else first
         due = begin + count
         before = np.append(begin[0] if self._expected is None else self._expected, due[:-1])
@@ -256,7 +422,7 @@ class SignalBuilder:
 
 
 def _plain(source: TimeSource) -> bool:
-    """Tell whether the fields of a source are in SI units and electrical radians already."""
+    """Tell whether the fields of a source are in SI units and electrical radians."""
     if isinstance(source, PhaseSource):
         return len(source.fields) == 3 and set(source.factors) == {1.0}
     if isinstance(source, RotorSource):

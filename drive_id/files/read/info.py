@@ -1,4 +1,4 @@
-"""What a recording holds, told without reading its messages, and without loading numpy: it is asked from a shell."""
+"""Contents of a recording, without reading its messages and without numpy, for a fast ``drive-id info``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 
 from drive_id.errors import BagError, DriveIdError
 from drive_id.files.storage.bag import Bag, open_bag
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo, file_size
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
 
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a recording holds, as far as it can be told without reading its messages.
+    """Contents of a recording, as its files declare them.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class BagInfo:
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : str
-        Empty for none; ``(file)`` marks that of whole files.
+        Empty for none; ``(file)`` after it means whole files, ``(message)`` single messages.
     files : tuple of str
     size : int
         Of all files, bytes.
@@ -36,7 +36,7 @@ class BagInfo:
     problem : str
         What is wrong with an incomplete one.
     ground_truth : bool
-        Whether it carries the truth of a simulation.
+        Whether the ground truth of a simulation is attached.
     """
 
     path: str
@@ -54,7 +54,7 @@ class BagInfo:
 
 
 def bag_info(path: Path) -> BagInfo:
-    """Describe a recording, also one that breaks off.
+    """Describe a recording, also an incomplete one.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def bag_info(path: Path) -> BagInfo:
         When nothing of it can be read.
     """
     with printable_errors(), open_bag(path, salvage=True) as bag:
-        problems = [text for storage in bag.storages if (text := getattr(storage, "damage", ""))]
+        problems = [storage.damage for storage in bag.storages if storage.damage]
         declared = bag.metadata.counts if bag.metadata else {}
         for name, topic in bag.topics.items():
             if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:
@@ -89,7 +89,7 @@ def bag_info(path: Path) -> BagInfo:
 
 @contextmanager
 def printable_errors() -> Iterator[None]:
-    """Keep errors in one line, whatever a damaged bag has for names."""
+    """Replace unprintable characters in errors, which damaged bags have in their names."""
     try:
         yield
     except DriveIdError as error:

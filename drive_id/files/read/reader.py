@@ -1,29 +1,42 @@
-"""Recordings to samples: the one entry for our bags and for anyone's."""
+"""Recordings to joined samples, at once or piece by piece: the one way in for our bags and for any other."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import queue
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
-from drive_id.core.signals.join import join
+from drive_id.core.signals.held_references import HeldReferences
+from drive_id.core.signals.join import JoinResult, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
+from drive_id.core.signals.stream_join import Piece, StreamJoin
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.extraction import extract_signals
+from drive_id.files.read.extraction import SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, TopicInfo
-from drive_id.types import GroundTruth, Samples
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
+from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
 
 REQUIRED = ("currents", "voltages", "resolver")
+CAPACITY = 1 << 20
+"""Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
+_LOCKING_PAIRS = 1 << 17
+_AHEAD = 2
+_WAIT = 0.1
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What was read of one bag or of several.
+    """The content of one bag or of several.
 
     Parameters
     ----------
@@ -32,7 +45,7 @@ class Recording:
     reports : tuple of JoinReport
         One per bag.
     truth : GroundTruth or None
-        Of the simulation, when all bags carry one of the same machine.
+        Of the simulation; None unless all bags have one.
     digests : dict of str to str
         Storage file to its sha256.
     topics : dict of str to str
@@ -70,20 +83,12 @@ def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: s
     ConfigurationError
         When it holds several drives and none was chosen.
     """
-    signals = signals or SignalMap()
-    with printable_errors(), open_bag(path) as bag:
-        topics = find_topics(bag, signals, namespace)
-        found = extract_signals(bag, signals, topics)
-        data = bag.attachment(TRUTH_ATTACHMENT)
-        truth = None if data is None else decode_truth(data, str(path))
-        files, cut_off = bag.files, bag.warnings
-    try:
-        result = join(found["currents"], found["voltages"], found["resolver"], found.get("reference"))
-    except DataError as error:
-        raise type(error)(f"In {path}: {error}") from error
-    digests = {str(file): file_digest(file) for file in files}
-    names = {section: topic.name for section, topic in topics.items()}
-    return Recording(result.samples, (result.report,), truth, digests, names, (*cut_off, *result.report.warnings))
+    with _opened(path, signals or SignalMap(), namespace) as (bag, topics, truth, stream):
+        result = _joined_at_once(path, stream)
+        digests = {str(file): file_digest(file) for file in bag.files}
+        names = {section: topic.name for section, topic in topics.items()}
+        warnings = (*bag.warnings, *result.report.warnings)
+    return Recording(result.samples, (result.report,), truth, digests, names, warnings)
 
 
 def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
@@ -118,17 +123,160 @@ def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, 
     )
 
 
-def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:
-    """Find the topic of each section of a signal map.
+@dataclass(frozen=True, eq=False)
+class BagFacts:
+    """What :func:`bag_pieces` returns when all of a bag has been read.
 
-    Absolute names are taken as they are; relative ones are searched for below one common namespace.
+    Parameters
+    ----------
+    files : tuple of Path
+    truth : GroundTruth or None
+    warnings : tuple of str
+    """
+
+    files: tuple[Path, ...]
+    truth: GroundTruth | None
+    warnings: tuple[str, ...]
+
+
+def bag_pieces(
+    path: Path,
+    signals: SignalMap,
+    namespace: str = "",
+    *,
+    whole: bool = False,
+    threads: bool = True,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Generator[Piece, None, BagFacts]:
+    """Yield the joined samples of a bag in order of time, in bounded memory; return files, truth and warnings.
+
+    Parameters
+    ----------
+    path : Path
+    signals : SignalMap
+    namespace : str
+        Of the drive, when the bag holds several.
+    whole : bool
+        Read all of the bag before joining, for those that raise UnusualError otherwise.
+    threads : bool
+        Read, unpack and join ahead in other threads.
+    tell : callable
+        Called with the part of the bag that has been read, 0 to 1.
+
+    Raises
+    ------
+    UnusualError
+        When the bag must be read as a whole; discard the pieces yielded so far.
+    BagError, DataError, ConfigurationError
+        See :func:`read_recording`.
+    """
+    with _opened(path, signals, namespace) as (bag, topics, truth, stream):
+        if whole or not stream.continuous:
+            result = _joined_at_once(path, stream)
+            warnings = list(result.report.warnings)
+            yield Piece(result.samples, False)
+        else:
+            warnings = []
+            with closing(prefetched(_joined(path, stream, topics, warnings, threads), _AHEAD, threads)) as pieces:
+                for piece, progress in pieces:
+                    yield piece
+                    tell(progress)
+        return BagFacts(bag.files, truth, (*bag.warnings, *warnings))
+
+
+@contextmanager
+def _opened(
+    path: Path, signals: SignalMap, namespace: str
+) -> Iterator[tuple[Bag, dict[str, TopicInfo], GroundTruth | None, SignalStream]]:
+    with printable_errors(), open_bag(path) as bag:
+        topics = find_topics(bag, signals, namespace)
+        data = bag.attachment(TRUTH_ATTACHMENT)
+        truth = None if data is None else decode_truth(data, str(path))
+        yield bag, topics, truth, SignalStream(bag, signals, topics)
+
+
+def _joined_at_once(path: Path, stream: SignalStream) -> JoinResult:
+    found = stream.whole()
+    with _naming(path):
+        return join(found["currents"], found["voltages"], found["resolver"], found.get("reference"))
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Add the path of the bag to errors of its samples."""
+    try:
+        yield
+    except DataError as error:
+        raise type(error)(f"In {path}: {error}") from error
+
+
+def _joined(
+    path: Path, stream: SignalStream, topics: dict[str, TopicInfo], warnings: list[str], threads: bool
+) -> Generator[tuple[Piece, float], None, None]:
+    """Yield joined samples with the part of the bag that was read for them; add the warnings at the end."""
+    names = (topics["currents"].name, topics["voltages"].name, topics["resolver"].name)
+    references = _References()
+    joining = StreamJoin(
+        names, batch=2 * CAPACITY, capacity=CAPACITY, locking=_LOCKING_PAIRS, recorded=True, reference=references.at
+    )
+    before: SignalPart | None = None
+    with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:
+        for part in parts:
+            references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
+            if before is not None:
+                yield from ((piece, before.progress) for piece in _advanced(path, joining, before))
+            before = part
+    if before is not None:
+        yield from ((piece, 1.0) for piece in _advanced(path, joining, before))
+    end, rest = joining.finished()
+    yield from ((piece, 1.0) for piece in rest)
+    with _naming(path):
+        end.check()
+    warnings.extend(end.report().warnings)
+
+
+def _advanced(path: Path, joining: StreamJoin, part: SignalPart) -> list[Piece]:
+    for number, section in enumerate(REQUIRED):
+        if section in part.signals:
+            joining.add(number, part.signals[section])
+    with _naming(path):
+        pieces = joining.advance()
+        if joining.failing:
+            joining.finished()[0].check()
+    if joining.late:
+        raise UnusualError
+    return pieces
+
+
+class _References:
+    """The current references; none if the bag has no such topic."""
+
+    def __init__(self) -> None:
+        self._held: HeldReferences | None = None
+
+    def add(self, part: SignalPart) -> None:
+        signal = part.signals.get("reference")
+        if signal is None:
+            return
+        if self._held is None:
+            if signal.sample_period is None:
+                raise UnusualError
+            self._held = HeldReferences(signal.sample_period)
+        self._held.add(signal)
+
+    def at(self, stamp: IntArray, period: float) -> FloatArray | None:
+        return None if self._held is None else self._held.at(stamp, period)
+
+
+def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:
+    """Return the topic of each section of a signal map: absolute names as given, others below one common namespace.
 
     Raises
     ------
     MissingTopicError
-        Naming the topics that the bag does have.
+        When a required topic is not there; lists those that are.
     ConfigurationError
-        When several namespaces hold all topics and none was chosen.
+        When several namespaces hold all topics and ``namespace`` is empty.
     """
     sources = signals.sources()
     relative = {section: source.topic for section, source in sources.items() if not source.topic.startswith("/")}
@@ -175,3 +323,50 @@ def _missing(bag: Bag, name: str, section: str) -> MissingTopicError:
         f"{bag.path} has no topic {name} for the {section} (it has {shown or 'none at all'}): record it, or name "
         "another one in a signals file."
     )
+
+
+def prefetched(items: Generator[Item, None, None], ahead: int, threads: bool = True) -> Generator[Item, None, None]:
+    """Yield the items, produced in another thread up to ``ahead`` of them in advance if ``threads``.
+
+    Errors in that thread are raised here. Close the generator to end the thread.
+    """
+    return _prefetched(items, ahead) if threads else items
+
+
+def _prefetched(items: Generator[Item, None, None], ahead: int) -> Generator[Item, None, None]:
+    waiting: queue.Queue[tuple[Item | None, BaseException | None]] = queue.Queue(ahead)
+    closed = threading.Event()
+
+    def put(item: Item | None, error: BaseException | None = None) -> bool:
+        while not closed.is_set():
+            try:
+                waiting.put((item, error), timeout=_WAIT)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+    def work() -> None:
+        try:
+            for item in items:
+                if not put(item):
+                    return
+            put(None)
+        except BaseException as error:  # noqa: BLE001  # raised again where the items are used
+            put(None, error)
+        finally:
+            items.close()
+
+    thread = threading.Thread(target=work, name="reader", daemon=True)
+    thread.start()
+    try:
+        while True:
+            item, error = waiting.get()
+            if error is not None:
+                raise error
+            if item is None:
+                return
+            yield item
+    finally:
+        closed.set()
+        thread.join()

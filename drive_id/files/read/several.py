@@ -1,4 +1,4 @@
-"""Several bags of one drive as one stream of joined samples, as often as needed, with all there is to know of them."""
+"""Several bags of one drive as one stream of joined samples, which can be read more than once."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overla
 from drive_id.core.signals.stream_join import Piece
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.pieces import BagFacts, bag_pieces
-from drive_id.files.storage.bag import file_digest
-from drive_id.files.storage.folder import storage_files
+from drive_id.files.read.reader import BagFacts, bag_pieces
+from drive_id.files.storage.bag import file_digest, storage_files
 from drive_id.types import GroundTruth, Progress
 
 _LONG = 1 << 18
-"""Samples from which on the progress says how fast they are read."""
+"""Number of samples after which the progress includes the reading rate."""
 
 
 class SeveralBags:
-    """Reads bags, one behind the other.
+    """Reads bags one after the other.
 
     Parameters
     ----------
@@ -32,16 +31,16 @@ class SeveralBags:
     namespace : str
         Of the drive, when a bag holds several.
     tell : callable
-        Told the progress.
+        Called with the progress.
     threads : bool
-        Let other threads read meanwhile.
+        Read ahead in other threads.
     """
 
     def __init__(
         self, bags: Sequence[Path], signals: SignalMap, namespace: str, tell: Progress, *, threads: bool = True
     ) -> None:
         self.samples = 0
-        """Read since they were begun last."""
+        """Samples read since :meth:`pieces` was called."""
         self._bags = bags
         self._signals = signals
         self._namespace = namespace
@@ -60,7 +59,7 @@ class SeveralBags:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The truth that all bags carry, if they do."""
+        """The ground truth; None unless all bags have it."""
         return common_truth([facts.truth for facts in self._facts])
 
     @property
@@ -73,21 +72,21 @@ class SeveralBags:
         return (*(f"{path}: {text}" for path, facts in known for text in facts.warnings), *moved)
 
     def read_whole(self) -> None:
-        """Read the bag that raised UnusualError as a whole from now on."""
+        """From now on, read the bag that raised UnusualError as a whole."""
         self._whole.add(self._number)
 
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
-        """Yield the samples of all bags, and whether they are the first ones of a bag.
+        """Yield the samples of all bags piece by piece, each with whether it is the first of a bag.
 
         Parameters
         ----------
         what : str
-            To tell with the progress.
+            Shown with the progress.
 
         Raises
         ------
         DriveIdError, UnusualError
-            See :func:`~drive_id.files.read.pieces.bag_pieces`.
+            See :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()
@@ -124,9 +123,9 @@ class SeveralBags:
 
 @contextmanager
 def digests_of(bags: Sequence[Path], *, threads: bool = True) -> Iterator[Future[dict[str, str]]]:
-    """Read the digests of all files meanwhile: file to its sha256, in order.
+    """Compute the digests of all files in another thread: file to its sha256, in order.
 
-    The future raises ConfigurationError when two bags hold the same file. Without ``threads``, they are read at once.
+    The future raises ConfigurationError when two bags hold the same file. Without ``threads``, it is done at once.
     """
     left = Event()
 
@@ -135,7 +134,7 @@ def digests_of(bags: Sequence[Path], *, threads: bool = True) -> Iterator[Future
         for bag in bags:
             try:
                 files, _ = storage_files(bag)
-            except DriveIdError:  # the reader says so, with more to it
+            except DriveIdError:  # the reader raises it, too, with the path
                 return found
             own = {str(file): file_digest(file, lambda: not left.is_set()) for file in files}
             for file, digest in own.items():

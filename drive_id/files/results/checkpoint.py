@@ -27,7 +27,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import below, prefixed
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.storage.folder import storage_files
+from drive_id.files.storage.bag import storage_files
 
 FORMAT = "drive_id/checkpoint"
 FORMAT_VERSION = 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -11,10 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
-from drive_id.files.storage.folder import BagMetadata, storage_files
-from drive_id.files.storage.mcap import McapStorage
-from drive_id.files.storage.sqlite import SqliteStorage
-from drive_id.files.storage.storage import (
+from drive_id.files.storage.container import (
     MCAP_MAGIC,
     ROSBAG1_MAGIC,
     SQLITE_MAGIC,
@@ -27,6 +25,11 @@ from drive_id.files.storage.storage import (
     reason,
     unpack_file,
 )
+from drive_id.files.storage.mcap import McapStorage
+from drive_id.files.storage.metadata import BagMetadata, read_metadata
+from drive_id.files.storage.sqlite import SqliteStorage
+
+_ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".lz4", ".zst"))
 
 
 class Bag:
@@ -65,7 +68,7 @@ class Bag:
         Raises
         ------
         BagError
-            When a file is damaged, or holds other than the declared number of messages.
+            When a file is damaged, or holds more or fewer messages than declared.
         """
         found: Counter[str] = Counter()
         for storage in self.storages:
@@ -75,12 +78,12 @@ class Bag:
         self.check_counts(topics, found)
 
     def check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
-        """Compare the messages found on topics with ``metadata.yaml``.
+        """Compare the numbers of messages found with ``metadata.yaml``.
 
         Raises
         ------
         MessageCountError
-            When it declares more, or fewer.
+            When they differ.
         """
         declared = self.metadata.counts if self.metadata else {}
         for topic in topics:
@@ -93,10 +96,10 @@ class Bag:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about files that were not completed but can be read."""
-        return tuple(text for storage in self.storages if (text := getattr(storage, "warning", "")))
+        return tuple(storage.warning for storage in self.storages if storage.warning)
 
     def decompressed(self, message: RawMessage) -> RawMessage:
-        """Undo the compression of single messages; serialized data never begin like zstd."""
+        """Decompress a message, if it is compressed by itself; CDR never begins like zstd."""
         if message.data[:4] != ZSTD_MAGIC:
             return message
         try:
@@ -148,41 +151,42 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
     ----------
     path : Path
     salvage : bool
-        Open truncated MCAP files too, as far as they go; to describe them, not to fit them.
+        Open damaged MCAP files as far as they can be read: to describe them, not to fit them.
 
     Raises
     ------
     BagError
-        When it is not a recording, damaged or cannot be read.
+        When it is not a recording, is damaged or cannot be read.
     """
     files, metadata = storage_files(path)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_")))
-        storages, kinds = [], {f"{metadata.message_compression} (message)"} if metadata else set()
+        storages, kinds = [], set()
         for number, file in enumerate(files):
             target = folder / str(number)
             target.mkdir()
             plain, kind = unpack_file(file, target)
             storages.append(open_storage(plain, file, stack, salvage=salvage))
-            kinds.add(f"{kind} (file)")
-        within = sorted({storage.compression for storage in storages})
-        around = sorted(kind for kind in kinds if not kind.startswith(" "))
-        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, (*within, *around))))
+            kinds.add(kind and f"{kind} (file)")
+        if metadata and metadata.message_compression:
+            kinds.add(f"{metadata.message_compression} (message)")
+        compressions = (*sorted({storage.compression for storage in storages}), *sorted(kinds))
+        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, compressions)))
 
 
 def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = False) -> Storage:
-    """Open one storage file with the back-end that its content, not its name, asks for.
+    """Open one storage file; its content decides how, not its name.
 
     Parameters
     ----------
     path : Path
         Of the file, already decompressed as a whole.
     shown : Path
-        What to call it in messages.
+        Its name in errors.
     stack : ExitStack
         Closes the file.
     salvage : bool
-        Describe what can be read of a truncated MCAP file, instead of refusing it.
+        Describe what can be read of a damaged MCAP file instead of refusing it.
 
     Raises
     ------
@@ -204,6 +208,74 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
     return storage
 
 
+def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
+    """Return the storage files of a recording in order, and its metadata if there are any.
+
+    Raises
+    ------
+    NotABagError
+        When there is none, or ``metadata.yaml`` is unreadable or names other files than those that are there.
+    """
+    with _readable(path):
+        described = path.is_dir() and (path / "metadata.yaml").exists()
+        present = _present(path)
+    if not described:
+        return present_files(path), None
+    metadata = read_metadata(path / "metadata.yaml")
+    files = tuple(path / name for name in metadata.files)
+    for file in files:
+        if not file.is_file():
+            raise NotABagError(
+                f"metadata.yaml of {path} names {file.name}, which is not there: complete the folder, or rewrite "
+                "metadata.yaml with 'ros2 bag reindex'."
+            )
+    left = [entry.name for entry in present if entry not in files]
+    if left:
+        raise NotABagError(
+            f"{path} holds {left[0]}, which its metadata.yaml does not name: rewrite metadata.yaml with "
+            "'ros2 bag reindex', or move the file away."
+        )
+    return files, metadata
+
+
+def present_files(path: Path) -> tuple[Path, ...]:
+    """Return the storage files of a recording in order of their names, ignoring ``metadata.yaml``.
+
+    Raises
+    ------
+    NotABagError
+        When there is none.
+    """
+    with _readable(path):
+        files = _present(path)
+    if not files:
+        raise NotABagError(f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder.")
+    return tuple(files)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise NotABagError when a path does not exist or cannot be read."""
+    try:
+        if not path.exists():
+            raise NotABagError(f"{path} does not exist: give a rosbag2 file or folder.")
+        yield
+    except OSError as error:
+        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
+
+
+def _present(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = (entry for entry in path.iterdir() if entry.name.endswith(_ENDINGS) and entry.is_file())
+    return sorted(files, key=_natural)
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key that puts ``bag_10`` behind ``bag_9``."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"([0-9]+)", path.name)]
+
+
 def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
     """Return the sha256 of a file, hexadecimal.
 
@@ -211,7 +283,7 @@ def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
     ----------
     path : Path
     going_on : callable
-        Asked after each piece; when it says no, the digest is that of what was read by then.
+        Checked after each piece; when it returns False, the digest covers what was read so far.
 
     Raises
     ------

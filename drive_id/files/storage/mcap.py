@@ -1,8 +1,10 @@
-"""MCAP files, read record by record in the order in which they were written.
+"""MCAP files, read in the order in which they were written, with every checksum and declared count checked.
 
-A reader of its own rather than by index: the order of arrival matters for finding backward stamps, damage anywhere in
-the file must show, and no declared length may be believed before it is compared with what is there. The ``mcap``
-package parses the small records.
+``mcap.StreamReader`` parses the records and checks the checksum of the data section. It trusts the file in four places,
+where this module does not: a declared length is compared with the bytes that are there before memory is taken for it;
+chunks are unpacked piece by piece and no further than their declared size; the checksums of the summary and of
+attachments are checked, too; and the records inside a chunk stay bytes, with their lengths checked, so that the
+compiled kernel of :mod:`~drive_id.files.messages.block_kernel` can read blocks without a Python object for each.
 """
 
 from __future__ import annotations
@@ -11,43 +13,248 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import IO, NamedTuple, NoReturn, TypeVar, cast
 
 from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.stream_reader import CRCValidationError, StreamReader
 
-from drive_id.errors import MessageCountError, TruncatedBagError
-from drive_id.files.storage.mcap_records import (
-    MESSAGE,
-    PARSE_ERRORS,
-    RECORD,
-    BreakError,
-    DamageError,
-    McapRecords,
-    Record,
-    chunk_index,
-    chunk_records,
-    parsed,
-    plain_chunk,
-    split_records,
-)
-from drive_id.files.storage.storage import RawMessage, TopicInfo
+from drive_id.errors import BagError, MessageCountError, NotABagError, TruncatedBagError
+from drive_id.files.storage.container import MCAP_MAGIC, RawMessage, TopicInfo, decompress, file_size, reason
 
+RECORD = struct.Struct("<BQ")
+"""Opcode and length, before the content of each record."""
+MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence, log time and publish time, before the data of a message."""
 RECORDER_LIBRARY = "drive_id recorder"
-"""Marks, in the header, files that are written live: one that breaks off behind whole chunks lacks only its end."""
+"""Name in the header of files written live: one that breaks off behind a whole chunk lacks only what came later."""
+
+_FOOTER = struct.Struct("<QQI")
+_TAIL = RECORD.size + _FOOTER.size + len(MCAP_MAGIC)
+_LARGEST_CHUNK = 1 << 30
 _LARGEST_BREAK = 1 << 22
+_BUFFER = 1 << 20
+_NEVER_WRITTEN = 0
+"""No opcode, but what a disk returns where the size of a file was stored and its content was not."""
+_PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError)
+
+Parsed = TypeVar("Parsed", bound=records.McapRecord)
+
+
+class DamageError(Exception):
+    """The file is damaged; the text says where."""
+
+
+class RecordError(DamageError):
+    """One record is damaged: the next begins at :attr:`McapFile.end`."""
+
+
+class BreakError(DamageError):
+    """The file ends here, within a record or before its end mark."""
+
+
+class McapFile:
+    """An MCAP file below ``mcap.StreamReader``, which reads from it by :meth:`read`.
+
+    Parameters
+    ----------
+    path : Path
+    shown : Path
+        Name of the file in errors.
+
+    Raises
+    ------
+    NotABagError
+        When it cannot be opened.
+    """
+
+    def __init__(self, path: Path, shown: Path) -> None:
+        self._shown = shown
+        self.size = file_size(path)
+        self.begin, self.end = 0, 0
+        """Where the record begins that was read last or could not be read, and where it ends as it declares."""
+        self._position = 0
+        try:
+            self._stream = path.open("rb", buffering=_BUFFER)
+        except OSError as error:
+            raise NotABagError(f"{shown} cannot be read ({reason(error)}): check its permissions.") from error
+
+    def close(self) -> None:
+        """Release the file."""
+        self._stream.close()
+
+    def read(self, length: int) -> bytes:
+        """Return ``length`` bytes of the current record, or of the next one when the current one is at its end."""
+        if self._position == self.end:
+            self._enter_record()
+        if not 0 <= length <= self.end - self._position:
+            raise RecordError(f"the record at byte {self.begin} is damaged")
+        try:
+            data = self._stream.read(length)
+        except OSError as error:
+            raise BagError(f"{self._shown} cannot be read ({reason(error)}): check the disk or the network.") from error
+        self._position += len(data)
+        if len(data) < length:
+            raise BreakError(f"it breaks off at byte {self._position}")
+        return data
+
+    def read_at(self, position: int, length: int) -> bytes:
+        """Return ``length`` bytes from anywhere in the file."""
+        if position < 0 or length < 0 or position + length > self.size:
+            raise BreakError(f"it breaks off within the record at byte {max(position, 0)}")
+        self._seek(position)
+        self.end = position + length
+        return self.read(length)
+
+    def has_record(self, position: int) -> bool:
+        """Tell whether a record begins there that ends within the file."""
+        self._seek(position)
+        try:
+            self._enter_record()
+        except DamageError:
+            return False
+        return True
+
+    def header(self) -> records.Header | None:
+        """Return the header, if the file begins with one."""
+        try:
+            _, first = next(self.read_records())
+        except DamageError:
+            return None
+        return first if isinstance(first, records.Header) else None
+
+    def data(self, begin: int = len(MCAP_MAGIC), end: int | None = None) -> Iterator[tuple[int, records.McapRecord]]:
+        """Yield position and record from byte ``begin`` to byte ``end``, by default all of the data section.
+
+        The checksum of the section is checked at its end, when it was read from its beginning.
+        """
+        if begin == end:
+            return
+        for position, record in self.read_records(begin):
+            if isinstance(record, records.DataEnd):
+                return
+            if isinstance(record, records.Footer):
+                raise DamageError("the end of its data is missing")
+            yield position, record
+            if self.end == end:
+                return
+
+    def read_records(self, begin: int = len(MCAP_MAGIC)) -> Iterator[tuple[int, records.McapRecord]]:
+        """Yield position and record from byte ``begin`` to the footer."""
+        whole = begin == len(MCAP_MAGIC)
+        self._seek(0 if whole else begin)
+        self.end = begin
+        reader = StreamReader(
+            cast(IO[bytes], self), skip_magic=not whole, emit_chunks=True, validate_crcs=True, record_size_limit=None
+        )
+        try:
+            for record in reader.records:
+                yield self.begin, record
+                if isinstance(record, records.Footer):
+                    return
+        except CRCValidationError as error:
+            raise DamageError("the checksum of its data is wrong") from error
+        except _PARSE_ERRORS as error:
+            raise RecordError(f"the record at byte {self.begin} is damaged") from error
+
+    def footer(self) -> int:
+        """Check the end of the file and return where its summary begins (0: none)."""
+        tail = self.read_at(self.size - _TAIL, _TAIL) if self.size >= _TAIL + len(MCAP_MAGIC) else b""
+        if not tail.endswith(MCAP_MAGIC) or RECORD.unpack_from(tail) != (Opcode.FOOTER, _FOOTER.size):
+            raise BreakError("it breaks off before its end")
+        summary_start, _, crc = _FOOTER.unpack_from(tail, RECORD.size)
+        if summary_start > self.size - _TAIL:
+            raise DamageError("its footer points behind its end")
+        if summary_start and crc:
+            covered = self.read_at(summary_start, self.size - len(MCAP_MAGIC) - 4 - summary_start)
+            if zlib.crc32(covered) != crc:
+                raise DamageError("the checksum of its summary is wrong")
+        return int(summary_start)
+
+    def _enter_record(self) -> None:
+        """Compare what the next record declares with the size of the file."""
+        self.begin = self._position
+        if self.begin >= self.size:
+            raise BreakError("it breaks off before its end")
+        broken = BreakError(f"it breaks off within the record at byte {self.begin}")
+        if self.begin + RECORD.size > self.size:
+            raise broken
+        opcode, length = RECORD.unpack(self.read_at(self.begin, RECORD.size))
+        self._seek(self.begin)
+        if opcode == _NEVER_WRITTEN:
+            raise BreakError(f"it breaks off at byte {self.begin}")
+        if self.begin + RECORD.size + length > self.size:
+            raise broken
+        self.end = self.begin + RECORD.size + length
+
+    def _seek(self, position: int) -> None:
+        self._stream.seek(position)
+        self._position = position
+
+
+def plain_chunk(chunk: records.Chunk, position: int) -> bytes:
+    """Unpack the records of a chunk at byte ``position`` and check their checksum."""
+    try:
+        if chunk.uncompressed_size > _LARGEST_CHUNK:
+            raise ValueError(f"it declares {chunk.uncompressed_size} bytes")
+        plain = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
+        if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
+            raise ValueError("its checksum is wrong")
+    except ValueError as error:
+        raise DamageError(f"the chunk at byte {position} is damaged ({error})") from error
+    return plain
+
+
+def chunk_records(chunk: bytes, position: int) -> Iterator[records.McapRecord]:
+    """Yield the messages, schemas and channels in the unpacked chunk at byte ``position``; messages are not copied."""
+    plain, inner = memoryview(chunk), 0
+    while inner < len(plain):
+        body = inner + RECORD.size
+        opcode, length = RECORD.unpack_from(plain, inner) if body <= len(plain) else (0, 0)
+        if body + length > len(plain):
+            raise DamageError(f"the chunk at byte {position} is damaged (it ends within a record)")
+        inner = body + length
+        if opcode == Opcode.MESSAGE:
+            if length < MESSAGE.size:
+                raise DamageError(f"a message at byte {position} is too short")
+            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(plain, body)
+            data = cast(bytes, plain[body + MESSAGE.size : inner])
+            yield records.Message(channel, log_time, data, publish_time, sequence)
+        elif opcode == Opcode.SCHEMA:
+            yield _parsed(records.Schema, plain[body:inner], position)
+        elif opcode == Opcode.CHANNEL:
+            yield _parsed(records.Channel, plain[body:inner], position)
+
+
+def _parsed(kind: type[Parsed], body: bytes | memoryview, position: int) -> Parsed:
+    try:
+        return cast(Parsed, kind.read(ReadDataStream(BytesIO(body))))  # type: ignore[attr-defined]  # not in the base
+    except _PARSE_ERRORS as error:
+        raise DamageError(f"the record at byte {position} is damaged") from error
 
 
 class PlainChunk(NamedTuple):
-    """Records that stand together in a file, unpacked, and where they begin, byte."""
+    """The unpacked records of a chunk, and where it begins in the file, byte."""
 
     data: bytes
     position: int
 
 
 class McapStorage:
-    """Storage back-end for MCAP files; see :class:`~drive_id.files.storage.storage.Storage`."""
+    """An MCAP file as a :class:`~drive_id.files.storage.container.Storage`.
+
+    Parameters
+    ----------
+    path : Path
+    shown : Path
+        Name of the file in errors.
+    salvage : bool
+        Describe what can be read of a damaged file instead of refusing it.
+    """
 
     kind = "mcap"
 
@@ -55,23 +262,22 @@ class McapStorage:
         self._shown = shown
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
-        self._skippable: dict[int, frozenset[int]] = {}
+        self._chunk_channels: dict[int, frozenset[int]] = {}
         self._counts: Counter[int] | None = None
         self._attachments: list[tuple[str, int, int]] = []
-        self._kinds: set[str] = set()
+        self._compressions: set[str] = set()
         self.start, self.end = 0, 0
         self.damage = ""
         self.warning = ""
         self._break: int | None = None
-        self._next = 0
-        self._file = McapRecords(path, shown)
+        self._file = McapFile(path, shown)
         try:
             self._open(salvage)
         except BaseException:
             self._file.close()
             raise
         self.topics = self._topic_infos()
-        self.compression = "+".join(sorted(self._kinds))
+        self.compression = "+".join(sorted(self._compressions - {""}))
 
     def close(self) -> None:
         """Release the file."""
@@ -85,24 +291,25 @@ class McapStorage:
         TruncatedBagError
             When the file is damaged.
         MessageCountError
-            When fewer or more messages are there than the file declares.
+            When it holds more or fewer messages than it declares.
         """
         wanted = self.channels(topics)
         found: Counter[int] = Counter()
         try:
-            for channel, log_time, data in self._scan(frozenset(wanted)):
-                found[channel] += 1
-                yield RawMessage(wanted[channel], log_time, data)
+            for _, record in self._scan(wanted.keys()):
+                if isinstance(record, records.Message) and record.channel_id in wanted:
+                    found[record.channel_id] += 1
+                    yield RawMessage(wanted[record.channel_id], record.log_time, record.data)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
         self.check_counts(wanted, found)
 
     def channels(self, topics: Collection[str]) -> dict[int, str]:
-        """Return the channels of topics."""
+        """Return the numbers of the channels of ``topics``, with their topics."""
         return {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
 
     def chunks(self, channels: Collection[int]) -> Iterator[PlainChunk]:
-        """Yield the parts of the file in which there can be messages of the channels; their counts are not checked.
+        """Yield the chunks that may hold messages of ``channels``; does not check the declared counts.
 
         Raises
         ------
@@ -110,34 +317,33 @@ class McapStorage:
             When the file is damaged.
         """
         try:
-            for record in self._file.data_section(self._break):
-                self._next = record.end
-                if record.opcode == Opcode.CHUNK:
-                    held = self._skippable.get(record.position)
-                    if held is None or not held.isdisjoint(channels):
-                        yield PlainChunk(plain_chunk(record)[1], record.position)
-                elif record.opcode == Opcode.MESSAGE:
-                    yield PlainChunk(RECORD.pack(record.opcode, len(record.body)) + record.body, record.position)
+            for position, record in self._file.data(end=self._break):
+                if isinstance(record, records.Chunk):
+                    if self._may_hold(position, channels):
+                        yield PlainChunk(plain_chunk(record, position), position)
+                elif isinstance(record, records.Message):
+                    head = RECORD.pack(Opcode.MESSAGE, MESSAGE.size + len(record.data))
+                    head += MESSAGE.pack(record.channel_id, record.sequence, record.log_time, record.publish_time)
+                    yield PlainChunk(head + record.data, position)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
 
     @property
     def progress(self) -> float:
-        """How much of the file was read last, 0 to 1."""
-        return min(self._next / max(self._file.size, 1), 1.0)
+        """Part of the file that has been read, 0 to 1."""
+        return min(self._file.end / max(self._file.size, 1), 1.0)
 
     def refuse(self, chunk: PlainChunk) -> NoReturn:
-        """Raise what is wrong with a damaged chunk."""
+        """Raise the error for a chunk whose records are damaged."""
         try:
-            for opcode, body in split_records(chunk.data, chunk.position):
-                if opcode == Opcode.MESSAGE:
-                    list(self._message(body, chunk.position, frozenset()))
+            for _ in chunk_records(chunk.data, chunk.position):
+                pass
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
         raise self._damaged(f"the chunk at byte {chunk.position} is damaged")
 
     def check_counts(self, wanted: Mapping[int, str], found: Mapping[int, int]) -> None:
-        """Raise MessageCountError when the messages found on channels are not as many as the file declares."""
+        """Raise MessageCountError unless as many messages were found on each channel as the file declares."""
         if self._counts is None:
             return
         for key, topic in wanted.items():
@@ -149,38 +355,31 @@ class McapStorage:
 
     def attachment(self, name: str) -> bytes | None:
         """Return the attachment of that name, if there is one; TruncatedBagError when it is damaged."""
-        for found, offset, length in self._attachments:
+        for found, position, length in self._attachments:
             if found == name:
                 try:
-                    return self._attachment_data(offset, length)
-                except (DamageError, *PARSE_ERRORS) as error:
+                    body = self._file.read_at(position + RECORD.size, length - RECORD.size)
+                    (crc,) = struct.unpack("<I", body[-4:])
+                    if crc and crc != zlib.crc32(body[:-4]):
+                        raise DamageError("checksum")
+                    return bytes(_parsed(records.Attachment, body, position).data)
+                except (DamageError, *_PARSE_ERRORS) as error:
                     raise self._damaged(f"its attachment '{name}' is damaged") from error
         return None
-
-    def _attachment_data(self, offset: int, length: int) -> bytes:
-        body = self._file.read(offset, length)
-        crc = struct.unpack("<I", body[-4:])[0]
-        if crc and crc != zlib.crc32(body[:-4]):
-            raise ValueError("checksum")
-        return parsed(records.Attachment, body, offset).data
 
     # -- opening ---------------------------------------------------------------------------------------------------
 
     def _open(self, salvage: bool) -> None:
         try:
-            summary_start = self._file.footer()
-            complete = summary_start > 0 and self._read_summary(summary_start)
+            if (summary_start := self._file.footer()) and self._read_summary(summary_start):
+                return
         except DamageError as damage:
             if isinstance(damage, BreakError) and self._is_live():
-                self._open_broken_off(salvage)
+                self._open_unfinished(salvage)
                 return
             if not salvage:
                 raise self._damaged(str(damage)) from damage
             self.damage = str(damage)
-            complete = False
-        if complete:
-            return
-        self._counts = None
         try:
             self._index_by_scan()
         except DamageError as damage:
@@ -193,20 +392,23 @@ class McapStorage:
         header = self._file.header()
         return header is not None and bool(header.library == RECORDER_LIBRARY)
 
-    def _open_broken_off(self, salvage: bool) -> None:
+    def _open_unfinished(self, salvage: bool) -> None:
         """Open a file that the recorder did not complete, up to where it breaks off."""
         try:
             self._index_by_scan()
             self.damage = "its index is missing"
         except DamageError as damage:
             self.damage = str(damage)
-            far = self._file.size - self._file.whole > _LARGEST_BREAK
-            within = not isinstance(damage, BreakError) and self._file.has_record(self._next)
-            if far or within:  # what follows could be more than what the recorder had not yet flushed
+            broken = self._file.begin
+            far = self._file.size - broken > _LARGEST_BREAK
+            within = not isinstance(damage, BreakError) and self._file.has_record(self._file.end)
+            if far or within:  # more follows than the recorder can have left unwritten
                 if not salvage:
                     raise self._damaged(str(damage)) from damage
                 return
-        self._break = self._file.whole
+            self._break = broken
+        else:
+            self._break = self._file.begin
         self.warning = (
             f"{self._shown} was not completed, as after a power cut or the end of the recorder ({self.damage}): "
             f"{(self.end - self.start) * 1e-9:.3f} s of it could be read."
@@ -215,25 +417,19 @@ class McapStorage:
     def _read_summary(self, start: int) -> bool:
         """Read the summary section; tell whether it describes the whole file."""
         statistics: records.Statistics | None = None
-        position = start
-        while position < self._file.summary_end:
-            opcode, _, body, end = self._file.record(position)
-            if opcode == Opcode.ATTACHMENT_INDEX:
-                index = parsed(records.AttachmentIndex, body, position)
-                self._attachments.append((index.name, index.offset + RECORD.size, index.length - RECORD.size))
-            elif opcode == Opcode.CHUNK_INDEX:
-                chunk = chunk_index(body, position)
-                self._kinds.add(chunk.compression)
-                if chunk.channels:
-                    self._skippable[chunk.position] = chunk.channels
-            elif opcode == Opcode.STATISTICS:
-                statistics = parsed(records.Statistics, body, position)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._note(opcode, body, position)
-            position = end
+        for _, record in self._file.read_records(start):
+            if isinstance(record, records.AttachmentIndex):
+                self._attachments.append((record.name, record.offset, record.length))
+            elif isinstance(record, records.ChunkIndex):
+                self._compressions.add(record.compression)
+                if record.message_index_offsets:
+                    self._chunk_channels[record.chunk_start_offset] = frozenset(record.message_index_offsets)
+            elif isinstance(record, records.Statistics):
+                statistics = record
+            else:
+                self._note(record)
         if statistics is None or statistics.channel_count != len(self._channels):
             return False
-        self._kinds.discard("")
         self._counts = Counter(statistics.channel_message_counts)
         self.start, self.end = statistics.message_start_time, statistics.message_end_time
         return set(self._counts) <= set(self._channels)
@@ -243,10 +439,15 @@ class McapStorage:
         counts: Counter[int] = Counter()
         self._attachments.clear()
         try:
-            for channel, log_time, _ in self._scan(None):
-                self.start = min(self.start, log_time) if counts else log_time
-                self.end = max(self.end, log_time)
-                counts[channel] += 1
+            for position, record in self._scan(None):
+                if isinstance(record, records.Message):
+                    self.start = min(self.start, record.log_time) if counts else record.log_time
+                    self.end = max(self.end, record.log_time)
+                    counts[record.channel_id] += 1
+                elif isinstance(record, records.Attachment):
+                    self._attachments.append((record.name, position, self._file.end - position))
+                else:
+                    self._note(record)
         finally:
             self._counts = counts
 
@@ -271,49 +472,26 @@ class McapStorage:
 
     # -- records ---------------------------------------------------------------------------------------------------
 
-    def _scan(self, wanted: frozenset[int] | None) -> Iterator[tuple[int, int, bytes | memoryview]]:
-        """Yield channel, log time and data of each message in file order; all channels, noted too, for ``None``."""
-        for record in self._file.data_section(self._break):
-            self._next = record.end
-            if record.opcode == Opcode.CHUNK:
-                channels = self._skippable.get(record.position)
-                if wanted is None or channels is None or not wanted.isdisjoint(channels):
-                    yield from self._chunk_messages(record, wanted)
-            elif record.opcode == Opcode.MESSAGE:
-                yield from self._message(memoryview(record.body), record.position, wanted)
-            elif wanted is None:
-                self._note(record.opcode, record.body, record.position)
+    def _scan(self, wanted: Collection[int] | None) -> Iterator[tuple[int, records.McapRecord]]:
+        """Yield position and record in file order, chunks unpacked if they may hold ``wanted`` channels (None: all)."""
+        for position, record in self._file.data(end=self._break):
+            if not isinstance(record, records.Chunk):
+                yield position, record
+            elif wanted is None or self._may_hold(position, wanted):
+                self._compressions.add(record.compression)
+                for inner in chunk_records(plain_chunk(record, position), position):
+                    yield position, inner
 
-    def _chunk_messages(self, record: Record, wanted: frozenset[int] | None) -> Iterator[tuple[int, int, memoryview]]:
-        compression, inner = chunk_records(record)
-        if compression:
-            self._kinds.add(compression)
-        for opcode, body in inner:
-            if opcode == Opcode.MESSAGE:
-                yield from self._message(body, record.position, wanted)
-            elif wanted is None:
-                self._note(opcode, body, record.position)
+    def _may_hold(self, position: int, channels: Collection[int]) -> bool:
+        """Tell whether the chunk at byte ``position`` can hold messages of ``channels``."""
+        held = self._chunk_channels.get(position)
+        return held is None or not held.isdisjoint(channels)
 
-    def _message(
-        self, body: memoryview, position: int, wanted: frozenset[int] | None
-    ) -> Iterator[tuple[int, int, memoryview]]:
-        if len(body) < MESSAGE.size:
-            raise DamageError(f"a message at byte {position} is too short")
-        channel, _, log_time, _ = MESSAGE.unpack_from(body)
-        if wanted is None or channel in wanted:
-            yield channel, log_time, body[MESSAGE.size :]
-
-    def _note(self, opcode: int, body: bytes | memoryview, position: int) -> None:
-        """Remember schemas, channels and where attachments are."""
-        if opcode == Opcode.SCHEMA:
-            schema = parsed(records.Schema, body, position)
-            self._schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = parsed(records.Channel, body, position)
-            self._channels[channel.id] = channel
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = parsed(records.Attachment, body, position)
-            self._attachments.append((attachment.name, position + RECORD.size, len(body)))
+    def _note(self, record: records.McapRecord) -> None:
+        if isinstance(record, records.Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, records.Channel):
+            self._channels[record.id] = record
 
     def _damaged(self, why: str) -> TruncatedBagError:
         return TruncatedBagError(

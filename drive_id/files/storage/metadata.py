@@ -1,20 +1,90 @@
-"""``metadata.yaml`` as rosbag2 writes it: of version 9, or 8 for bags of older distributions."""
+"""``metadata.yaml`` of rosbag2: read in any version, written as version 9, or 8 for bags of older distributions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
 
+from drive_id.errors import NotABagError
+from drive_id.files.storage.container import reason
+
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_LARGEST = 1 << 26
+
+
+@dataclass(frozen=True)
+class BagMetadata:
+    """Content of ``metadata.yaml``: files in order, message counts and types by topic, compression of messages."""
+
+    files: tuple[str, ...]
+    counts: dict[str, int]
+    types: dict[str, str]
+    message_compression: str
+
+
+def read_metadata(path: Path) -> BagMetadata:
+    """Read ``metadata.yaml`` of rosbag2, any version.
+
+    Raises
+    ------
+    NotABagError
+        When it is not such a file; names what is wrong.
+    """
+    advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
+    try:
+        state = path.stat()
+        if state.st_size > _LARGEST:
+            raise ValueError("it is too large")
+        return _parsed(path, state.st_mtime_ns, state.st_size)
+    except OSError as error:
+        raise NotABagError(f"{path} cannot be read ({reason(error)}): {advice}") from error
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        said = f"it is not YAML, see line {line}" if (line := _line(error)) else str(error).split("\n")[0]
+        raise NotABagError(f"{path} is damaged ({said}): {advice}") from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(path: Path, _time: int, _size: int) -> BagMetadata:
+    """Parse the file once as long as it does not change: PyYAML takes longer than reading some seconds of samples."""
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    information = _item(tree, "rosbag2_bagfile_information", dict)
+    files = _item(information, "relative_file_paths", list)
+    if not files or not all(isinstance(name, str) and PurePosixPath(name).name for name in files):
+        raise ValueError("relative_file_paths is not a list of file names")
+    counts: dict[str, int] = {}
+    types: dict[str, str] = {}
+    for entry in _item(information, "topics_with_message_count", list):
+        topic = _item(entry, "topic_metadata", dict)
+        name = _item(topic, "name", str)
+        counts[name] = counts.get(name, 0) + _item(entry, "message_count", int)
+        types[name] = _item(topic, "type", str)
+    by_message = str(information.get("compression_mode")).lower() == "message"
+    compression = str(information.get("compression_format")) if by_message else ""
+    names = tuple(PurePosixPath(name).name for name in files)
+    return BagMetadata(names, counts, types, compression)
+
+
+def _item(tree: Any, key: str, kind: type) -> Any:
+    if not isinstance(tree, dict) or key not in tree:
+        raise ValueError(f"it has no {key}")
+    if not isinstance(tree[key], kind) or isinstance(tree[key], bool):
+        raise TypeError(f"{key} is not of type {kind.__name__}")
+    return tree[key]
+
+
+def _line(error: BaseException) -> int:
+    mark = getattr(error, "problem_mark", None)
+    return 0 if mark is None else mark.line + 1
 
 
 @dataclass(frozen=True)
 class Qos:
-    """The quality of service that a topic was offered with, as far as it is not rosbag2's default."""
+    """Quality of service of a topic, where it can differ from rosbag2's defaults."""
 
     depth: int = 1000
     reliability: str = "reliable"
@@ -37,7 +107,7 @@ class Qos:
 
 @dataclass
 class TopicEntry:
-    """One topic: name, type, RIHS01 hash, QoS as YAML has it, and the complete definition of its type."""
+    """One topic: name, type, RIHS01 hash, QoS profiles in the form of YAML, and complete definition of its type."""
 
     name: str
     type_name: str
@@ -48,7 +118,7 @@ class TopicEntry:
 
 @dataclass
 class FileEntry:
-    """One file: its name, log times of its first and last message (ns; ``first`` is None without any), messages."""
+    """One file: name, log times of its first and last message (ns; ``first`` is None without any), message counts."""
 
     name: str
     first: int | None = None
@@ -68,14 +138,14 @@ class FileEntry:
         self.counts[topic] = self.counts.get(topic, 0) + 1
 
     def times(self) -> dict[str, Any]:
-        """Return begin, duration and count in the form of the metadata."""
+        """Return start, duration and count in the form of the metadata."""
         return _times(self.first, self.last, self.count)
 
 
 def bag_information(
     topics: Sequence[TopicEntry], files: Sequence[FileEntry], distro: str, custom: Mapping[str, str] | None
 ) -> dict[str, Any]:
-    """Put together the content of ``metadata.yaml``.
+    """Return the content of ``metadata.yaml``.
 
     Parameters
     ----------
@@ -122,12 +192,12 @@ def bag_information(
 
 
 def _by_number(offered_qos: Any) -> bool:
-    """Tell whether policies are written as before version 9: by their numbers, in one text."""
+    """Tell whether QoS policies are written as before version 9: as numbers, in one text."""
     return any(isinstance(profile, dict) and isinstance(profile.get("history"), int) for profile in offered_qos)
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, which appears whole or not at all; OSError when it cannot be written."""
+    """Write ``metadata.yaml``, all of it or nothing; OSError when it cannot be written."""
     tree = yaml.safe_dump({"rosbag2_bagfile_information": dict(information)}, sort_keys=False)
     partial = folder / "metadata.yaml.partial"
     partial.write_text(tree, encoding="utf-8")

@@ -1,7 +1,4 @@
-"""sqlite3 recordings, the default storage of older ROS 2 distributions.
-
-Read with plain SQL in the order of the rows, which is the order of arrival.
-"""
+"""sqlite3 files, the default storage of ROS 2 up to Humble, read in the order of the rows, which is that of arrival."""
 
 from __future__ import annotations
 
@@ -13,30 +10,36 @@ from pathlib import Path
 from urllib.parse import quote
 
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
-from drive_id.files.storage.storage import (
-    RawMessage,
-    TopicInfo,
-    file_size,
-)
+from drive_id.files.storage.container import RawMessage, TopicInfo, file_size
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _INT64 = 2**63
 
 
 class SqliteStorage:
-    """Storage back-end for sqlite3 files; see :class:`~drive_id.files.storage.storage.Storage`."""
+    """A sqlite3 file as a :class:`~drive_id.files.storage.container.Storage`.
+
+    Parameters
+    ----------
+    path : Path
+    shown : Path
+        Name of the file in errors.
+    """
 
     kind = "sqlite3"
+    compression = ""
+    damage = ""
+    warning = ""
+    progress = 0.0
 
     def __init__(self, path: Path, shown: Path) -> None:
         self._shown = shown
-        self.compression = ""
         self.topics: tuple[TopicInfo, ...] = ()
         self.start, self.end = 0, 0
         for ending in ("-wal", "-journal"):
             if file_size(path.with_name(path.name + ending)):
                 raise TruncatedBagError(
-                    f"{shown} was not closed, for {path.name}{ending} lies beside it: recover it first, for instance "
+                    f"{shown} was not closed ({path.name}{ending} lies beside it): recover it first, for instance "
                     f"with 'sqlite3 {path.name} \"PRAGMA wal_checkpoint(TRUNCATE)\"'."
                 )
         try:
@@ -67,7 +70,7 @@ class SqliteStorage:
         TruncatedBagError
             When the file is damaged.
         MessageCountError
-            When a message is there that belongs to no topic, or a count differs.
+            When a message belongs to no topic, or a count differs.
         """
         keys = {key: name for key, name in self._keys.items() if name in topics}
         found: Counter[str] = Counter()
@@ -114,7 +117,7 @@ class SqliteStorage:
             raise sqlite3.DatabaseError("its structure is inconsistent")
         rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
         if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
-            raise sqlite3.DatabaseError("its table of topics holds other things than texts")
+            raise sqlite3.DatabaseError("its table of topics holds other values than text")
         self._keys: dict[int, str] = {row[0]: row[1] for row in rows}
         counts = dict(self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
         if not set(counts) <= set(self._keys):

@@ -1,8 +1,7 @@
-"""Making a whole recording of one that breaks off or is damaged, without touching it."""
+"""Recovery: a complete copy of what can be read of a truncated or damaged MCAP recording."""
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,15 +10,14 @@ from typing import IO, Any, cast
 
 import yaml
 from mcap import records
-from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
-from drive_id.errors import EmptyTopicError, NotABagError, OutputError
-from drive_id.files.storage.folder import present_files
-from drive_id.files.storage.mcap_records import MESSAGE, DamageError, McapRecords, Record, chunk_records, parsed
-from drive_id.files.storage.mcap_stream import McapStream
+from drive_id.errors import EmptyTopicError, NotABagError
+from drive_id.files.storage.bag import present_files
+from drive_id.files.storage.container import MCAP_MAGIC, read_magic, unpack_file
+from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records, plain_chunk
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
-from drive_id.files.storage.storage import MCAP_MAGIC, read_magic, reason, unpack_file
+from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
 _CHUNK_SIZE = 512 * 1024
@@ -27,18 +25,18 @@ _CHUNK_SIZE = 512 * 1024
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was recovered.
+    """Result of a recovery.
 
     Parameters
     ----------
     output : Path
-        The whole recording.
+        The complete recording.
     topics : dict of str to int
         Messages by topic.
     duration : float
         Between the first and the last message, s.
     damage : tuple of str
-        Sentences about what could not be recovered; empty when the recording was whole.
+        Sentences about what could not be recovered; empty when the recording was complete.
     """
 
     output: Path
@@ -48,12 +46,12 @@ class Recovery:
 
 
 def recover_bag(path: Path, output: Path | None = None) -> Recovery:
-    """Write what can be read of an MCAP recording as a new, whole one; the given one is not touched.
+    """Write what can be read of an MCAP recording as a new, complete one; the original is not changed.
 
     Parameters
     ----------
     path : Path
-        Storage file or folder; a ``metadata.yaml`` is not believed.
+        Storage file or folder; its ``metadata.yaml`` is ignored.
     output : Path, optional
         Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
 
@@ -69,23 +67,9 @@ def recover_bag(path: Path, output: Path | None = None) -> Recovery:
     files = present_files(path)
     absolute = path.absolute()
     output = output or absolute.with_name((absolute.name if path.is_dir() else absolute.stem) + "_recovered")
-    if output.exists() or output.is_symlink():
-        raise OutputError(f"{output} exists already: choose another name with --output, or remove it.")
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{output.name}.partial-", dir=output.parent))
-    except OSError as error:
-        raise _refused(output, error) from error
-    try:
-        folder = partial / output.name
+    with whole_or_nothing(output) as folder:
         folder.mkdir()
-        recovery = _recover_files(files, path, folder, output)
-        folder.rename(output)
-    except OSError as error:
-        raise _refused(output, error) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return recovery
+        return _recover_files(files, path, folder, output)
 
 
 def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Path) -> Recovery:
@@ -97,7 +81,7 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
         with ExitStack() as stack:
             plain, _ = unpack_file(file, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_"))))
             if not read_magic(plain, file).startswith(MCAP_MAGIC):
-                raise NotABagError(f"{file} is no MCAP file: only those can be recovered here.")
+                raise NotABagError(f"{file} is no MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'.")
             copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
             stack.callback(copy.release)
             copy.run()
@@ -117,7 +101,7 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
 
 
 class _Copy:
-    """The copy of all whole records of one file."""
+    """Copies the whole records of one file."""
 
     def __init__(self, source: Path, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
         self.entry = FileEntry(target.name)
@@ -128,7 +112,7 @@ class _Copy:
         self._schemas: dict[int, int] = {0: 0}
         self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[int, str]] = {}
-        self._file = McapRecords(source, shown)
+        self._file = McapFile(source, shown)
         self._stream = McapStream(target)
         self._writer = Writer(
             cast(IO[Any], self._stream),
@@ -142,50 +126,63 @@ class _Copy:
         self._stream.close()
 
     def run(self) -> None:
-        """Copy what there is, and complete the copy."""
+        """Copy all whole records, and complete the copy."""
         header = self._file.header()
         self._writer.start(profile=header.profile if header else "", library=_LIBRARY)
-        try:
-            for record in self._file.data_section():
-                self._copy_record(record)
-        except DamageError as damage:
-            lost = self._file.size - self._file.whole
-            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+        position = len(MCAP_MAGIC)
+        while position:
+            position = self._copy_from(position)
         information = bag_information(list(self._topics.values()), [self.entry], self.distro, None)
         self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.sync()
 
-    def _copy_record(self, record: Record) -> None:
+    def _copy_from(self, begin: int) -> int:
+        """Copy the records from byte ``begin`` on; return where to go on behind a damaged one, 0 at the end."""
+        try:
+            for position, record in self._file.data(begin):
+                self._copy_record(record, position)
+        except RecordError as damage:
+            self.damage.append(f"{self._shown}: {damage}; it is left out.")
+            return self._file.end
+        except DamageError as damage:
+            lost = self._file.size - self._file.begin
+            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+        return 0
+
+    def _copy_record(self, record: records.McapRecord, position: int) -> None:
         """Copy one record; a damaged one is left out and named."""
         try:
-            if record.opcode == Opcode.CHUNK:
-                for opcode, body in list(chunk_records(record)[1]):
-                    self._copy_content(opcode, body, record.position)
+            if isinstance(record, records.Chunk):
+                for inner in list(chunk_records(plain_chunk(record, position), position)):
+                    self._copy_content(inner, position)
             else:
-                self._copy_content(record.opcode, memoryview(record.body), record.position)
+                self._copy_content(record, position)
         except DamageError as damage:
             self.damage.append(f"{self._shown}: {damage}; it is left out.")
 
-    def _copy_content(self, opcode: int, body: memoryview, position: int) -> None:
-        if opcode == Opcode.MESSAGE:
-            self._copy_message(body, position)
-        elif opcode == Opcode.SCHEMA:
-            schema = parsed(records.Schema, body, position)
-            if schema.id not in self._schemas:
-                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-                self._types[schema.id] = schema.name
-        elif opcode == Opcode.CHANNEL:
-            self._copy_channel(parsed(records.Channel, body, position), position)
-        elif opcode == Opcode.ATTACHMENT:
-            found = parsed(records.Attachment, body, position)
-            self._writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
-        elif opcode == Opcode.METADATA:
-            metadata = parsed(records.Metadata, body, position)
-            if metadata.name == "rosbag2":
-                self.distro = self.distro or _distro(metadata.metadata.get("serialized_metadata", ""))
+    def _copy_content(self, record: records.McapRecord, position: int) -> None:
+        if isinstance(record, records.Message):
+            if record.channel_id not in self._channels:
+                raise DamageError(f"a message at byte {position} belongs to no channel")
+            number, topic = self._channels[record.channel_id]
+            data = bytes(record.data)
+            self._writer.add_message(number, record.log_time, data, record.publish_time, record.sequence)
+            self.entry.note(topic, record.log_time)
+        elif isinstance(record, records.Schema):
+            if record.id not in self._schemas:
+                self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+                self._types[record.id] = record.name
+        elif isinstance(record, records.Channel):
+            self._copy_channel(record, position)
+        elif isinstance(record, records.Attachment):
+            times = record.create_time, record.log_time
+            self._writer.add_attachment(*times, record.name, record.media_type, record.data)
+        elif isinstance(record, records.Metadata):
+            if record.name == "rosbag2":
+                self.distro = self.distro or _distro(record.metadata.get("serialized_metadata", ""))
             else:
-                self._writer.add_metadata(metadata.name, metadata.metadata)
+                self._writer.add_metadata(record.name, record.metadata)
 
     def _copy_channel(self, channel: records.Channel, position: int) -> None:
         if channel.id in self._channels:
@@ -204,16 +201,6 @@ class _Copy:
                 _offered_qos(channel.metadata.get("offered_qos_profiles", "")),
             )
 
-    def _copy_message(self, body: memoryview, position: int) -> None:
-        if len(body) < MESSAGE.size:
-            raise DamageError(f"a message at byte {position} is too short")
-        key, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
-        if key not in self._channels:
-            raise DamageError(f"a message at byte {position} belongs to no channel")
-        number, topic = self._channels[key]
-        self._writer.add_message(number, log_time, bytes(body[MESSAGE.size :]), publish_time, sequence)
-        self.entry.note(topic, log_time)
-
 
 def _offered_qos(text: str) -> list[Any]:
     try:
@@ -229,7 +216,3 @@ def _distro(text: str) -> str:
     except yaml.YAMLError:
         return ""
     return str(tree.get("ros_distro") or "") if isinstance(tree, dict) else ""
-
-
-def _refused(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path} cannot be written ({reason(error)}): check its folder, permissions and free space.")

@@ -1,9 +1,7 @@
-"""Samples to a recording: blocks of our messages, the truth of a simulation beside them."""
+"""Samples to a recording of our own messages, with the ground truth of a simulation as an attachment."""
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.signals.signal import finite_rows
-from drive_id.errors import ConfigurationError, OutputError
+from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import encode_truth
 from drive_id.files.messages.block_codec import NANOSECONDS, encode_block
 from drive_id.files.messages.messages import (
@@ -21,18 +19,19 @@ from drive_id.files.messages.messages import (
     PHASE_VOLTAGES,
     RESOLVER,
 )
-from drive_id.files.storage.storage import TRUTH_ATTACHMENT, reason
-from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter
+from drive_id.files.storage.container import TRUTH_ATTACHMENT, RawMessage
+from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
 from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
 
 BLOCK_SIZE = 100
 """Samples per message: 100 messages a second at 10 kHz."""
+_FRAME = "drive"
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 
 @dataclass(frozen=True)
 class Topics:
-    """Names of our topics below a namespace (empty, or like ``drive_1``)."""
+    """Names of the topics in a namespace (empty, or like ``drive_1``)."""
 
     namespace: str = ""
     currents: str = "phase_currents"
@@ -45,13 +44,6 @@ class Topics:
         return "/" + "/".join(part for part in (*self.namespace.split("/"), *name.split("/")) if part)
 
 
-@dataclass(frozen=True)
-class _Message:
-    log_time: int
-    topic: str
-    data: bytes
-
-
 def write_recording(
     path: Path,
     samples: Samples,
@@ -60,11 +52,10 @@ def write_recording(
     topics: Topics | None = None,
     block_size: int = BLOCK_SIZE,
     start_stamp: int | None = None,
-    frame_id: str = "drive",
     compression: str = "zstd",
     chunk_size: int = CHUNK_SIZE,
 ) -> None:
-    """Write samples as a rosbag2 recording; it appears whole or not at all.
+    """Write samples as a rosbag2 recording, all of it or nothing.
 
     Parameters
     ----------
@@ -78,9 +69,7 @@ def write_recording(
     block_size : int
         Samples per message.
     start_stamp : int, optional
-        ns, moves the first sample there; default: the stamps as they are.
-    frame_id : str
-        Name of the drive.
+        Stamp of the first sample, ns; default: stamps are not shifted.
     compression, chunk_size
         See :class:`~drive_id.files.write.rosbag2_writer.Rosbag2McapWriter`.
 
@@ -93,30 +82,17 @@ def write_recording(
     """
     if block_size < 1:
         raise ConfigurationError(f"block_size is {block_size}: it must be at least 1 sample.")
-    if path.exists() or path.is_symlink():
-        raise OutputError(f"{path} exists already: choose another name, or remove it.")
     shift = 0 if start_stamp is None else start_stamp - int(samples.stamp[0])
-    messages = sorted(
-        _messages(samples, shift, topics or Topics(), block_size, frame_id), key=lambda message: message.log_time
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
-    try:
-        folder = partial / path.name
-        with Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer:
-            _fill(writer, messages, topics or Topics(), samples, truth)
-        folder.rename(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({reason(error)}): check its folder and permissions.") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    messages = sorted(_messages(samples, shift, topics or Topics(), block_size), key=lambda message: message.log_time)
+    with (
+        whole_or_nothing(path) as folder,
+        Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer,
+    ):
+        _fill(writer, messages, topics or Topics(), samples, truth)
 
 
 def _fill(
-    writer: Rosbag2McapWriter, messages: list[_Message], topics: Topics, samples: Samples, truth: GroundTruth | None
+    writer: Rosbag2McapWriter, messages: list[RawMessage], topics: Topics, samples: Samples, truth: GroundTruth | None
 ) -> None:
     writer.add_topic(topics.absolute(topics.currents), PHASE_CURRENTS)
     writer.add_topic(topics.absolute(topics.voltages), PHASE_VOLTAGES)
@@ -124,13 +100,13 @@ def _fill(
     if samples.i_dq_reference is not None:
         writer.add_topic(topics.absolute(topics.reference), CURRENT_REFERENCE)
     for message in messages:
-        writer.write(message.topic, message.data, message.log_time)
+        writer.write(message.topic, bytes(message.data), message.log_time)
     if truth is not None:
         writer.attach(TRUTH_ATTACHMENT, encode_truth(truth), "application/zip")
 
 
-def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, frame_id: str) -> Iterator[_Message]:
-    """Yield all messages, topic by topic; references are logged when due, the others when their block is full."""
+def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> Iterator[RawMessage]:
+    """Yield all messages by topic; set-points are logged when due, measurements at the end of their block."""
     angle = np.clip(_wrapped(samples.angle).astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
     signals = [
         (topics.currents, samples.i_abc.astype(np.float32), True),
@@ -150,12 +126,12 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int, fra
             stamp = int(every[start])
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
-            data = encode_block(stamp, int(start), samples.sample_period, columns, frame_id)
-            yield _Message(end_time if when_full else stamp, topics.absolute(name), data)
+            data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME)
+            yield RawMessage(topics.absolute(name), end_time if when_full else stamp, data)
 
 
 def _blocks(samples: Samples, known: NDArray[np.bool_], block_size: int) -> tuple[IntArray, IntArray]:
-    """Divide the known samples into blocks that span neither a gap nor an unknown sample nor an uneven stamp."""
+    """Return begins and ends of blocks of known samples; no block spans a gap, an unknown sample or an uneven stamp."""
     index = np.arange(len(samples))
     uneven = (
         np.abs(np.diff(samples.stamp) - samples.sample_period * NANOSECONDS)

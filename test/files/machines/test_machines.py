@@ -165,14 +165,14 @@ def test_bad_files(tmp_path):
     whole = write(tmp_path / "whole.npz", contract()).read_bytes()
     for content in (b"", b"no archive", whole[: len(whole) // 2], whole[:60] + b"\xff" * 40 + whole[100:]):
         (tmp_path / "damaged.npz").write_bytes(content)
-        with pytest.raises(ConfigurationError, match=r"is damaged, no \.npz archive, or holds objects"):
+        with pytest.raises(ConfigurationError, match=r"is damaged, not an \.npz archive, or holds objects"):
             read_machine(tmp_path / "damaged.npz")
     np.savez(tmp_path / "objects.npz", **(contract() | {"id": np.array([{}, None], dtype=object)}))
-    with pytest.raises(ConfigurationError, match=r"is damaged, no \.npz archive, or holds objects"):
+    with pytest.raises(ConfigurationError, match=r"is damaged, not an \.npz archive, or holds objects"):
         read_machine(tmp_path / "objects.npz")
     np.save(tmp_path / "array.npy", I_D)
     (tmp_path / "array.npy").rename(tmp_path / "array.npz")
-    with pytest.raises(ConfigurationError, match=r"is damaged, no \.npz archive"):
+    with pytest.raises(ConfigurationError, match=r"is damaged, not an \.npz archive"):
         read_machine(tmp_path / "array.npz")
 
 
@@ -276,11 +276,11 @@ def test_bad_syre_contents(tmp_path, content, message):
 
 def test_bad_syre_files(tmp_path):
     (tmp_path / "motor.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124, b" ") + b"\x00\x02IM" + b"\x00" * 64)
-    with pytest.raises(ConfigurationError, match=r"is of MATLAB's version 7\.3: save it with '-v7'"):
+    with pytest.raises(ConfigurationError, match=r"has MATLAB's version 7\.3: save it with '-v7'"):
         read_machine(tmp_path / "motor.mat")
     savemat(tmp_path / "whole.mat", syre("PM"))
     whole = (tmp_path / "whole.mat").read_bytes()
     for content in (b"", b"text", whole[: len(whole) // 2]):
         (tmp_path / "motor.mat").write_bytes(content)
-        with pytest.raises(ConfigurationError, match="is damaged or no MATLAB file"):
+        with pytest.raises(ConfigurationError, match="is damaged or not a MATLAB file"):
             read_machine(tmp_path / "motor.mat")

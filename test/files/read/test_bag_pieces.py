@@ -15,19 +15,18 @@ from test_bag_reader import SPEED, STRANGER, rewrite, stranger
 from drive_id.core.signals.stream_join import joined
 from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
-from drive_id.files.read import pieces as module
-from drive_id.files.read import signal_stream
-from drive_id.files.read.pieces import bag_pieces, prefetched
-from drive_id.files.read.reader import read_recording
-from drive_id.files.read.signal_stream import UnusualError
+from drive_id.files.read import extraction
+from drive_id.files.read import reader as module
+from drive_id.files.read.extraction import UnusualError
+from drive_id.files.read.reader import bag_pieces, prefetched, read_recording
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 
 
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
-    monkeypatch.setattr(signal_stream, "PART_BYTES", 3000)
-    monkeypatch.setattr(signal_stream, "PART_SAMPLES", 70)
+    monkeypatch.setattr(extraction, "PART_BYTES", 3000)
+    monkeypatch.setattr(extraction, "PART_SAMPLES", 70)
     monkeypatch.setattr(module, "_LOCKING_PAIRS", 100)
 
 

@@ -89,12 +89,12 @@ def test_units():
         ("position[0]", "p\nreference: {topic: r, fields: [d]}", r"names 1 currents"),
         ("position[0]", "p\ntypestore: noetic", r"typestore in f is 'noetic'"),
         ("position[0]", "p\ndefinitions: [1]", r"definitions in f must map"),
-        ("  fields: [x, y, z]", "  fields: [x, y, z", r"f is no YAML in line"),
+        ("  fields: [x, y, z]", "  fields: [x, y, z", r"f is not YAML in line"),
         (VALID, "- 1\n", r"f is not a mapping"),
         (VALID, "currents: 3\n", r"f, line 1, section 'currents' is not a mapping"),
         (VALID, "", r"f has no section 'currents'"),
-        (VALID, "a: &x {b: *x}\n", r"f has a section 'a'|f is no YAML"),
-        (VALID, "!!python/object/apply:os.getcwd []\n", r"f is no YAML"),
+        (VALID, "a: &x {b: *x}\n", r"f has a section 'a'|f is not YAML"),
+        (VALID, "!!python/object/apply:os.getcwd []\n", r"f is not YAML"),
     ],
 )
 def test_what_is_wrong_is_named(old, new, said):
@@ -166,7 +166,7 @@ def test_paths_through_arrays_of_messages(message):
     [
         ("speed", r"asks for the field 'speed', but it has header, name, position, velocity, effort"),
         ("position[9]", r"asks for element 9 of an array of 4"),
-        ("header[0]", r"takes an element of something that is no array"),
+        ("header[0]", r"takes an element of a field that is not an array"),
         ("position.x", r"there are no fields there"),
         ("header", r"is not a number"),
         ("header.frame_id", r"is not a number"),

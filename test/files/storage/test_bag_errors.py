@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -119,7 +120,7 @@ def test_devices_are_no_bags():
     ("text", "said"),
     [
         ("", "it has no rosbag2_bagfile_information"),
-        ("{", "no YAML in line 1"),
+        ("{", "not YAML, see line 1"),
         ("- 1", "it has no rosbag2"),
         ("\x01", "damaged"),
         ("rosbag2_bagfile_information: 3", "is not of type dict"),
@@ -188,6 +189,20 @@ def test_a_recorder_that_was_killed(tmp_path):
     writer.abandon()
     refused(tmp_path / "killed", TruncatedBagError, "drive-id recover")
     assert bag_info(tmp_path / "killed").messages == 1
+
+
+def test_a_disk_that_shows_endless_zeros_is_read_in_no_time(tmp_path):
+    """The size of the file was stored before the crash, its content was not."""
+    write_recording(tmp_path / "bag", make_samples())
+    file = tmp_path / "bag" / "bag_0.mcap"
+    size = file.stat().st_size
+    with file.open("r+b") as stream:
+        stream.truncate(size // 2)
+        stream.truncate(1 << 36)
+    refused(file, TruncatedBagError, "breaks off before its end")
+    before = time.process_time()
+    assert "breaks off" in bag_info(file).problem
+    assert time.process_time() - before < 5.0
 
 
 def test_truncated_sqlite(tmp_path, bag):
@@ -297,7 +312,7 @@ def test_definitions_that_make_no_sense(tmp_path, name, text):
             writer.add_topic(topic, name, definition=text, hash_="x")
             writer.write(topic, b"\0\1\0\0" + bytes(60), START)
     refused(
-        tmp_path / "bag", MessageTypeError, "no message type|cannot be understood|holds no definition|cannot be read"
+        tmp_path / "bag", MessageTypeError, "not a message type|cannot be understood|holds no definition|cannot be read"
     )
 
 

@@ -272,6 +272,29 @@ def test_everything_in_a_file_is_kept(tmp_path):
     assert "history: 3" in information["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
 
 
+def test_what_follows_a_damaged_record_is_recovered(tmp_path):
+    """A length within the record is damaged, its own length is not."""
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE, enable_data_crcs=True)
+        writer.start("ros2", "someone")
+        channel = writer.register_channel("/x", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"uint8 a"))
+        writer.add_message(channel, 1000, b"\0\1\0\0\1", 1000)
+        writer.add_metadata("notes", {"weather": "fine"})
+        for time in (2000, 3000):
+            writer.add_message(channel, time, b"\0\1\0\0\2", time)
+        writer.finish()
+    data = bytearray(file.read_bytes())
+    position = data.index(b"\x05\0\0\0notes")
+    for length in (b"\xff\xff\xff\x7f", b"\x00\x01\0\0"):
+        data[position : position + 4] = length
+        file.write_bytes(data)
+        recovery = recover_bag(file, tmp_path / f"whole_{length[0]}")
+        (said,) = recovery.damage
+        assert f"the record at byte {position - 9} is damaged; it is left out" in said
+        assert [time for _, time, _ in stock_messages(recovery.output)] == [1000, 2000, 3000]
+
+
 def test_outputs_that_are_there(copy):
     (copy.parent / "bag_recovered").mkdir()
     with pytest.raises(OutputError, match="exists already"):

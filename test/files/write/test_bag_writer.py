@@ -178,7 +178,7 @@ def test_the_raw_writer_serves_any_type_and_flushes(tmp_path):
     with Rosbag2McapWriter(tmp_path / "bag", chunk_size=1000) as writer:
         writer.add_topic("/x", kind, qos=Qos(10, "best_effort"), definition=definition, hash_=hash_)
         for k in range(10):
-            writer.write("/x", b"\0\1\0\0" + np.float64(k).tobytes(), 1000 + k, 900 + k)
+            writer.write("/x", b"\0\1\0\0" + np.float64(k).tobytes(), 1000 + k)
         writer.flush()
         assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 300
         assert writer.message_count == 10

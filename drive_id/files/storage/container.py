@@ -1,4 +1,4 @@
-"""What every storage back-end of a recording offers, and what they share: magic numbers and decompression."""
+"""The Protocol of storage files (MCAP, sqlite3), with what they share: magic numbers and decompression."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRUTH_ATTACHMENT = "ground_truth.npz"
 
 _PIECE = 1 << 20
 _AT_ONCE = 1 << 24
-"""Bytes of memory that may be taken on the word of a file alone."""
+"""Bytes of memory that are taken on a declared size alone."""
 _DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError)
 
 
@@ -35,7 +35,7 @@ class TopicInfo:
     name, type_name : str
         The type in the form ``package/msg/Name``.
     count : int or None
-        Messages that the file itself declares; ``None`` when it does not say.
+        Messages that the file declares; ``None`` when it does not.
     encoding : str
         Of the messages; only ``cdr`` can be read.
     definition_format : str
@@ -53,7 +53,7 @@ class TopicInfo:
 
 
 class RawMessage(NamedTuple):
-    """One message as stored: its topic, when it was logged (ns), and its serialized data."""
+    """One serialized message, with its topic and log time (ns)."""
 
     topic: str
     log_time: int
@@ -64,11 +64,22 @@ class Storage(Protocol):
     """One storage file, open for reading. All errors are :class:`~drive_id.errors.BagError`."""
 
     kind: str
+    """``mcap`` or ``sqlite3``."""
     compression: str
+    """Of the chunks; empty for none."""
     topics: tuple[TopicInfo, ...]
     start: int
-    """Earliest log time, ns; with ``end`` = 0 when there is no message."""
+    """Earliest log time, ns; ``start`` and ``end`` are 0 when there is no message."""
     end: int
+    damage: str
+    """What is wrong with the file; empty if it is complete."""
+    warning: str
+    """A sentence about a file that was not completed but can be read; else empty."""
+
+    @property
+    def progress(self) -> float:
+        """Part of the file that has been read, 0 to 1; 0 if unknown."""
+        ...
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in order of arrival; checks the declared counts at the end."""
@@ -95,7 +106,7 @@ def read_magic(path: Path, shown: Path) -> bytes:
 
 
 def reason(error: OSError) -> str:
-    """Say in words why the system refused, without its number and path."""
+    """Return the system's reason in words, without error number and path."""
     return error.strerror or type(error).__name__
 
 
@@ -105,7 +116,7 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
     Returns
     -------
     path : Path
-        Of the plain file; the given one when it was plain already.
+        Of the plain file; ``path`` itself when it is not compressed.
     compression : str
         ``zstd``, ``lz4`` or empty.
     """
@@ -135,12 +146,12 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
 
 
 def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
-    """Decompress a chunk (of ``size`` bytes) or a message, in pieces, so that a false size allocates nothing.
+    """Decompress a chunk (of ``size`` bytes) or a message, piece by piece, so that a false size takes no memory.
 
     Raises
     ------
     ValueError
-        When the data are damaged, of an unknown kind, or not of the size that was declared.
+        When the data are damaged, of an unknown kind, or not of the declared size.
     """
     if kind == "":
         plain = data
@@ -181,7 +192,7 @@ def _pieces(data: bytes, kind: str, size: int | None) -> Iterator[bytes]:
 
 
 def file_size(path: Path) -> int:
-    """Return the size of a file in bytes, 0 when it cannot be told."""
+    """Return the size of a file in bytes, 0 if unknown."""
     try:
         return path.stat().st_size
     except OSError:

@@ -1,0 +1,92 @@
+"""Names of recordings that others give: none leads out of the data directory, and nothing is overwritten."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from pathlib import Path
+
+from drive_id.errors import ConfigurationError, NotABagError, OutputError
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", re.ASCII)
+_LONGEST = 200
+
+
+def new_recording(directory: Path, name: str, now: datetime) -> Path:
+    """Return the absolute path of a recording to be made.
+
+    Parameters
+    ----------
+    directory : Path
+        The data directory.
+    name : str
+        Without folders; if empty, the recording is named after the time.
+    now : datetime
+
+    Raises
+    ------
+    ConfigurationError
+        When the name is not allowed.
+    OutputError
+        When something of that name exists.
+    """
+    base = directory.expanduser().absolute()
+    if not name:
+        stem = now.strftime("recording_%Y-%m-%d_%H-%M-%S")
+        free = (base / stem, *(base / f"{stem}_{number}" for number in range(2, 1000)))
+        return next(path for path in free if not _exists(path))
+    if len(name) > _LONGEST or not _NAME.fullmatch(name):
+        raise ConfigurationError(
+            f"'{_shown(name)}' is not a name for a recording: use letters, digits and _ . + -, begin with a letter or "
+            f"digit, and use at most {_LONGEST} characters."
+        )
+    if _exists(base / name):
+        raise OutputError(f"{base / name} exists already: choose another name, or remove it.")
+    return base / name
+
+
+def existing_recording(directory: Path, name: str) -> Path:
+    """Return the real path of a recording.
+
+    Parameters
+    ----------
+    directory : Path
+        The data directory.
+    name : str
+        Relative to it, or an absolute path inside it.
+
+    Raises
+    ------
+    ConfigurationError
+        When the path leads out of the data directory, also through links.
+    NotABagError
+        When there is neither a file nor a folder of this name.
+    """
+    shown = _shown(name)
+    base = directory.expanduser().absolute()
+    outside = ConfigurationError(
+        f"'{shown}' is not within the data directory {base}: give the name of a recording in it, or set data_directory."
+    )
+    if not name.strip() or ".." in Path(name).parts or "\0" in name:
+        raise outside
+    try:
+        real_base = base.resolve()
+        path = (base / name).resolve()
+        if not path.is_relative_to(real_base):
+            raise outside
+        if not (path.is_file() or path.is_dir()):
+            raise NotABagError(f"There is no recording '{shown}' in {base}: give the name of one.")
+        inner = path.iterdir() if path.is_dir() else ()
+        if any(entry.is_symlink() and not entry.resolve().is_relative_to(real_base) for entry in inner):
+            raise outside
+    except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
+        raise NotABagError(f"The recording '{shown}' in {base} cannot be read ({error}): check its name.") from error
+    return path
+
+
+def _exists(path: Path) -> bool:
+    return path.is_symlink() or path.exists()
+
+
+def _shown(name: str) -> str:
+    return "".join(character if character.isprintable() else "?" for character in name[:_LONGEST])

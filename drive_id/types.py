@@ -300,9 +300,9 @@ class GroundTruth:
             raise ConfigurationError(f"The truth of '{self.machine}' is not finite or its disc empty: simulate again.")
 
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and how much of it is done, 0 to 1."""
+Progress = Callable[[str, float | None], None]
+"""Called with the name of the step and its completed share, 0 to 1; None for a step of unknown length."""
 
 
-def silent(what: str, share: float) -> None:  # a Progress
+def silent(what: str, share: float | None) -> None:  # a Progress
     """Report no progress."""

@@ -119,7 +119,7 @@ def simulate(
     chosen = merged_settings(SimulationSettings, config, settings, options)
     trajectory = Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
     with working(quiet or as_json) as tell:
-        tell("Simulating", 0.0)
+        tell("Simulating", None)
         simulation = simulate_bag(load_machine(machine), chosen, output, trajectory, seconds)
     truth = simulation.truth
     if as_json:

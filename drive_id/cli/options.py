@@ -148,15 +148,16 @@ def working(silent: bool) -> Iterator[Tell]:
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )  # fmt: skip
     with Progress(*columns, console=err(), transient=True) as bar:
-        task = bar.add_task("Starting", total=1.0)
+        task = bar.add_task("Starting", total=None)  # no total: the bar pulses and shows no percentage
         doing = ""
 
-        def tell(what: str, share: float) -> None:
-            nonlocal doing
+        def tell(what: str, share: float | None) -> None:
+            nonlocal doing, task
             name = what.partition(",")[0]
-            if name != doing:  # another task, which takes another time
+            if name != doing:  # a new step with its own clock
                 doing = name
-                bar.reset(task)
-            bar.update(task, description=what, completed=share)
+                bar.remove_task(task)
+                task = bar.add_task(what, total=None if share is None else 1.0)
+            bar.update(task, description=what, completed=share or 0.0)
 
         yield tell

@@ -63,7 +63,7 @@ def accumulate_on_cluster(
     if local_workers(cluster) is None:  # its workers may run in other folders
         sources = [source.absolute() for source in sources]
     job = Job(settings, signals, namespace, named=len(sources) > 1, threads=False)  # a worker's thread is a core's
-    tell("Connecting to workers", 0.0)
+    tell("Connecting to workers", None)
     with connected(cluster, len(sources)) as client:
         if job.settings.i_max is None:
             asked = [client.submit(radius_of, source, job, pure=False) for source in sources]

@@ -101,7 +101,7 @@ def fit_bags(
     gather = _gatherer(bags, cluster, skip_bad=skip_bad, output=output if resumable else None)
     fit = _fit(gather, bags, settings, signals, namespace, tell)
     if output is not None:
-        tell("Writing", 0.0)
+        tell("Writing", None)
         pictures = draw(fit.identification, fit.recording.validation, fit.provenance.machine) if draw else {}
         write_results(output, fit.identification, fit.provenance, force=force, pictures=pictures)
     return fit
@@ -119,7 +119,7 @@ def _fit(
         settings.check_recordings(len(bags))
     with one_blas_thread(with_scipy=settings.method == "full"):
         recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
-        tell("Solving and validating", 1.0)
+        tell("Solving", None)
         identification = conclude(recording.evidence, recording.validation)
     truth = recording.truth
     nrmse = score(identification, truth) if truth else None
@@ -160,7 +160,7 @@ def accumulate_bags(
     gather = _gatherer(bags, cluster, skip_bad=skip_bad, apart=True)
     with one_blas_thread(with_scipy=settings.method == "full"):
         accumulated = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
-    tell("Writing", 0.0)
+    tell("Writing", None)
     write_information(output, accumulated)
     return accumulated
 

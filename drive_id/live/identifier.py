@@ -234,12 +234,12 @@ def _fit_live(
 ) -> Reply:
     output = _new_folder(settings, fit)
     check_output(output)
-    tell("Solving and validating", 0.0)
+    tell("Solving", None)
     try:
         identification = snapshot.identify()
     except DriveIdError as error:
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
-    tell("Writing", 0.0)
+    tell("Writing", None)
     report = snapshot.report
     provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)
     validation, draw = snapshot.validation(), _draw(settings)

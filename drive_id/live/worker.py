@@ -24,7 +24,7 @@ class Worker(Generic[Result]):
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
-        self._progress = ("", 0.0)
+        self._progress: tuple[str, float | None] = ("", None)
 
     @property
     def busy(self) -> bool:
@@ -32,8 +32,8 @@ class Worker(Generic[Result]):
         return self._thread is not None and self._thread.is_alive()
 
     @property
-    def progress(self) -> tuple[str, float]:
-        """What is being done, and how much of it is done, 0 to 1."""
+    def progress(self) -> tuple[str, float | None]:
+        """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
         return self._progress
 
     def start(self, job: Callable[[Progress], Result], done: Callable[[Result], None]) -> None:
@@ -65,7 +65,7 @@ class Worker(Generic[Result]):
             self._thread.join(patience)
         return not self.busy
 
-    def _tell(self, what: str, share: float) -> None:
+    def _tell(self, what: str, share: float | None) -> None:
         if self._stopping.is_set():
             raise Cancelled
         self._progress = (what, share)

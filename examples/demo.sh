@@ -38,7 +38,7 @@ trap end EXIT
 trap 'exit 130' INT TERM
 
 echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
-echo "inverter, at 500 rpm. This takes about a minute. The logs of the nodes are in $output/log."
+echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. Logs: $output/log."
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
 start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true

@@ -91,7 +91,7 @@ class Supervisor(Node):
             missing |= set(NODES) - set(self._statuses)
             if missing:
                 names = " and ".join(sorted(missing))
-                return f"waiting for {names} (a first start compiles numerical kernels: about 15 s)"
+                return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
             status = self._statuses["trajectory_publisher"]
             return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
 

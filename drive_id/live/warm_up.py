@@ -32,5 +32,8 @@ def warm_up(settings: FitSettings) -> None:
     position = np.stack([np.angle(np.exp(1j * angle)), np.full(_COUNT, _SPEED)], axis=-1)
     live = LiveEvidence(replace(settings, splines_d=8, splines_q=8, grid_points=33, i_max=1.0), 1.0)
     for section, values in enumerate((frames.to_abc(i_dq, angle), u_abc, position)):
-        live.add(section, Signal(f"warm-up {section}", stamp, values, _PERIOD, np.zeros(1, np.int64)))
-    live.snapshot().identify()
+        rows = np.ascontiguousarray(values)  # as messages are decoded: kernels are compiled for each memory layout
+        live.add(section, Signal(f"warm-up {section}", stamp, rows, _PERIOD, np.zeros(1, np.int64)))
+    # Samples gathered for method full serve requests for any other, too.
+    for method in ("full", "joint", "psm") if settings.method == "full" else (settings.method,):
+        live.snapshot(method).identify()

@@ -41,7 +41,7 @@ class Identification(Node):
         super().__init__("identification")
         settings = declare_settings(self, IdentificationSettings, read_only=IdentificationSettings.__dataclass_fields__)
         fit = declare_settings(self, FitSettings)
-        self.get_logger().info("Loading the numerical kernels; at the first start, compiling them takes about 15 s.")
+        self.get_logger().info("Loading the numerical kernels; the first start compiles them: about 30 s.")
         warm_up(fit)
         topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
         self._identifier = Identifier(settings, fit, topics)

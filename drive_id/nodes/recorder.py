@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from drive_id.errors import DriveIdError
+from drive_id.files.messages.messages import type_hash
 from drive_id.health import Health
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recorder_health import TopicState, recorder_health
@@ -59,6 +60,8 @@ class Recorder(Node):
             self.create_service(StopRecording, "~/stop", self._on_stop),
         ]
         self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        for topic in self._topics:
+            type_hash(topic.type_name)  # kept for ~/start; the first one loads a parser
         self._diagnostics = Diagnostics(self, self._health)
         self.get_logger().info(f"Ready: recordings go to {self._settings.data_directory}.")
 

@@ -1,0 +1,63 @@
+"""After the warm-up, live samples and their fits need no kernel that is not loaded yet."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from drive_id.bench.bench import Bench
+from drive_id.bench.bench_settings import BenchSettings
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.fit_settings import FitSettings
+from drive_id.files.messages.block_codec import encode_block
+from drive_id.live.identification_settings import IdentificationSettings
+from drive_id.live.identifier import Identifier
+from drive_id.live.warm_up import warm_up
+
+I_MAX = 100.0
+SECONDS = 2.0
+
+
+def signatures():
+    """Return every kernel of ours with every tuple of argument types that it is loaded for."""
+    kernels = [kernel for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)]
+    return {
+        (kernel.py_func.__module__, kernel.py_func.__qualname__, str(types))
+        for kernel in kernels
+        if kernel.py_func.__module__.startswith("drive_id")
+        for types in kernel.signatures
+    }
+
+
+def messages():
+    """Yield section and serialized message of all that a bench publishes while its current follows a trajectory."""
+    bench = Bench(machine_map("ipm"), SimulationSettings(), BenchSettings())
+    t = 1e-4 * np.arange(round(SECONDS * 1e4), dtype=np.float64)
+    wanted = Lissajous(I_MAX, 7.3, 2.3)(t).astype(np.float32)
+    bench.references.add(0, 1e-4, *wanted.T)
+    bench.advance(0)
+    for now in range(10_000_000, round(SECONDS * 1e9), 10_000_000):
+        for block in bench.advance(now):
+            for section, columns in enumerate((block.currents, block.voltages, block.resolver)):
+                yield section, encode_block(block.stamp, block.first_sample, block.sample_period, columns, "drive")
+
+
+@pytest.mark.parametrize("method", ["full", "joint"])
+def test_nothing_is_compiled_or_loaded_when_samples_arrive_and_are_fitted(method):
+    """A message's callback loaded two kernels, seconds of compilation on a fresh machine."""
+    fit = FitSettings(method=method, i_max=I_MAX)
+    received = list(messages())
+    warm_up(fit)
+    before = signatures()
+    assert len(before) > 10
+    identifier = Identifier(IdentificationSettings(), fit)
+    for message in received:
+        identifier.receive(*message)
+    for requested in ("full", "joint", "psm") if method == "full" else ("joint",):
+        identifier.live.snapshot(requested).identify()
+    assert signatures() - before == set()

@@ -108,7 +108,7 @@ class Experiment:
 
     @property
     def coverage(self) -> float:
-        """Share (0 to 1) of the disc that the set-points of the last experiment have come close to."""
+        """Share (0 to 1) of the disc close to the set-points of the last experiment that have come due."""
         visits = self._visits
         return disc_coverage(visits.i_d, visits.i_q, visits.count > 0, self.settings.i_max)
 
@@ -273,7 +273,6 @@ class Experiment:
             return []
         values = inside_disc(np.concatenate(pieces), self.settings.i_max)
         self._ahead = np.concatenate((self._ahead, values))
-        self._visits.add(values[::_COVERAGE_STEP].astype(np.float64))
         blocks = []
         for start in range(0, len(values), LARGEST_BLOCK):
             part = values[start : start + LARGEST_BLOCK]
@@ -312,9 +311,10 @@ class Experiment:
         return follow(self._point, self._trajectory(times), self._step)
 
     def _forget(self, now: int) -> None:
-        """Drop what nobody will ask for any more."""
+        """Drop the set-points before the one that is due now, and count where they were."""
         begin = self._next - len(self._ahead)
         old = min(max(self._index(now) - begin, 0), len(self._ahead))
+        self._visits.add(self._ahead[:old:_COVERAGE_STEP].astype(np.float64))
         self._ahead = self._ahead[old:]
         due = [k for k, (first, _) in enumerate(self._marks) if first <= self._index(now)]
         self._marks = self._marks[due[-1] :] if due else self._marks

@@ -352,6 +352,31 @@ def test_coverage_grows_with_the_experiment():
     assert run.experiment.coverage > 0.85
 
 
+def test_coverage_counts_what_has_come_due_not_what_is_published_ahead():
+    """With 3 s published ahead, half of the disc was "visited" before the first set-point was due."""
+    chosen = dataclasses.replace(PLAIN, sample_period=1e-3, duration=5.0, lead_time=3.0)
+    run = Run(chosen)
+    run.start()
+    assert len(run.drive.due) > 1000
+    assert run.experiment.coverage == 0.0
+    run.ticks(100)  # 1 s; the first set-point was due after half of lead_time
+    assert run.experiment.state(run.now) is State.RAMP_IN
+    assert run.experiment.coverage == 0.0
+    run.ticks(250)
+    due = np.array([value for stamp, value in sorted(run.drive.due.items()) if stamp <= run.now])
+    cells = {tuple(cell) for cell in np.rint(due / (2 * chosen.i_max / 20)).astype(int)}  # 21 nodes along each axis
+    axis = np.linspace(-chosen.i_max, chosen.i_max, 201)
+    disc = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    disc = disc[np.hypot(*disc.T) <= chosen.i_max]
+    visited = np.mean([tuple(cell) in cells for cell in np.rint(disc / (2 * chosen.i_max / 20)).astype(int)])
+    assert run.experiment.coverage == pytest.approx(visited, abs=0.1)
+    assert 0.2 < visited < 0.9
+    before = run.experiment.coverage
+    run.experiment.stop(run.now, "enough")  # takes back what was published ahead
+    run.until_idle()
+    assert run.experiment.coverage == pytest.approx(before, abs=0.05)
+
+
 chosen_settings = st.builds(
     dict,
     trajectory=st.sampled_from(["lissajous", "stair", "spiral"]),

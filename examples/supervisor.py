@@ -44,7 +44,6 @@ from drive_id.types import GroundTruth
 
 NODES = ("trajectory_publisher", "recorder", "identification")
 IDLE, TRIPPED = "idle", "tripped"
-_START_UP = 300.0  # s within which all nodes must be ready; compiling their kernels takes a tenth of it
 _HEARTBEAT = 5.0  # s between reports of what is under way
 _WIDTH = 200  # characters: more than the table ever takes, so that it looks the same on every terminal
 REQUESTS = {  # title of the column: whether from the recording, method
@@ -83,7 +82,7 @@ class Supervisor(Node):
         # Not "_clients": that name is the node's own.
         self._service_clients = {name: self.create_client(kind, name) for name, kind in kinds.items()}
 
-    def wait_until_ready(self) -> None:
+    def wait_until_ready(self, timeout: float) -> None:
         """Wait until all nodes offer their services and report, and the publisher hears the drive."""
 
         def waiting() -> str:
@@ -98,7 +97,7 @@ class Supervisor(Node):
         def ready(client: Any) -> bool:
             return bool(client.service_is_ready())
 
-        self.wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, _START_UP)
+        self.wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout)
 
     def call(self, name: str, /, **fields: Any) -> Any:
         """Call a service and return its response, which tells of success itself."""
@@ -284,7 +283,7 @@ def supervise(supervisor: Supervisor, options: argparse.Namespace) -> int:
     if options.output:
         prepare_output(options.output)
     print("1. The nodes are started.")
-    supervisor.wait_until_ready()
+    supervisor.wait_until_ready(options.start_up)
     truth = read_truth(options.truth) if options.truth else None
     stopped, results = run_experiment(supervisor, options.recording)
     table = comparison(results, truth)
@@ -308,6 +307,7 @@ def main() -> int:
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
     parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
     parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s; more than the trajectory takes")
+    parser.add_argument("--start-up", type=float, default=300.0, help="time for all nodes to become ready, s")
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it, and leave
     # the context alive to stop what was started.

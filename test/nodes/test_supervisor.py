@@ -1,0 +1,97 @@
+"""The example of a supervisor: it says what it waits for, and refuses before anything is started."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+from ros_bench import DEADLINE, own_domain, require_ros
+
+SUPERVISOR = Path(__file__).parent.parent.parent / "examples" / "supervisor.py"
+
+
+@pytest.fixture(scope="module")
+def environment():
+    """A domain in which there is no node at all."""
+    require_ros()
+    domain, lock = own_domain()
+    yield {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    lock.close()
+
+
+@pytest.fixture(scope="module")
+def supervisor():
+    """The module."""
+    require_ros()
+    specification = importlib.util.spec_from_file_location("supervisor", SUPERVISOR)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def run(environment, *arguments):
+    return subprocess.run(
+        [sys.executable, str(SUPERVISOR), *arguments],
+        env=dict(os.environ) | environment, capture_output=True, text=True, timeout=DEADLINE, check=False,
+    )  # fmt: skip
+
+
+def test_an_output_that_cannot_be_made_is_refused_at_once(environment, tmp_path):
+    """It was noticed after the whole experiment, by a traceback."""
+    (tmp_path / "file").touch()
+    done = run(environment, "--output", str(tmp_path / "file" / "out"))
+    assert done.returncode == 1
+    assert done.stdout == ""  # nothing was waited for
+    assert done.stderr.startswith("supervisor: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert "cannot be made a folder (Not a directory): give another --output." in done.stderr
+
+
+def test_an_output_that_holds_results_is_refused_at_once(environment, tmp_path):
+    (tmp_path / "live_full").mkdir()
+    done = run(environment, "--output", str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"supervisor: {tmp_path / 'live_full'} exists already: remove it, or give another --output.\n"
+    )
+
+
+def test_a_missing_output_is_made(supervisor, tmp_path):
+    supervisor.prepare_output(tmp_path / "new" / "out")
+    assert (tmp_path / "new" / "out").is_dir()
+
+
+def test_a_missing_truth_is_one_sentence(supervisor, tmp_path):
+    with pytest.raises(supervisor.ExperimentError, match=r"cannot be read \(No such file or directory\): give another"):
+        supervisor.read_truth(tmp_path / "truth.npz")
+
+
+def test_it_says_what_it_waits_for(environment):
+    done = run(environment, "--start-up", "6")
+    assert done.returncode == 1
+    waiting = (
+        "waiting for identification and recorder and trajectory_publisher (the first start compiles the numerical "
+    )
+    assert done.stdout.startswith(f"1. The nodes are started.\n     5 s  {waiting}")
+    assert done.stderr.startswith(f"supervisor: After 6 s, still {waiting}")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("columns", ["40", "200"])
+def test_the_table_does_not_depend_on_the_terminal(supervisor, monkeypatch, capsys, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    flux_map = SimpleNamespace(resistance=0.01, voltage_error=3.98, method="full")
+    report = SimpleNamespace(mad_d=0.1, mad_q=0.2, coverage=1.0, samples_used=100, samples_read=200)
+    results = {title: SimpleNamespace(flux_map=flux_map, report=report) for title in supervisor.REQUESTS}
+    Console(width=supervisor._WIDTH).print(supervisor.comparison(results, None))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].strip() == "The drive, identified through the services"
+    assert len({len(line) for line in lines[1:]}) == 1
+    assert "100 of 200" in lines[-2]
+    assert sum("10 mohm" in line for line in lines) == 1

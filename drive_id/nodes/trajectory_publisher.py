@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from drive_id.core.experiment.course import ReferenceBlock
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.watched import WatchedExperiment
+from drive_id.core.experiment.state_machine import ReferenceBlock
+from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.parameters import declare_settings, on_change
 from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
@@ -34,7 +34,7 @@ class TrajectoryPublisher(Node):
         super().__init__("trajectory_publisher")
         settings = declare_settings(self, ExperimentSettings, read_only=["publish_rate", "frame_id"])
         watched = (self.resolve_topic_name(name) for name in ("phase_currents", "resolver"))
-        self._experiment = WatchedExperiment(settings, *watched)
+        self._experiment = SupervisedExperiment(settings, *watched)
         self._frame_id = settings.frame_id
         self._logged = ""
         self._publisher = self.create_publisher(CurrentReference, "current_reference", STREAM)

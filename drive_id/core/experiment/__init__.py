@@ -1,1 +1,1 @@
-"""Driving a machine through its current plane: trajectories, limits, course and watch."""
+"""Driving a machine through its current plane: trajectories, reference limits, state machine, supervision."""

@@ -1,4 +1,4 @@
-"""Current references made safe, whatever asks for them: inside the disc, and no steeper than allowed."""
+"""Limits of the current references: amplitude (the current disc) and slew rate."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 from drive_id.core.signals.signal import finite_rows
 from drive_id.types import FloatArray
 
-_ABSURD = 1e100  # A; differences of what is larger overflow
+_LARGEST = 1e100  # A; differences of larger values overflow
 _MARGIN = 4 * float(np.finfo(np.float32).eps)
-"""Relative distance kept from the rim, so that whoever computes the amplitude in float32 finds it inside, too."""
+"""Relative distance from the rim that keeps the amplitude inside when it is computed in float32, too."""
 
 
 def inside_disc(i_dq: FloatArray, i_max: float) -> NDArray[np.float32]:
-    """Round references to float32 so that they lie in the disc.
+    """Round references to float32 within the disc.
 
     Parameters
     ----------
     i_dq : (N, 2) float
-        A; what is not finite becomes zero, what is outside is drawn in along its radius.
+        A; values that are not finite become zero, those outside are scaled to the rim.
     i_max : float
         Radius of the disc, A.
 
     Returns
     -------
     (N, 2) float32
-        hypot(d, q) <= i_max holds exactly, and in float32.
+        hypot(d, q) <= i_max, exactly and in float32.
     """
     wanted = np.where(finite_rows(i_dq)[:, None], i_dq, 0.0)
     with np.errstate(over="ignore"):
@@ -42,23 +42,23 @@ def inside_disc(i_dq: FloatArray, i_max: float) -> NDArray[np.float32]:
 
 
 def follow(start: FloatArray, targets: FloatArray, step: float) -> FloatArray:
-    """Follow targets with bounded steps.
+    """Follow targets with limited steps.
 
     Parameters
     ----------
     start : (2,) float
         Reference before the first target, A.
     targets : (N, 2) float
-        A; what is not finite counts as zero.
+        A; values that are not finite count as zero.
     step : float
         Largest distance from one reference to the next, A.
 
     Returns
     -------
     (N, 2) float
-        The targets where they can be reached, else a step towards them: on a line between points of a disc, so in it.
+        The targets where they are within reach, else a step towards them, which stays in any disc that holds both.
     """
-    targets = np.clip(np.where(finite_rows(targets)[:, None], targets, 0.0), -_ABSURD, _ABSURD)
+    targets = np.clip(np.where(finite_rows(targets)[:, None], targets, 0.0), -_LARGEST, _LARGEST)
     steps = np.diff(targets, axis=0, prepend=start[None, :])
     if np.all(np.hypot(steps[:, 0], steps[:, 1]) <= step * (1 + 1e-9)):
         return targets
@@ -74,7 +74,7 @@ def follow(start: FloatArray, targets: FloatArray, step: float) -> FloatArray:
 
 
 def approach(start: FloatArray, end: FloatArray, step: float, count: int) -> FloatArray:
-    """Go straight to a point with bounded steps.
+    """Go straight to a point with limited steps.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def approach(start: FloatArray, end: FloatArray, step: float, count: int) -> Flo
     Returns
     -------
     (K, 2) float
-        K <= count; fewer when the end is reached, which is then the last.
+        K <= count; if fewer, the last is ``end``.
     """
     distance = math.hypot(*(end - start))
     needed = math.ceil(distance / step * (1 - 1e-12)) if distance > 0 else 0

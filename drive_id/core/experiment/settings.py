@@ -1,4 +1,4 @@
-"""Everything that can be chosen about a live experiment: the trajectory, its publication, and when to stop."""
+"""Settings of an experiment: trajectory, publication of the references, and limits of the drive."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ class ExperimentSettings:
     publish_rate: float = setting(50.0, "How often blocks are published", unit="Hz", minimum=1.0, maximum=1000.0)
     lead_time: float = setting(
         0.3,
-        "How far ahead of time set-points are published; a drive follows the last ones for as long if this node dies",
+        "How far ahead set-points are published: as long, the drive goes on if this node dies",
         unit="s",
         minimum=5e-3,
         maximum=10.0,
     )
     frame_id: str = setting("drive", "Name of the drive in the blocks' headers")
     watch: bool = setting(
-        True, "Whether to run only while resolver and phase_currents arrive and are in order; false: without feedback"
+        True, "Run only while resolver and phase_currents arrive without a fault; false: without feedback"
     )
     watch_timeout: float = setting(
-        0.5, "Longest silence of resolver or phase_currents", unit="s", minimum=1e-2, maximum=60.0
+        0.5, "Longest time without a message of resolver or phase_currents", unit="s", minimum=1e-2, maximum=60.0
     )
     speed_min: float | None = setting(None, "Lowest electrical speed allowed; default: any", unit="rad/s")
     speed_max: float | None = setting(None, "Highest electrical speed allowed; default: any", unit="rad/s")
@@ -110,12 +110,12 @@ class ExperimentSettings:
 
     @property
     def largest_phase_current(self) -> float:
-        """The current limit in force, A."""
+        """Limit of the measured phase currents, A."""
         return 1.25 * self.i_max if self.current_limit is None else self.current_limit
 
 
 def make_trajectory(settings: ExperimentSettings) -> Trajectory:
-    """Return the trajectory that the settings ask for."""
+    """Return the trajectory of these settings."""
     if settings.trajectory == "stair":
         return Stair(settings.i_max, settings.stair_points, settings.dwell_time, settings.slew_rate)
     if settings.trajectory == "spiral":
@@ -124,7 +124,7 @@ def make_trajectory(settings: ExperimentSettings) -> Trajectory:
 
 
 def total_duration(settings: ExperimentSettings, trajectory: Trajectory) -> float:
-    """Return the time of a trajectory with its repetitions, without the ramps, s; infinite: until it is stopped."""
+    """Return the duration of a trajectory with its repetitions, without the ramps, s; infinite if it has no end."""
     if settings.repeat == 0:
         return math.inf
     return settings.repeat * (trajectory.duration if math.isfinite(trajectory.duration) else settings.duration)

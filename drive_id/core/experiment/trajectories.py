@@ -1,4 +1,4 @@
-"""Current trajectories that explore the dq disc: curves over time that never leave it."""
+"""Current trajectories that cover the disc in the dq plane."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drive_id.types import FloatArray
 
 
 class Trajectory(Protocol):
-    """A curve in the disc of radius ``i_max``, from zero current on."""
+    """A curve in the disc of radius ``i_max`` that begins at zero current."""
 
     @property
     def i_max(self) -> float:
@@ -51,7 +51,7 @@ class Lissajous:
 
     @property
     def duration(self) -> float:
-        """Infinite: the two frequencies need no common period."""
+        """Infinite: the two frequencies may have no common period."""
         return math.inf
 
     @property
@@ -72,12 +72,12 @@ class Lissajous:
 
 @dataclass(frozen=True)
 class Stair:
-    """Operating points on a square grid in the disc, row by row, each held for a while; straight ways in between."""
+    """Operating points on a square grid in the disc, held one by one and joined by straight ramps."""
 
     i_max: float = setting(100.0, "radius of the current disc", unit="A", minimum=1e-3)
     points: int = setting(9, "grid points per axis", minimum=3, maximum=101)
     dwell_time: float = setting(0.2, "time at each operating point", unit="s", minimum=1e-3)
-    slew_rate: float = setting(10000.0, "|di/dt| on the way from point to point", unit="A/s", minimum=1.0)
+    slew_rate: float = setting(10000.0, "|di/dt| from point to point", unit="A/s", minimum=1.0)
 
     def __post_init__(self) -> None:
         check(self)
@@ -95,7 +95,7 @@ class Stair:
 
     @cached_property
     def _knots(self) -> tuple[FloatArray, FloatArray]:
-        """Times (K,), s, and currents (K, 2), A, between which the way is straight."""
+        """Times (K,), s, and currents (K, 2), A, of the corners."""
         points = self.operating_points
         stations = np.concatenate((np.zeros((1, 2)), points, np.zeros((1, 2))))
         travel = np.hypot(*np.diff(stations, axis=0).T) / self.slew_rate
@@ -108,12 +108,12 @@ class Stair:
 
     @property
     def duration(self) -> float:
-        """Of one pass through all points, from zero current to zero current, s."""
+        """Duration of one pass through all points, from zero to zero current, s."""
         return float(self._knots[0][-1])
 
     @property
     def slope(self) -> float:
-        """|di/dt| on the way from point to point, A/s."""
+        """|di/dt| from point to point, A/s."""
         return self.slew_rate
 
     def __call__(self, t: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ class Stair:
 
 @dataclass(frozen=True)
 class Spiral:
-    """A spiral from zero current out to the rim and, turning on, back: equally spaced turns."""
+    """A spiral with equally spaced turns from zero current to the rim and back."""
 
     i_max: float = setting(100.0, "radius of the current disc", unit="A", minimum=1e-3)
     turns: float = setting(10.0, "turns from the centre to the rim", minimum=0.5, maximum=1000.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.watched import WatchedExperiment
+from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.health import Level
 
 MS = 1_000_000
@@ -23,7 +23,7 @@ class Bench:
     """A watched experiment in time, with a drive that sends blocks of 10 samples every 10 ms unless told otherwise."""
 
     def __init__(self, settings=SETTINGS):
-        self.watched = WatchedExperiment(settings)
+        self.watched = SupervisedExperiment(settings)
         self.now, self.steady, self.count = T0, 100.0, 0
         self.current, self.speed = 1.0, 100.0
         self.sends = {"phase_currents", "resolver"}
@@ -152,7 +152,7 @@ def test_trips(running, fault, reason):
     assert running.state() == "tripped"
     done, sentence = running.start()  # the cause persists
     assert not done
-    assert sentence.startswith("Tripped earlier: ")
+    assert sentence.startswith("Tripped before: ")
     assert sentence.count(reason[:20]) == 2
     running.sends, running.speed, running.current = {"phase_currents", "resolver"}, 100.0, 1.0
     running.ticks(1)
@@ -214,5 +214,5 @@ def test_the_end_of_the_process(running):
 
 
 def test_the_stair_describes_its_length():
-    watched = WatchedExperiment(dataclasses.replace(SETTINGS, trajectory="stair", repeat=0))
+    watched = SupervisedExperiment(dataclasses.replace(SETTINGS, trajectory="stair", repeat=0))
     assert watched.plan() == "stair within 10 A until it is stopped"

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drive_id.core.experiment.course import LARGEST_BLOCK, Experiment, State
 from drive_id.core.experiment.settings import ExperimentSettings
+from drive_id.core.experiment.state_machine import LARGEST_BLOCK, Experiment, ExperimentState
 from drive_id.errors import ConfigurationError
 
 MS = 1_000_000
@@ -104,7 +104,7 @@ def ends_at_zero(seen, zeros):
 def test_nothing_happens_before_a_start():
     run = Run()
     run.ticks(10)
-    assert (run.drive.blocks, set(run.states)) == ([], {State.IDLE})
+    assert (run.drive.blocks, set(run.states)) == ([], {ExperimentState.IDLE})
 
 
 def test_the_whole_course():
@@ -112,7 +112,7 @@ def test_the_whole_course():
     run.start()
     run.until_idle()
     order = list(dict.fromkeys(run.states))
-    assert order == [State.RAMP_IN, State.RUNNING, State.RAMP_OUT, State.IDLE]
+    assert order == [ExperimentState.RAMP_IN, ExperimentState.RUNNING, ExperimentState.RAMP_OUT, ExperimentState.IDLE]
     seen = run.drive.seen()
     assert_smooth(seen, run.experiment.settings)
     ends_at_zero(seen, 100)
@@ -156,7 +156,7 @@ def test_without_end_until_stopped():
     run = Run(dataclasses.replace(PLAIN, repeat=0))
     run.start()
     run.ticks(1000)
-    assert run.experiment.state(run.now) is State.RUNNING
+    assert run.experiment.state(run.now) is ExperimentState.RUNNING
     run.experiment.stop(run.now, "enough")
     run.until_idle()
     assert run.experiment.stop_reason == "enough"
@@ -170,7 +170,7 @@ def test_a_stop_takes_back_what_was_published_ahead():
     assert np.hypot(*before) > 1.0
     run.experiment.stop(run.now, "stop")
     run.advance()
-    assert run.experiment.state(run.now + 2 * MS) is State.RAMP_OUT
+    assert run.experiment.state(run.now + 2 * MS) is ExperimentState.RAMP_OUT
     assert_smooth(run.drive.seen(), PLAIN)
     run.until_idle()
     seen = run.drive.seen()
@@ -180,7 +180,7 @@ def test_a_stop_takes_back_what_was_published_ahead():
     assert (max(run.drive.due) - T0) * 1e-9 < 0.3 + 0.01 + 0.1 + 0.02
 
 
-@pytest.mark.parametrize("state", [State.RAMP_IN, State.RUNNING, State.RAMP_OUT])
+@pytest.mark.parametrize("state", [ExperimentState.RAMP_IN, ExperimentState.RUNNING, ExperimentState.RAMP_OUT])
 @pytest.mark.parametrize("how", ["stop", "trip", "cut", "finish", "stop, trip", "stop, cut", "trip, cut", "cut, cut"])
 def test_every_way_out_of_every_state(state, how):
     chosen = dataclasses.replace(PLAIN, slew_rate=50.0, frequency_d=0.0, frequency_q=0.0)
@@ -209,7 +209,7 @@ def test_every_way_out_of_every_state(state, how):
         assert_smooth(seen, chosen)
     tripped = [action for action in how.split(", ") if action in {"trip", "cut"}]
     assert run.experiment.trip_reason == (tripped[0] if tripped else "")
-    assert run.experiment.state(run.now) is (State.TRIPPED if tripped else State.IDLE)
+    assert run.experiment.state(run.now) is (ExperimentState.TRIPPED if tripped else ExperimentState.IDLE)
     assert len(run.drive.due) == len(seen)
 
 
@@ -264,10 +264,10 @@ def test_a_trip_stays_until_the_next_start():
     run.experiment.trip(run.now, "second", immediate=False)
     run.until_idle()
     run.ticks(100)
-    assert (run.experiment.state(run.now), run.experiment.trip_reason) == (State.TRIPPED, "first")
+    assert (run.experiment.state(run.now), run.experiment.trip_reason) == (ExperimentState.TRIPPED, "first")
     run.start()
     run.ticks(20)
-    assert (run.experiment.state(run.now), run.experiment.trip_reason) == (State.RUNNING, "")
+    assert (run.experiment.state(run.now), run.experiment.trip_reason) == (ExperimentState.RUNNING, "")
     run.until_idle()
     ends_at_zero(run.drive.seen(), 100)
 
@@ -277,7 +277,7 @@ def test_nothing_trips_what_is_not_running():
     run.experiment.trip(run.now, "no", immediate=True)
     run.experiment.stop(run.now, "no")
     assert run.experiment.finish(run.now, "no") == []
-    assert run.experiment.state(run.now) is State.IDLE
+    assert run.experiment.state(run.now) is ExperimentState.IDLE
 
 
 def test_held_up_too_long():
@@ -310,7 +310,7 @@ def test_the_clock_is_set_back():
     run.ticks(30)
     run.now -= 3_600_000 * MS
     blocks = run.experiment.advance(run.now)
-    assert run.experiment.trip_reason == "The clock went back by 3600.000 s."
+    assert run.experiment.trip_reason == "The clock was set back by 3600.000 s."
     assert blocks
     assert all(np.all(block.i_dq == 0.0) for block in blocks)
     assert abs(blocks[0].stamp - run.now) <= 2 * MS
@@ -328,7 +328,7 @@ def test_the_clock_stands_still():
         run.advance()
     assert run.drive.next == count
     run.ticks(5)
-    assert run.experiment.state(run.now) is State.RUNNING
+    assert run.experiment.state(run.now) is ExperimentState.RUNNING
 
 
 def test_the_end_of_a_process_publishes_everything_at_once():
@@ -360,7 +360,7 @@ def test_coverage_counts_what_has_come_due_not_what_is_published_ahead():
     assert len(run.drive.due) > 1000
     assert run.experiment.coverage == 0.0
     run.ticks(100)  # 1 s; the first set-point was due after half of lead_time
-    assert run.experiment.state(run.now) is State.RAMP_IN
+    assert run.experiment.state(run.now) is ExperimentState.RAMP_IN
     assert run.experiment.coverage == 0.0
     run.ticks(250)
     due = np.array([value for stamp, value in sorted(run.drive.due.items()) if stamp <= run.now])

@@ -1,8 +1,8 @@
-"""The course of an experiment on a drive: when which current reference is published, and how it ends safely.
+"""State machine of an experiment: ramp in, run, ramp out, and safe ends from every state.
 
-Set-points are published ahead of time on a grid of stamps. Two rules bind whoever consumes them: a block replaces all
-set-points that are due at or after its stamp (so that a stop takes effect at once, whatever has been published ahead),
-and when set-points run out, the current goes to zero (so that a dead publisher leaves no current behind).
+Set-points are published ahead of time on a fixed time grid. The drive must obey two rules: a block replaces all
+set-points due at or after its stamp (a stop takes effect at once, whatever was published ahead), and when set-points
+run out, the current goes to zero (a dead publisher leaves no current behind).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _COVERAGE_NODES = 21
 _COVERAGE_STEP = 10
 
 
-class State(Enum):
-    """Where an experiment is."""
+class ExperimentState(Enum):
+    """State of an experiment."""
 
     IDLE = "idle"
     RAMP_IN = "ramp_in"
@@ -44,9 +44,9 @@ class ReferenceBlock:
     Parameters
     ----------
     stamp : int
-        When the first is due, ns.
+        Due time of the first set-point, ns.
     first_sample : int
-        Running count of all set-points ever published.
+        Running count of the set-points published.
     sample_period : float
         s.
     i_dq : (N, 2) float32
@@ -60,16 +60,16 @@ class ReferenceBlock:
 
 
 class Experiment:
-    """One experiment after the other, as a state machine without clock, thread or ROS.
+    """Runs one experiment after the other; without a clock, threads or ROS.
 
-    Times are integer nanoseconds of whatever clock stamps the blocks. All set-points lie in the disc of ``i_max``, and
-    neighbours differ by at most ``slew_rate`` times the sample period (but for a trip that asks for zero at once).
+    Times are integer nanoseconds of the clock that stamps the blocks. All set-points lie in the disc of ``i_max``, and
+    consecutive ones differ by at most ``slew_rate`` times the sample period, except for an immediate trip.
 
     Parameters
     ----------
     settings : ExperimentSettings
     trajectory : Trajectory, optional
-        Instead of the one that the settings name.
+        Default: that of the settings.
     """
 
     def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
@@ -77,13 +77,13 @@ class Experiment:
         self.stop_reason = ""
         self._first_sample = 0
         self._active = False
-        self._pending = False  # whether the next set-points are due at once, not ahead
-        self._cut = False  # whether the reference has gone to zero without a ramp
+        self._pending = False  # the next set-points are due at once, not ahead
+        self._cut = False  # the reference went to zero without a ramp
         self._epoch = 0
         self._last_now: int | None = None
         self._next = 0
-        self._phase = State.IDLE
-        self._marks: list[tuple[int, State]] = []
+        self._state = ExperimentState.IDLE
+        self._marks: list[tuple[int, ExperimentState]] = []
         self._point = np.zeros(2)
         self._run_start = 0
         self._rest = 0
@@ -91,7 +91,7 @@ class Experiment:
         self.configure(settings, trajectory)
 
     def configure(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
-        """Take other settings for the next start; only while no experiment is active."""
+        """Change the settings for the next start; only while no experiment is active."""
         assert not self._active
         self.settings = settings
         self._trajectory = trajectory or make_trajectory(settings)
@@ -112,12 +112,12 @@ class Experiment:
         visits = self._visits
         return disc_coverage(visits.i_d, visits.i_q, visits.count > 0, self.settings.i_max)
 
-    def state(self, now: int) -> State:
+    def state(self, now: int) -> ExperimentState:
         """Return the state of the set-point that is due now."""
         if self.trip_reason:
-            return State.TRIPPED
+            return ExperimentState.TRIPPED
         if not self._active:
-            return State.IDLE
+            return ExperimentState.IDLE
         return self._due_state(now)
 
     def elapsed(self, now: int) -> float:
@@ -132,7 +132,7 @@ class Experiment:
         return self._ahead[position].copy() if 0 <= position < len(self._ahead) else np.zeros(2)
 
     def start(self, now: int) -> None:
-        """Begin an experiment; forgets an earlier trip. Only while none is active."""
+        """Start an experiment and clear an earlier trip; only while none is active."""
         assert not self._active
         self.trip_reason = self.stop_reason = ""
         self._active = self._pending = True
@@ -145,81 +145,81 @@ class Experiment:
         self._marks = []
         self._run_start = -1
         self._visits.count[:] = 0
-        self._enter(State.RAMP_IN)
+        self._enter(ExperimentState.RAMP_IN)
 
     def stop(self, now: int, reason: str) -> None:
-        """Ramp down from the set-point that is due now, instead of what has been published ahead."""
-        if self._active and self._due_state(now) in {State.RAMP_IN, State.RUNNING}:
+        """Ramp down from the set-point that is due now, replacing what was published ahead."""
+        if self._active and self._due_state(now) in {ExperimentState.RAMP_IN, ExperimentState.RUNNING}:
             self.stop_reason = reason
             self._override(now, immediate=False)
 
     def trip(self, now: int, reason: str, *, immediate: bool) -> None:
-        """Stop because something is wrong, and remember why.
+        """Stop because of a fault.
 
         Parameters
         ----------
         now : int
             ns.
         reason : str
-            A sentence; the first one is kept.
+            A sentence; the first one of an experiment is kept.
         immediate : bool
-            Go to zero without a ramp.
+            Set the reference to zero at once, without a ramp.
         """
         if not self._active:
             return
         self.trip_reason = self.trip_reason or reason
-        if (immediate and not self._cut) or self._due_state(now) in {State.RAMP_IN, State.RUNNING}:
+        if (immediate and not self._cut) or self._due_state(now) in {ExperimentState.RAMP_IN, ExperimentState.RUNNING}:
             self._override(now, immediate=immediate)
 
     def advance(self, now: int) -> list[ReferenceBlock]:
-        """Return the blocks that are to be published now, so that set-points reach ``lead_time`` ahead."""
+        """Return the blocks to publish now, so that set-points reach ``lead_time`` ahead."""
         if not self._active:
             return []
         self._check_clock(now)
         horizon = self._index(now + self._nanoseconds(self.settings.lead_time)) + 1
         blocks = self._blocks(max(0, horizon - self._next))
-        if self._phase is State.IDLE and self._index(now) >= self._next:
+        if self._state is ExperimentState.IDLE and self._index(now) >= self._next:
             self._active = False
         self._forget(now)
         return blocks
 
     def finish(self, now: int, reason: str) -> list[ReferenceBlock]:
-        """Stop, and return all blocks down to the last zero at once: for a process that is about to end."""
+        """Stop, and return all blocks down to the last zero at once: before the process ends."""
         if not self._active:
             return []
         self._check_clock(now)
         self.stop(now, reason)
         blocks = []
-        while self._phase is not State.IDLE:
+        while self._state is not ExperimentState.IDLE:
             blocks += self._blocks(LARGEST_BLOCK)
         self._active = False
         return blocks
 
-    # The grid of stamps
+    # Time grid
 
     def _nanoseconds(self, seconds: float) -> int:
         return round(seconds * NANOSECONDS)
 
     def _index(self, now: int) -> int:
-        """Return the number of the last set-point that is due at or before ``now``."""
+        """Return the index of the last set-point due at or before ``now``."""
         return math.floor((now - self._epoch) / (self.settings.sample_period * NANOSECONDS) + 1e-3)
 
     def _stamp(self, index: int) -> int:
         return self._epoch + round(index * self.settings.sample_period * NANOSECONDS)
 
     def _check_clock(self, now: int) -> None:
-        """Trip when the set-points ran out before this call, or when the clock was set back."""
+        """Trip when the set-points ran out before this call, or the clock was set back."""
         last, self._last_now = self._last_now, now
         assert last is not None
         late = now - self._stamp(self._next)
         if now < last - self._nanoseconds(self.settings.lead_time):
             self._epoch, self._next, self._ahead = now, 0, np.zeros((0, 2))
-            self._marks = [(0, self._phase)]
-            self.trip(now, f"The clock went back by {(last - now) / NANOSECONDS:.3f} s.", immediate=True)
-        elif late <= 0 or self._pending or self._phase is State.IDLE:
+            self._marks = [(0, self._state)]
+            self.trip(now, f"The clock was set back by {(last - now) / NANOSECONDS:.3f} s.", immediate=True)
+        elif late <= 0 or self._pending or self._state is ExperimentState.IDLE:
             return
         elif self._cut:
-            self._phase = State.IDLE  # the drive is at zero without further set-points
+            self._state = ExperimentState.IDLE  # the drive is at zero without further set-points
         else:
             self.trip(
                 now,
@@ -230,19 +230,19 @@ class Experiment:
 
     # Set-points
 
-    def _due_state(self, now: int) -> State:
-        """Return the state of the set-point that is due now, trips aside."""
+    def _due_state(self, now: int) -> ExperimentState:
+        """Return the state of the set-point that is due now, regardless of trips."""
         due = [state for first, state in self._marks if first <= self._index(now)]
         return due[-1] if due else self._marks[0][1]
 
-    def _enter(self, state: State) -> None:
-        self._phase = state
+    def _enter(self, state: ExperimentState) -> None:
+        self._state = state
         self._marks.append((self._next, state))
-        if state is State.RUNNING:
+        if state is ExperimentState.RUNNING:
             self._run_start = self._next
 
     def _override(self, now: int, *, immediate: bool) -> None:
-        """Take back what is due from now on, and go to zero from the set-point that is due now."""
+        """Withdraw all set-points due from now on, and go to zero from the present one."""
         self._cut = immediate
         self._point = np.zeros(2) if immediate else self.current(now)
         first = max(self._index(now) + 1, 0)
@@ -250,19 +250,19 @@ class Experiment:
         self._ahead = self._ahead[: max(kept, 0)] if first <= self._next else self._ahead[:0]
         self._next = first
         self._marks = [(first, state) for first, state in self._marks if first < self._next]
-        self._enter(State.RAMP_OUT)
+        self._enter(ExperimentState.RAMP_OUT)
         self._rest = self._resting()
         self._pending = True
 
     def _resting(self) -> int:
-        """Return the number of zeros that end an experiment."""
+        """Return the number of zeros at the end of an experiment."""
         return math.ceil(self.settings.lead_time / self.settings.sample_period)
 
     def _blocks(self, count: int) -> list[ReferenceBlock]:
         self._pending = False
         first = self._next
         pieces = []
-        while count > 0 and self._phase is not State.IDLE:
+        while count > 0 and self._state is not ExperimentState.IDLE:
             piece = self._piece(count)
             if len(piece):
                 self._point = piece[-1]
@@ -283,28 +283,28 @@ class Experiment:
         return blocks
 
     def _piece(self, count: int) -> FloatArray:
-        """Return up to ``count`` further set-points of the present phase; none when it is over."""
-        if self._phase is State.RAMP_IN:
+        """Return up to ``count`` further set-points of the present state; none when it is over."""
+        if self._state is ExperimentState.RAMP_IN:
             target = inside_disc(self._trajectory(np.zeros(1)), self.settings.i_max)[0].astype(np.float64)
             points = approach(self._point, target, self._step, count)
             if not len(points):
-                self._enter(State.RUNNING)
+                self._enter(ExperimentState.RUNNING)
             return points
-        if self._phase is State.RUNNING:
+        if self._state is ExperimentState.RUNNING:
             return self._running(count)
         points = approach(self._point, np.zeros(2), self._step, count)
         if not len(points):
             points = np.zeros((min(count, self._rest), 2))
             self._rest -= len(points)
             if self._rest == 0:
-                self._phase = State.IDLE
+                self._state = ExperimentState.IDLE
         return points
 
     def _running(self, count: int) -> FloatArray:
         passed = self._next - self._run_start
         left = count if self._total is None else min(count, self._total - passed)
         if left <= 0:
-            self._enter(State.RAMP_OUT)
+            self._enter(ExperimentState.RAMP_OUT)
             self._rest = self._resting()
             return np.zeros((0, 2))
         times = (passed + np.arange(left, dtype=np.float64)) * self.settings.sample_period

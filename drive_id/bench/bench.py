@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.bench.bench_settings import BenchSettings
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Health, Level
 from drive_id.types import GroundTruth, MachineMap
 
@@ -25,7 +24,7 @@ Columns = tuple[NDArray[np.float32], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class MessageBlock:
     """A block of samples as a bench publishes it.
 
     Parameters
@@ -91,7 +90,7 @@ class Bench:
         present = float(np.interp(now, profile.time, profile.speed))
         self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
 
-    def advance(self, now: int) -> list[Block]:
+    def advance(self, now: int) -> list[MessageBlock]:
         """Return the blocks that are complete by ``now``, ns; if there are too many, the oldest of them.
 
         The first call begins the time of the bench.
@@ -118,7 +117,7 @@ class Bench:
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
         speed = samples.speed.astype(np.float32)
         return [
-            Block(
+            MessageBlock(
                 self._stamp(first + k),
                 first + k,
                 self._period,

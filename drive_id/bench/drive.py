@@ -27,7 +27,7 @@ _FLUX_TOLERANCE = 3e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class SimulatedBlock:
     """A stretch of a simulated experiment.
 
     Parameters
@@ -113,7 +113,7 @@ class Drive:
         """Time of the next sample, s."""
         return self._next * self.settings.sample_period
 
-    def step_block(self, i_dq_reference: FloatArray, mean_speed: FloatArray | None = None) -> Block:
+    def step_block(self, i_dq_reference: FloatArray, mean_speed: FloatArray | None = None) -> SimulatedBlock:
         """Run the drive over the samples of one block.
 
         Parameters
@@ -126,7 +126,7 @@ class Drive:
 
         Returns
         -------
-        Block
+        SimulatedBlock
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Drive:
             sample_period=period,
             i_dq_reference=reference.copy(),
         )
-        return Block(samples, out.i_dq_true, out.angle_true)
+        return SimulatedBlock(samples, out.i_dq_true, out.angle_true)
 
     def truth(self) -> GroundTruth:
         """Return what is true of this drive."""
@@ -183,7 +183,7 @@ class Drive:
     def _speed(self, time: FloatArray) -> FloatArray:
         return self.profile.electrical(time, self.machine.pole_pairs)
 
-    def _run(self, reference: FloatArray, speed: FloatArray) -> parameters.Block:
+    def _run(self, reference: FloatArray, speed: FloatArray) -> parameters.Signals:
         n = len(reference)
         s = self.settings
         deviations = (s.current_noise * self.machine.i_max, s.resolver_noise, s.speed_noise)
@@ -195,7 +195,7 @@ class Drive:
             )
         )
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
-        out = parameters.Block(*(np.empty(shape) for shape in shapes))
+        out = parameters.Signals(*(np.empty(shape) for shape in shapes))
         revolution = 2 * math.pi * self.machine.pole_pairs
         for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
             stop = min(start + _INTERRUPTIBLE, n)
@@ -208,7 +208,7 @@ class Drive:
                 reference[start:stop],
                 speed[start : stop + 1],
                 parameters.Noise(*(part[start:stop] for part in noise)),
-                parameters.Block(*(part[start:stop] for part in out)),
+                parameters.Signals(*(part[start:stop] for part in out)),
             )
             if failed >= 0:
                 raise ConfigurationError(
@@ -263,14 +263,14 @@ def _kernel_parameters(
 
 def _start(
     plant: parameters.Plant, controller: parameters.Controller, speed: float, i_dq: tuple[float, float]
-) -> parameters.State:
+) -> parameters.DriveState:
     """Return the state at angle 0 with the current on its reference and about the voltage that keeps it there."""
     psi = kernels.evaluate(plant.table, *i_dq, 0.0)[:2]
     resistance = controller.resistance
     u = complex(resistance * i_dq[0] - speed * psi[1], resistance * i_dq[1] + speed * psi[0])
     u *= min(1.0, controller.u_max / max(abs(u), 1e-9))
     turned = u * np.exp(1j * (0.5 * speed * plant.period - 2 * np.pi / 3 * np.arange(3)))
-    return parameters.State(
+    return parameters.DriveState(
         flux=np.array(psi),
         current=np.array(i_dq, np.float64),
         mean_angle=np.zeros(1),

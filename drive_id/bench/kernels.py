@@ -17,7 +17,17 @@ import math
 
 import numpy as np
 
-from drive_id.bench.parameters import HISTORY, Block, Controller, Noise, PhaseDrop, Plant, Sensors, SplineTable, State
+from drive_id.bench.parameters import (
+    HISTORY,
+    Controller,
+    DriveState,
+    Noise,
+    PhaseDrop,
+    Plant,
+    Sensors,
+    Signals,
+    SplineTable,
+)
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
@@ -218,7 +228,7 @@ def step(
 
 @compiled
 def hold(
-    plant: Plant, state: State, u: tuple[float, float], speeds: tuple[float, float], span: tuple[float, float]
+    plant: Plant, state: DriveState, u: tuple[float, float], speeds: tuple[float, float], span: tuple[float, float]
 ) -> bool:
     """Integrate the plant over part of a sample period under a constant voltage.
 
@@ -257,7 +267,7 @@ def hold(
 def control(
     controller: Controller,
     drop: PhaseDrop,
-    state: State,
+    state: DriveState,
     i_dq: tuple[float, float],
     angle: float,
     speed: float,
@@ -304,7 +314,9 @@ def control(
 
 
 @compiled
-def _measure(plant: Plant, sensors: Sensors, state: State, speed: float, noise: Noise, out: Block, k: int) -> None:
+def _measure(
+    plant: Plant, sensors: Sensors, state: DriveState, speed: float, noise: Noise, out: Signals, k: int
+) -> None:
     theta = with_ripple(plant, state.mean_angle[0])
     for j in range(3):
         c, s = math.cos(theta - j * 2 * math.pi / 3), math.sin(theta - j * 2 * math.pi / 3)
@@ -331,12 +343,12 @@ def run(
     plant: Plant,
     controller: Controller,
     sensors: Sensors,
-    state: State,
+    state: DriveState,
     revolution: float,
     i_dq_reference: FloatArray,
     mean_speed: FloatArray,
     noise: Noise,
-    out: Block,
+    out: Signals,
 ) -> int:
     """Run the drive over a block of N samples and carry ``state`` on.
 

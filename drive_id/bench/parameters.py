@@ -68,7 +68,7 @@ class Sensors(NamedTuple):
     held_fraction: float  # of a period, during which the previous command is still held
 
 
-class State(NamedTuple):
+class DriveState(NamedTuple):
     """What is carried from sample to sample; the kernels write into these arrays."""
 
     flux: FloatArray  # (2,) in the stator frame, Wb
@@ -80,7 +80,7 @@ class State(NamedTuple):
     compensations: FloatArray  # (HISTORY, 3) V
 
 
-class Block(NamedTuple):
+class Signals(NamedTuple):
     """Arrays for the signals of one block of samples."""
 
     i_abc: FloatArray  # (N, 3) measured, A

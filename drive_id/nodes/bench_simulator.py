@@ -15,9 +15,8 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from drive_id.bench.bench import Bench, Block, Pace
-from drive_id.bench.bench_settings import BenchSettings
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.bench import Bench, MessageBlock, Pace
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
@@ -104,7 +103,7 @@ class BenchSimulator(Node):
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
 
-    def _publish(self, block: Block) -> None:
+    def _publish(self, block: MessageBlock) -> None:
         for kind, names, columns in (
             (PhaseCurrents, "abc", block.currents),
             (PhaseVoltages, "abc", block.voltages),

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from drive_id.bench.bench import Bench, Pace
-from drive_id.bench.bench_settings import BenchSettings
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Level
 
 MS = 1_000_000

@@ -9,9 +9,8 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from drive_id.bench.bench import Bench
-from drive_id.bench.bench_settings import BenchSettings
 from drive_id.bench.machines import machine_map
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.block_codec import encode_block

@@ -11,8 +11,7 @@ import yaml
 from live_drive import BENCH, PUBLISHER
 from ros_bench import ros_bench
 
-from drive_id.bench.bench_settings import BenchSettings
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.settings import ExperimentSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config"

@@ -1,1 +1,1 @@
-"""Which experiment tells most: candidates, predicted standard errors, planner."""
+"""Experiment design: settings, predicted standard errors, planner."""

@@ -1,31 +1,34 @@
-"""Plan an experiment: the Lissajous figure and the speeds that tell most about a drive in a given time.
+"""Plan an experiment: the Lissajous figure and the speeds that determine a drive best in a given time.
 
-Every candidate is scored by what method ``full`` would make of it, see :mod:`~drive_id.core.planning.prediction`.
-Deviations fall with the root of the time, which gives the duration for a wanted accuracy.
+Every candidate is rated by the standard errors that method ``full`` would reach, see
+:mod:`~drive_id.core.planning.prediction`. They fall with the root of the time, which gives the duration for a wanted
+accuracy.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.frames import space_vector
+from drive_id.core.full.windows import LONGEST_WINDOW, WINDOW_ANGLE
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.planning.candidates import (
-    FEWEST_CYCLES,
-    Experiment,
-    figures,
-    highest_frequency,
-    needed_voltages,
-    retimed,
-    speed_range,
-    speed_sets,
+from drive_id.core.planning.prediction import (
+    DROP_SHARE,
+    FisherInformation,
+    Prediction,
+    RoughModel,
+    fisher_information,
+    predict,
+    synthesize,
 )
-from drive_id.core.planning.prediction import Information, Prediction, RoughModel, inform, predict, synthesize
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
+from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, Progress, silent
 
 PAPER_FREQUENCIES = (3.7, 1.1)
@@ -41,88 +44,131 @@ _WEIGHTS = np.array([2.0, 2.0, 1.0, 1.0, 1.0])
 _MARGIN, _LOSS = 0.95, 20.0
 _COARSE, _MIDDLE, _FINE = (8, 2000), (12, 3000), (16, 6000)
 """Cells of the map along each axis, and windows."""
+LONGEST_FIGURE = 10.0
+"""s; longer experiments repeat the figure."""
+
+FEWEST_CYCLES = 8
+"""Of the higher frequency, in one figure."""
+
+_RATIOS = (1.0, 0.618, 0.382, 0.236)
+"""Of the lower to the higher frequency."""
+_SHARES = (1.0, 0.5)
+"""Of the highest frequency allowed."""
+_MOST_SPEEDS = 4
+_BANDWIDTH_SHARE = 0.1
+_SLOPE_VOLTAGE_SHARE = 0.2
+_VOLTAGE_SHARE = 0.95
+_FEWEST_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An experiment to choose from: a Lissajous figure driven at one or several speeds.
+
+    Parameters
+    ----------
+    trajectory : Lissajous
+    speeds : tuple of float
+        Mechanical, rpm, each for an equal share of the time; negative: backwards.
+    duration : float
+        All speeds together, s.
+    """
+
+    trajectory: Lissajous
+    speeds: tuple[float, ...]
+    duration: float
+
+    @property
+    def share(self) -> float:
+        """Duration at each speed, s."""
+        return self.duration / len(self.speeds)
+
+    @property
+    def figure(self) -> float:
+        """Time after which the figure closes, s."""
+        return self.duration / math.ceil(self.duration / LONGEST_FIGURE)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A proposal and what to expect of it.
+    """The proposed experiment and its predicted accuracy.
 
     Parameters
     ----------
     settings : PlanSettings
     machine : RoughMachine
-    experiment : Experiment
+    experiment : Candidate
     prediction : Prediction
-    paper : Experiment
-        The paper's, of equal duration.
+    paper : Candidate
+        The paper's, of the same duration.
     paper_prediction : Prediction
     voltages : tuple of float
-        Largest amplitude that the experiment needs at each speed, V.
+        Largest amplitude needed at each speed, V.
     """
 
     settings: PlanSettings
     machine: RoughMachine
-    experiment: Experiment
+    experiment: Candidate
     prediction: Prediction
-    paper: Experiment
+    paper: Candidate
     paper_prediction: Prediction
     voltages: tuple[float, ...]
 
     @property
     def met(self) -> bool:
-        """Whether the wanted accuracy is to be expected."""
+        """Whether the predicted accuracy is as wanted."""
         return 100 * self.prediction.flux <= self.settings.accuracy
 
     def reason(self) -> str:
-        """Say in a sentence why this experiment."""
+        """Say in one sentence why this experiment was chosen."""
         share = _measures(self.prediction) / _measures(self.paper_prediction)
         return (
-            "Of the figures and speeds that the bench allows, these tell most about flux, R and inverter together: the "
-            f"deviations are {share.min():.2f} to {share.max():.2f} times those of the paper's experiment in the same "
-            "time."
+            "Of the figures and speeds that the bench allows, these determine flux, R and inverter best: the standard "
+            f"errors are {share.min():.2f} to {share.max():.2f} times those of the paper's experiment of the "
+            "same duration."
         )
 
     def statements(self) -> list[str]:
-        """Say in sentences what tells the unknowns apart in this experiment, and what stays open."""
+        """Say what separates the unknowns in this experiment, and what it cannot determine."""
         free, bound = 100 * self.prediction.free_resistance, 100 * self.prediction.resistance
         speeds = self.experiment.speeds
         sentences = []
         if len(speeds) == 1:
             sentences.append(
-                f"One constant speed leaves R and a rotation of the map to the reciprocity of the maps: without it, "
-                f"R is known to {free:.2g} % from the transients of the figure, with it to {bound:.2g} %."
+                "At one constant speed only the reciprocity of the maps separates R from a rotation of the map: "
+                f"without it, the transients of the figure determine R to {free:.2g} %, with it to {bound:.2g} %."
             )
-            sentences.append("A delay of the voltages, too, looks like a rotation of the map at one speed.")
+            sentences.append("At one speed, a delay of the voltages looks like a rotation of the map, too.")
         else:
             what = "several speeds" if len({abs(speed) for speed in speeds}) > 1 else "two directions"
             if len({abs(speed) for speed in speeds}) > 1 and min(speeds) < 0:
                 what = "several speeds in both directions"
             sentences.append(
-                f"The {what} separate R from a rotation of the map: even without reciprocity, R is known to "
-                f"{free:.2g} %, and a delay of the voltages shows, too."
+                f"The {what} separate R from a rotation of the map: even without reciprocity, R is determined "
+                f"to {free:.2g} %, and so is a delay of the voltages."
             )
         sentences.append(
-            "No experiment of this kind tells the linear part of the inverter's drop from R, an offset of the angle "
-            "from a turned map, or a common gain of voltages or currents from one of the flux."
+            "No experiment of this kind separates the linear part of the inverter's voltage error from R, an angle "
+            "offset from a rotated map, or a common gain of voltages or currents from a gain of the flux."
         )
         return sentences
 
     def warnings(self) -> list[str]:
-        """Say in sentences what is not as wanted."""
+        """Say what is not as wanted."""
         found = []
         if not self.met:
             found.append(
-                f"In {self.experiment.duration:g} s the flux comes to {100 * self.prediction.flux:.2g} %, not to the "
+                f"In {self.experiment.duration:g} s the flux reaches {100 * self.prediction.flux:.2g} %, not the "
                 f"wanted {self.settings.accuracy:g} %: allow {self.needed_duration():.3g} s, or reduce the noise."
             )
         if self.paper_infeasible():
             found.append(
-                f"The paper's {PAPER_SPEED:g} rpm are not allowed on this bench: the comparison holds as if they were."
+                f"The bench does not allow the paper's {PAPER_SPEED:g} rpm: the comparison assumes that it does."
             )
         return found
 
     def needed_duration(self) -> float:
-        """Return the duration for the wanted accuracy, s."""
+        """Return the duration that the wanted accuracy needs, s."""
         ratio = 100 * self.prediction.flux / self.settings.accuracy
         return self.experiment.duration * ratio**2
 
@@ -139,13 +185,13 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     Parameters
     ----------
     settings : PlanSettings
-        Complete in what concerns the machine.
+        With all data of the machine.
     tell : callable, optional
 
     Raises
     ------
     ConfigurationError
-        When something is missing, or the drive cannot be driven over the disc.
+        When data are missing, or the bench cannot cover the disc.
     """
     machine = RoughMachine.from_settings(settings)
     highest = highest_frequency(settings, machine)
@@ -153,7 +199,7 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     duration = settings.duration or min(_FIRST_GUESS, settings.duration_max)
 
     tell("Choosing the speeds", 0.0)
-    usual = Experiment(Lissajous(machine.i_max, highest, 0.618 * highest), (low,), duration)
+    usual = Candidate(Lissajous(machine.i_max, highest, 0.618 * highest), (low,), duration)
     usual = retimed(usual, duration, highest)
     sets = [replace(usual, speeds=speeds) for speeds in speed_sets(low, high, reverse=settings.reverse)]
     best = _best(_Scout(settings, machine, _COARSE), sets)
@@ -181,38 +227,38 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
 
 
 def cost(prediction: Prediction) -> float:
-    """Return the sum of the logarithms of all deviations, those of the flux counting twice: no scale has to be set."""
+    """Return the weighted sum of the logarithms of all standard errors, so that no scales have to be chosen."""
     return float(_WEIGHTS @ np.log(prediction.values()))
 
 
 class _Scout:
-    """Predicts experiments, remembering what each figure tells at each speed."""
+    """Predicts experiments and caches the information of each figure at each speed."""
 
     def __init__(self, settings: PlanSettings, machine: RoughMachine, fineness: tuple[int, int]) -> None:
         cells, self._windows = fineness
         self.settings, self.machine = settings, machine
         self._model = RoughModel.over(machine.i_max, cells)
-        self._known: dict[tuple[Lissajous, float, float], Information] = {}
+        self._known: dict[tuple[Lissajous, float, float], FisherInformation] = {}
 
-    def predict(self, experiment: Experiment) -> Prediction:
-        parts = [self._inform(experiment, speed) for speed in experiment.speeds]
+    def predict(self, experiment: Candidate) -> Prediction:
+        parts = [self._information(experiment, speed) for speed in experiment.speeds]
         return predict(self._model, parts, self.machine, self.settings.current_noise)
 
-    def _inform(self, experiment: Experiment, speed: float) -> Information:
-        """Return the information of the whole figure at one speed, for the share of it that falls to this speed."""
+    def _information(self, experiment: Candidate, speed: float) -> FisherInformation:
+        """Return the information of the experiment's share at one speed."""
         key = experiment.trajectory, speed, experiment.figure
         if key not in self._known:
             samples = synthesize(self.machine, *key, self.settings.sample_period)
-            self._known[key] = inform(self._model, samples, self._windows)
+            self._known[key] = fisher_information(self._model, samples, self._windows)
         return self._known[key].lasting(experiment.share / experiment.figure)
 
 
-def _best(scout: _Scout, trials: Iterable[Experiment]) -> Experiment:
-    """Return the experiment of least cost; being no better than the paper's in one of the deviations costs a lot."""
+def _best(scout: _Scout, trials: Iterable[Candidate]) -> Candidate:
+    """Return the experiment of least cost, which is high where one standard error exceeds the paper's."""
     trials = list(trials)
     paper = _measures(scout.predict(_paper(scout.machine, trials[0].duration)))
 
-    def rank(trial: Experiment) -> float:
+    def rank(trial: Candidate) -> float:
         prediction = scout.predict(trial)
         excess = np.log(_measures(prediction) / (_MARGIN * paper))
         return cost(prediction) + _LOSS * float(np.maximum(excess, 0.0).sum())
@@ -224,5 +270,129 @@ def _measures(prediction: Prediction) -> FloatArray:
     return prediction.values()[:4]
 
 
-def _paper(machine: RoughMachine, duration: float) -> Experiment:
-    return Experiment(Lissajous(machine.i_max, *PAPER_FREQUENCIES), (PAPER_SPEED,), duration)
+def _paper(machine: RoughMachine, duration: float) -> Candidate:
+    return Candidate(Lissajous(machine.i_max, *PAPER_FREQUENCIES), (PAPER_SPEED,), duration)
+
+
+def highest_frequency(settings: PlanSettings, machine: RoughMachine) -> float:
+    """Return the highest frequency of the references, Hz, that controller, load machine and voltage allow."""
+    volts_per_hertz = 2 * math.pi * machine.i_max * float(machine.inductance.max())
+    by_voltage = _SLOPE_VOLTAGE_SHARE * machine.largest_voltage / volts_per_hertz
+    return min(settings.frequency_max, _BANDWIDTH_SHARE * settings.current_bandwidth, by_voltage)
+
+
+def speed_range(settings: PlanSettings, machine: RoughMachine, frequency: float) -> tuple[float, float]:
+    """Return the lowest and the highest mechanical speed, rpm, at which figures can be driven and evaluated.
+
+    Parameters
+    ----------
+    settings : PlanSettings
+    machine : RoughMachine
+    frequency : float
+        Highest of the references, Hz.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none in the allowed range.
+    """
+    per_rpm = machine.electrical(1.0)
+    slowest = WINDOW_ANGLE / LONGEST_WINDOW / per_rpm
+    fastest = WINDOW_ANGLE / (_FEWEST_SAMPLES * settings.sample_period) / per_rpm
+    low, high = max(settings.speed_min, slowest), min(settings.speed_max, fastest)
+    if low > high:
+        raise ConfigurationError(
+            f"The fit needs 60 degrees electrical in {_FEWEST_SAMPLES} samples to {LONGEST_WINDOW:g} s, which is from "
+            f"{slowest:.4g} to {fastest:.4g} rpm, and {settings.speed_min:g} to {settings.speed_max:g} rpm are "
+            "allowed: allow other speeds, or sample faster."
+        )
+    limit = _VOLTAGE_SHARE * machine.largest_voltage - DROP_SHARE * machine.u_dc
+    limit -= 2 * math.pi * math.sqrt(2) * frequency * machine.i_max * float(machine.inductance.max())
+    if machine.steady_voltage(low) > limit:
+        raise ConfigurationError(
+            f"At {low:.4g} rpm the disc of {machine.i_max:g} A takes {machine.steady_voltage(low):.4g} V, where "
+            f"u_dc / sqrt(3) leaves {limit:.4g} V for it: reduce i_max or speed_min, or raise u_dc."
+        )
+    inside, outside = low, high
+    while machine.steady_voltage(high) > limit and outside - inside > 1e-3 * low:
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if machine.steady_voltage(middle) <= limit else (inside, middle)
+    return low, high if machine.steady_voltage(high) <= limit else inside
+
+
+def speed_sets(low: float, high: float, *, reverse: bool) -> list[tuple[float, ...]]:
+    """Return sets of speeds, rpm, within a range; two or more wherever possible.
+
+    One constant speed cannot separate resistance or voltage delay from a rotation of the map. Both directions separate
+    what changes its sign with the speed from what does not, so they are used where the bench allows it.
+    """
+    steps = sorted({_rounded(speed, low, high) for speed in np.geomspace(low, high, _MOST_SPEEDS)})
+    pairs = list(itertools.combinations(steps, 2))
+    if reverse:
+        both = [(a, -a) for a in steps] + [(a, -b) for a, b in pairs]
+        return both + [(a, b, -b, -a) for a, b in pairs]
+    return [*pairs] or [(steps[0],)]
+
+
+def figures(i_max: float, highest: float, period: float) -> Iterator[Lissajous]:
+    """Yield figures that close after a given time.
+
+    Their frequencies are coprime multiples of its inverse, so that the figure closes then and not before, and covers
+    the disc with evenly spaced lines.
+
+    Parameters
+    ----------
+    i_max : float
+        A.
+    highest : float
+        Frequency, Hz.
+    period : float
+        s.
+
+    Raises
+    ------
+    ConfigurationError
+        When the time is too short for these frequencies.
+    """
+    if highest * period < FEWEST_CYCLES:
+        raise ConfigurationError(
+            f"In {period:.3g} s, references of up to {highest:.3g} Hz do not cover the disc: allow more time, up to "
+            f"{LONGEST_FIGURE:g} s, or higher frequencies."
+        )
+    for share, ratio in itertools.product(_SHARES, _RATIOS):
+        upper = math.floor(share * highest * period + 1e-9)
+        lower = next(number for number in _nearest(round(ratio * upper), upper) if math.gcd(number, upper) == 1)
+        for d, q in ((upper, lower), (lower, upper)):
+            yield Lissajous(i_max, round(d / period, 6), round(q / period, 6))
+
+
+def retimed(experiment: Candidate, duration: float, highest: float) -> Candidate:
+    """Return an experiment of another duration, s, with the most similar figure that closes then."""
+    old, other = experiment.trajectory, replace(experiment, duration=duration)
+    wanted = np.log([old.frequency_d, old.frequency_q])
+
+    def distance(figure: Lissajous) -> float:
+        return float(np.abs(np.log([figure.frequency_d, figure.frequency_q]) - wanted).sum())
+
+    return replace(other, trajectory=min(figures(old.i_max, highest, other.figure), key=distance))
+
+
+def needed_voltages(machine: RoughMachine, experiment: Candidate, sample_period: float) -> tuple[float, ...]:
+    """Return the largest voltage amplitude, V, at each speed of an experiment, the inverter's error included."""
+    figures = (
+        synthesize(machine, experiment.trajectory, speed, experiment.figure, sample_period)
+        for speed in experiment.speeds
+    )
+    drop = DROP_SHARE * machine.u_dc
+    return tuple(float(np.abs(space_vector(samples.u_abc)).max()) + drop for samples in figures)
+
+
+def _nearest(number: int, below: int) -> Iterator[int]:
+    """Yield the whole numbers from 1 to below ``below``, the nearest to ``number`` first."""
+    yield from sorted(range(1, below), key=lambda candidate: abs(candidate - number))
+
+
+def _rounded(speed: float, low: float, high: float) -> float:
+    """Return a speed rounded to two digits if that lies in the range."""
+    short = float(f"{speed:.2g}")
+    return short if low <= short <= high else round(speed, 3 - math.floor(math.log10(speed)))

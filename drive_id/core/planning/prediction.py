@@ -1,8 +1,8 @@
-"""What an experiment would tell method ``full``, before it is made.
+"""Prediction of the standard errors of method ``full`` before any measurement (optimal experiment design).
 
-With white residuals of deviation sigma the covariance of all unknowns is ``sigma^2 (Z'Z + P)^-1``, where P, the penalty
-on the map's roughness, stands for what is known of maps beforehand: between the lines of a figure nothing else is. Z
-needs no measurement: it consists of currents and angles at the ends of the windows, and of integrals over them.
+With white residuals of standard deviation sigma the covariance of all unknowns is ``sigma^2 (Z'Z + P)^-1``. The
+roughness penalty P is the prior on the map between the lines of the figure. Z needs no measurement: it consists of the
+currents and angles at the ends of the windows and of integrals over the windows.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from drive_id.core.planning.settings import RoughMachine
 from drive_id.types import FloatArray, Samples
 
 PENALTY = 1e-3
-"""Of the map's roughness: what cross-validation finds for recordings of ten seconds."""
+"""Weight of the roughness penalty: the one that cross-validation finds for recordings of ten seconds."""
 DROP_SHARE = 0.01
-"""Height of an inverter's drop that nobody knows, as a share of the DC link."""
+"""Assumed height of an unknown inverter's voltage error, as a fraction of the DC-link voltage."""
 CURVE_ERROR = 1e-5
-"""What the fitted inverter curve misses, as a share of the DC link: it counts the more, the longer a window lasts."""
+"""Assumed misfit of the inverter curve, as a fraction of the DC-link voltage; it weighs more in longer windows."""
 
 _SAMPLES_PER_WINDOW = 8
 _COARSEST = 1e-3
@@ -40,17 +40,17 @@ _CURVE_FOOT = 0.02
 
 @dataclass(frozen=True)
 class Prediction:
-    """Deviations to be expected from the noise of the currents and the misfit of the inverter's curve, as fractions.
+    """Expected standard errors from current noise and misfit of the inverter curve, as fractions.
 
     Parameters
     ----------
     flux_d, flux_q : float
-        Root mean square over the disc, of the largest flux of that axis.
+        Root mean square over the disc, as a fraction of the largest flux of that axis.
     resistance : float
     inverter : float
-        Root mean square of the curve up to i_max, of its height.
+        Root mean square of the curve up to i_max, as a fraction of its height.
     free_resistance : float
-        Of the resistance if the maps were not known to be reciprocal.
+        Of the resistance without the assumption of reciprocal maps.
     """
 
     flux_d: float
@@ -71,7 +71,7 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class RoughModel(FullModel):
-    """The model of method ``full`` with as many cells as wanted, and without the harmonics of the sensors.
+    """The model of method ``full`` with a chosen number of cells and without sensor harmonics.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class RoughModel(FullModel):
 
     @classmethod
     def over(cls, i_max: float, cells: int) -> RoughModel:
-        """Cover the disc of a radius, A; with the sixth harmonic, which every machine has."""
+        """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
         return cls(np.array([-i_max, -i_max]), np.array([i_max, i_max]), i_max, (6,), cells)
 
     @cached_property
@@ -98,8 +98,8 @@ class RoughModel(FullModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
-    """What windows at one speed tell.
+class FisherInformation:
+    """Fisher information of the windows at one speed, for unit variance.
 
     Parameters
     ----------
@@ -114,9 +114,9 @@ class Information:
     rows: float
     window: float
 
-    def lasting(self, factor: float) -> Information:
-        """Return what comes of an experiment that repeats itself this many times."""
-        return Information(factor * self.normal, factor * self.rows, self.window)
+    def lasting(self, factor: float) -> FisherInformation:
+        """Return the information of this many repetitions."""
+        return FisherInformation(factor * self.normal, factor * self.rows, self.window)
 
 
 def synthesize(
@@ -132,7 +132,7 @@ def synthesize(
         Mechanical, rpm.
     seconds : float
     sample_period : float
-        At least, s; longer where a window of 60 degrees has more samples than the information needs.
+        Lower bound, s; longer where a window of 60 degrees needs fewer samples.
     """
     omega = machine.electrical(speed)
     period = float(np.clip(WINDOW_ANGLE / abs(omega) / _SAMPLES_PER_WINDOW, sample_period, _COARSEST))
@@ -153,27 +153,29 @@ def synthesize(
     )
 
 
-def inform(model: RoughModel, samples: Samples, most_windows: int) -> Information:
-    """Accumulate Z'Z of samples, from ``most_windows`` of their windows at most, which count for the others, too."""
+def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -> FisherInformation:
+    """Return Z'Z of samples, extrapolated from at most ``most_windows`` of their windows."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
     chosen = windows.part(slice(None, None, -(-len(windows) // most_windows)))
     rows = model.design(chosen).reshape(-1, model.size)
-    information = Information(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
+    information = FisherInformation(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
     return information.lasting(len(windows) / len(chosen))
 
 
-def predict(model: RoughModel, parts: Sequence[Information], machine: RoughMachine, current_noise: float) -> Prediction:
-    """Predict the deviations of a fit to all parts of an experiment.
+def predict(
+    model: RoughModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
+) -> Prediction:
+    """Predict the standard errors of a fit to all parts of an experiment.
 
     Parameters
     ----------
     model : RoughModel
-    parts : sequence of Information
+    parts : sequence of FisherInformation
         One for each speed.
     machine : RoughMachine
     current_noise : float
-        Deviation of each phase current's noise as a fraction of i_max.
+        Standard deviation of each phase current's noise as a fraction of i_max.
     """
     total = np.sum([part.normal for part in parts], axis=0)
     solver = Solver(model, total[None], np.array([sum(part.rows for part in parts)]))
@@ -181,33 +183,35 @@ def predict(model: RoughModel, parts: Sequence[Information], machine: RoughMachi
     noise = np.sum([variance * part.normal for variance, part in zip(variances, parts, strict=True)], axis=0)
     noise += np.average(variances, weights=[part.rows for part in parts]) * roughness(model, total, PENALTY)
     resistance_form, ohm = np.eye(1, model.size, RESISTANCE), 1.0 / max(machine.resistance, 1e-12)
-    free = _deviations(solver.solve(Choice(False, model.all_orders, penalty=PENALTY)), noise, resistance_form)
+    free = _standard_errors(solver.solve(Choice(False, model.all_orders, penalty=PENALTY)), noise, resistance_form)
     reciprocal = solver.solve(Choice(True, model.all_orders, penalty=PENALTY))
-    flux = _deviations(reciprocal, noise, _flux_forms(model)).reshape(-1, 2)
+    flux = _standard_errors(reciprocal, noise, _flux_forms(model)).reshape(-1, 2)
     flux_d, flux_q = np.sqrt((flux**2).mean(axis=0)) / machine.largest_flux
-    curve = np.sqrt((_deviations(reciprocal, noise, _curve_forms(model)) ** 2).mean()) / (DROP_SHARE * machine.u_dc)
-    resistance = ohm * _deviations(reciprocal, noise, resistance_form)[0]
+    curve = np.sqrt((_standard_errors(reciprocal, noise, _curve_forms(model)) ** 2).mean()) / (
+        DROP_SHARE * machine.u_dc
+    )
+    resistance = ohm * _standard_errors(reciprocal, noise, resistance_form)[0]
     return Prediction(float(flux_d), float(flux_q), float(resistance), float(curve), float(ohm * free[0]))
 
 
 def _residual_variance(machine: RoughMachine, current_noise: float, window: float) -> float:
     """Return the variance of one component of a window's residual, (Vs)^2.
 
-    It is L (n_end - n_start), where n has 2/3 of the variance of a phase current's noise, and what the inverter's curve
-    is not known to, integrated over the window.
+    The sum of L (n_end - n_start), where n has 2/3 of the variance of a phase current's noise, and of the misfit of the
+    inverter curve integrated over the window.
     """
     square = 2 / 3 * (current_noise * machine.i_max) ** 2
     return float(2 * np.mean(machine.inductance**2) * square + (CURVE_ERROR * machine.u_dc * window) ** 2)
 
 
-def _deviations(solution: FullSolution, noise: FloatArray, forms: FloatArray) -> FloatArray:
-    """Return the deviations (K,) of linear forms (K, size) of the columns for scores of covariance ``noise``."""
+def _standard_errors(solution: FullSolution, noise: FloatArray, forms: FloatArray) -> FloatArray:
+    """Return the standard errors (K,) of linear forms (K, size) of the unknowns, for scores of covariance ``noise``."""
     outer = solution.basis @ solution.gain(solution.basis.T @ forms.T)
     return np.asarray(np.sqrt(np.sum(outer * (noise @ outer), axis=0)))
 
 
 def _flux_forms(model: RoughModel) -> FloatArray:
-    """Return the forms (2 P, size) of psi_d and psi_q at P points of the disc in turn."""
+    """Return the linear forms (2 P, size) of psi_d and psi_q at P points of the disc, interleaved."""
     axis = np.linspace(-model.i_max, model.i_max, _GRID)
     points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     points = points[np.hypot(*points.T) <= model.i_max]
@@ -217,7 +221,7 @@ def _flux_forms(model: RoughModel) -> FloatArray:
 
 
 def _curve_forms(model: RoughModel) -> FloatArray:
-    """Return the forms (K, size) of the inverter's curve at currents up to i_max."""
+    """Return the linear forms (K, size) of the inverter curve at currents up to i_max."""
     current = model.i_max * np.linspace(_CURVE_FOOT, 1.0, _CURVE_NODES)
     forms = np.zeros((_CURVE_NODES, model.size))
     forms[:, model.phase_columns()[:, 0]] = model.shapes(current)

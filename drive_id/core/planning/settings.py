@@ -1,4 +1,4 @@
-"""What is known and wanted before an experiment, for the planner."""
+"""Inputs of the planner: rough data of the drive, limits of the bench, wanted accuracy."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ _RIM_NODES = 720
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Rough data of the drive, what the bench allows, and what is wanted of the experiment."""
+    """Rough data of the drive, limits of the bench, and the wanted accuracy."""
 
-    i_max: float | None = setting(None, "Radius of the current disc to be mapped", unit="A", minimum=1e-3)
+    i_max: float | None = setting(None, "Radius of the current disc to map", unit="A", minimum=1e-3)
     pole_pairs: int | None = setting(None, "Pole pairs", minimum=1, maximum=1000)
-    resistance: float | None = setting(None, "Rough resistance of the stator", unit="ohm", minimum=1e-9)
-    inductance_d: float | None = setting(None, "Rough inductance of d over the disc", unit="H", minimum=1e-9)
-    inductance_q: float | None = setting(None, "Rough inductance of q over the disc", unit="H", minimum=1e-9)
-    magnet_flux: float | None = setting(None, "Rough flux linkage of the magnets, on d", unit="Wb")
-    u_dc: float | None = setting(None, "Voltage of the DC link", unit="V", minimum=1e-3)
+    resistance: float | None = setting(None, "Rough stator resistance", unit="ohm", minimum=1e-9)
+    inductance_d: float | None = setting(None, "Rough d inductance over the disc", unit="H", minimum=1e-9)
+    inductance_q: float | None = setting(None, "Rough q inductance over the disc", unit="H", minimum=1e-9)
+    magnet_flux: float | None = setting(None, "Rough flux linkage of the magnets", unit="Wb")
+    u_dc: float | None = setting(None, "DC-link voltage", unit="V", minimum=1e-3)
     sample_period: float = setting(1e-4, "Period of sampling and control", unit="s", minimum=1e-6, maximum=1e-2)
     current_noise: float = setting(
-        1e-3, "Deviation of the current noise as a fraction of i_max", minimum=1e-7, maximum=0.1
+        1e-3, "Standard deviation of the current noise as a fraction of i_max", minimum=1e-7, maximum=0.1
     )
     current_bandwidth: float = setting(200.0, "Bandwidth of the current controller", unit="Hz", minimum=1.0)
     frequency_max: float = setting(
         12.0,
-        "Highest frequency of the references: so fast a torque may swing without moving the speed of the load machine",
+        "Highest frequency of the references, at which the torque does not yet disturb the speed of the load machine",
         unit="Hz",
         minimum=0.1,
         maximum=1e3,
     )
     speed_min: float = setting(
-        250.0, "Lowest mechanical speed allowed: errors of the voltages count most there", unit="rpm", minimum=1.0
+        250.0, "Lowest mechanical speed allowed; voltage errors weigh most there", unit="rpm", minimum=1.0
     )
     speed_max: float = setting(1500.0, "Highest mechanical speed allowed", unit="rpm", minimum=1.0, maximum=1e6)
-    reverse: bool = setting(True, "Whether the shaft may turn backwards, too")
+    reverse: bool = setting(True, "Whether the shaft may also turn backwards")
     accuracy: float = setting(
-        0.05, "Wanted deviation of the flux, in percent of its largest value", minimum=1e-4, maximum=10.0
+        0.05, "Wanted standard error of the flux, in percent of its largest value", minimum=1e-4, maximum=10.0
     )
     duration: float | None = setting(
-        None, "Time on the figure, all speeds together; default: what the accuracy needs", unit="s", minimum=2.0
+        None, "Duration of the experiment, all speeds together; default: as the accuracy needs", unit="s", minimum=2.0
     )
-    duration_max: float = setting(60.0, "Longest time on the figure", unit="s", minimum=2.0, maximum=1e5)
+    duration_max: float = setting(60.0, "Longest duration of the experiment", unit="s", minimum=2.0, maximum=1e5)
 
     def __post_init__(self) -> None:
         check(self)
@@ -66,7 +66,7 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class RoughMachine:
-    """A linear machine, as it is known before an experiment.
+    """Linear model of the machine, as known before the experiment.
 
     Parameters
     ----------

@@ -9,8 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drive_id.core.planning.candidates import Experiment
-from drive_id.core.planning.planner import Plan
+from drive_id.core.planning.planner import Candidate, Plan
 from drive_id.errors import OutputError
 from drive_id.files.results.folder import check_absent
 
@@ -125,7 +124,7 @@ def write_plan(path: Path, text: str) -> None:
         ) from error
 
 
-def _experiment_tree(experiment: Experiment) -> dict[str, Any]:
+def _experiment_tree(experiment: Candidate) -> dict[str, Any]:
     trajectory = experiment.trajectory
     return {
         "frequency_d": trajectory.frequency_d,

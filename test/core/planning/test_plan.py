@@ -17,18 +17,18 @@ from drive_id.core.full.basis import Choice
 from drive_id.core.full.model import RESISTANCE
 from drive_id.core.full.solver import Solver
 from drive_id.core.planning import planner as plan_module
-from drive_id.core.planning import prediction as plan_information
-from drive_id.core.planning.candidates import (
-    Experiment,
+from drive_id.core.planning import prediction as prediction_module
+from drive_id.core.planning.planner import (
+    Candidate,
     figures,
     highest_frequency,
     needed_voltages,
+    plan,
     retimed,
     speed_range,
     speed_sets,
 )
-from drive_id.core.planning.planner import plan
-from drive_id.core.planning.prediction import RoughModel, inform, predict, synthesize
+from drive_id.core.planning.prediction import RoughModel, fisher_information, predict, synthesize
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError
@@ -59,12 +59,12 @@ def test_synthesized_samples_obey_the_voltage_balance():
     trajectory = Lissajous(20.0, 11.0, 7.0)
     samples = synthesize(MACHINE, trajectory, -600.0, 1.0, 1e-4)
     model = RoughModel.over(20.0, 8)
-    information = inform(model, samples, 10_000)
+    information = fisher_information(model, samples, 10_000)
     solution = Solver(model, information.normal[None], np.array([information.rows])).solve(
         Choice(True, model.all_orders, penalty=1e-9)
     )
     assert solution.residual[RESISTANCE] == pytest.approx(0.35, rel=0.02)
-    (voltage,) = needed_voltages(MACHINE, Experiment(trajectory, (-600.0,), 1.0), 1e-4)
+    (voltage,) = needed_voltages(MACHINE, Candidate(trajectory, (-600.0,), 1.0), 1e-4)
     slope = trajectory.slope * MACHINE.inductance_q
     assert MACHINE.steady_voltage(600.0) * 0.9 < voltage < MACHINE.steady_voltage(600.0) + slope + 3.25 + 1.0
 
@@ -98,7 +98,7 @@ def test_speeds_respect_the_sampling():
     [
         ({"u_dc": 20.0}, "takes .* V, where u_dc / sqrt.3. leaves"),
         ({"speed_min": 1.0, "speed_max": 2.0}, "60 degrees electrical"),
-        ({"frequency_max": 0.5}, "do not fill the disc"),
+        ({"frequency_max": 0.5}, "do not cover the disc"),
         ({"i_max": None, "u_dc": None}, "needs i_max, u_dc: give them"),
         ({"resistance": None}, "needs resistance: give it"),
     ],
@@ -154,7 +154,7 @@ def test_figures_close_after_their_period_and_not_before(period):
 
 
 def test_another_duration_keeps_the_figure_about_as_it_was():
-    old = Experiment(Lissajous(20.0, 11.9, 7.3), (200.0, -200.0), 10.0)
+    old = Candidate(Lissajous(20.0, 11.9, 7.3), (200.0, -200.0), 10.0)
     new = retimed(old, 26.0, 12.0)
     assert new.duration == 26.0
     assert new.share == 13.0
@@ -163,9 +163,9 @@ def test_another_duration_keeps_the_figure_about_as_it_was():
 
 
 def test_predictions_fall_with_the_root_of_the_time_and_rise_with_the_noise(monkeypatch):
-    monkeypatch.setattr(plan_information, "CURVE_ERROR", 0.0)
+    monkeypatch.setattr(prediction_module, "CURVE_ERROR", 0.0)
     model = RoughModel.over(20.0, 6)
-    once = inform(model, synthesize(MACHINE, Lissajous(20.0, 11.0, 7.0), 300.0, 1.0, 1e-4), 2000)
+    once = fisher_information(model, synthesize(MACHINE, Lissajous(20.0, 11.0, 7.0), 300.0, 1.0, 1e-4), 2000)
     base = predict(model, [once], MACHINE, 1e-3).values()
     assert predict(model, [once.lasting(4.0)], MACHINE, 1e-3).values() == pytest.approx(base / 2, rel=1e-5)
     assert predict(model, [once, once], MACHINE, 2e-3).values() == pytest.approx(base * math.sqrt(2), rel=1e-5)
@@ -173,22 +173,22 @@ def test_predictions_fall_with_the_root_of_the_time_and_rise_with_the_noise(monk
 
 def test_predictions_come_true(monkeypatch):
     """The scatter of fits to noisy samples is the predicted one."""
-    monkeypatch.setattr(plan_information, "CURVE_ERROR", 0.0)
+    monkeypatch.setattr(prediction_module, "CURVE_ERROR", 0.0)
     model, noise = RoughModel.over(20.0, 6), 2e-3
     machine = replace(MACHINE, inductance_q=MACHINE.inductance_d)
     wide = RoughModel.over(21.0, 6)
     wide = replace(model, low=wide.low, high=wide.high)  # noise leads beyond the rim
     clean = synthesize(machine, Lissajous(20.0, 11.0, 7.0), 300.0, 1.0, 1e-4)
-    expected = predict(wide, [inform(wide, clean, 10_000)], machine, noise)
+    expected = predict(wide, [fisher_information(wide, clean, 10_000)], machine, noise)
     rng, found = np.random.default_rng(1), []
     axis = np.linspace(-20.0, 20.0, 9)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     points = points[np.hypot(*points.T) <= 20.0]
     for _ in range(30):
         noisy = replace(clean, i_abc=clean.i_abc + noise * 20.0 * rng.standard_normal(clean.i_abc.shape))
-        information = inform(wide, noisy, 10_000)
+        information = fisher_information(wide, noisy, 10_000)
         solver = Solver(wide, information.normal[None], np.array([information.rows]))
-        solution = solver.solve(Choice(True, wide.all_orders, penalty=plan_information.PENALTY))
+        solution = solver.solve(Choice(True, wide.all_orders, penalty=prediction_module.PENALTY))
         flux = wide.flux.rows(points).dot(solution.residual[wide.map])
         found.append([solution.residual[RESISTANCE] / machine.resistance, *(flux / machine.largest_flux).ravel()])
     scatter = np.std(found, axis=0)
@@ -221,7 +221,7 @@ def test_a_planned_experiment_beats_the_papers_in_simulation(pmsyrm):
     assert (planned < paper).all(), planned / paper
 
 
-def _errors(experiment: Experiment, seed: int) -> np.ndarray:
+def _errors(experiment: Candidate, seed: int) -> np.ndarray:
     """Return the errors of psi_d, psi_q, R and the inverter's curve."""
     drive = SimulationSettings(current_noise=1e-3, seed=seed, speeds=experiment.speeds)
     simulation = run_experiment(machine_map("pmsyrm"), drive, experiment.trajectory, experiment.duration)
@@ -255,8 +255,8 @@ def test_one_speed_leaves_the_rotation_to_the_reciprocity():
     one = plan(replace(SETTINGS, speed_min=700.0, speed_max=700.0, reverse=False, duration=4.0))
     assert one.experiment.speeds == (700.0,)
     assert one.prediction.free_resistance > 1.1 * one.prediction.resistance
-    assert "One constant speed leaves R" in one.statements()[0]
-    assert "not allowed" in one.warnings()[0]
+    assert "At one constant speed only the reciprocity" in one.statements()[0]
+    assert "does not allow" in one.warnings()[0]
     two = plan(replace(SETTINGS, speed_min=700.0, speed_max=700.0, duration=4.0))
     assert two.experiment.speeds == (700.0, -700.0)
     assert two.prediction.free_resistance < 1.05 * two.prediction.resistance

@@ -8,12 +8,10 @@ from dataclasses import asdict
 import pytest
 import yaml
 
-from drive_id.bench.bench_settings import BenchSettings
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory
 from drive_id.core.experiment.trajectories import Lissajous
-from drive_id.core.planning.candidates import Experiment
-from drive_id.core.planning.planner import Plan
+from drive_id.core.planning.planner import Candidate, Plan
 from drive_id.core.planning.prediction import Prediction
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import OutputError
@@ -25,8 +23,8 @@ PREDICTION = Prediction(1e-4, 2e-4, 1e-3, 1e-3, 2e-3)
 
 
 def planned(*speeds: float, sample_period: float = 1e-4) -> Plan:
-    experiment = Experiment(Lissajous(300.0, 7.3, 12.0), speeds, 10.0)
-    paper = Experiment(Lissajous(300.0, 3.7, 1.1), (500.0,), 10.0)
+    experiment = Candidate(Lissajous(300.0, 7.3, 12.0), speeds, 10.0)
+    paper = Candidate(Lissajous(300.0, 3.7, 1.1), (500.0,), 10.0)
     settings = PlanSettings(**asdict(MACHINE), sample_period=sample_period)
     return Plan(settings, MACHINE, experiment, PREDICTION, paper, PREDICTION, (30.0,) * len(speeds))
 

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from drive_id.bench import kernels
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.machines import MACHINES, machine_map
-from drive_id.bench.parameters import State
+from drive_id.bench.parameters import DriveState
 from drive_id.bench.settings import SimulationSettings
 
 T = 1e-4
@@ -100,10 +100,10 @@ def compare_with_oracle(source, settings, flux_and_slopes, tolerance):
     np.testing.assert_allclose(block.i_dq_true[1 : count + 1], expected, rtol=0, atol=tolerance * machine.i_max)
 
 
-def replay(drive: Drive, state: State, u_abc: np.ndarray, speed: float, parts: int, substeps: int) -> np.ndarray:
+def replay(drive: Drive, state: DriveState, u_abc: np.ndarray, speed: float, parts: int, substeps: int) -> np.ndarray:
     """Repeat the plant's way under logged voltages in ``parts`` per period: (N * parts + 1, 4) of flux and current."""
     plant = drive._plant._replace(substeps=substeps)
-    state = State(*(x.copy() for x in state))
+    state = DriveState(*(x.copy() for x in state))
     rows = [np.concatenate((state.flux, state.current))]
     edges = np.linspace(0, T, parts + 1)
     for u in u_abc:
@@ -123,7 +123,7 @@ def test_halving_the_step_changes_nothing(inverter, rpm):
     i_ref = reference(machine.i_max, 1000)
     drive = Drive(machine, settings, i_dq_start=tuple(i_ref[0]))
     drive.step_block(i_ref[:500])
-    state = State(*(x.copy() for x in drive._state))
+    state = DriveState(*(x.copy() for x in drive._state))
     u_abc = drive.step_block(i_ref[500:]).samples.u_abc
     speed = rpm * np.pi / 30 * machine.pole_pairs
     coarse, fine = (replay(drive, state, u_abc, speed, 1, n)[:, :2] for n in (2, 4))
@@ -136,7 +136,7 @@ def test_voltages_balance_over_every_sample():
     machine = build_machine(machine_map("ipm"), settings)
     i_ref = reference(machine.i_max, 500)
     drive = Drive(machine, settings, i_dq_start=tuple(i_ref[0]))
-    state = State(*(x.copy() for x in drive._state))
+    state = DriveState(*(x.copy() for x in drive._state))
     block = drive.step_block(i_ref)
     speed = 500 * np.pi / 30 * machine.pole_pairs
     parts = 40

@@ -22,16 +22,20 @@ def generate_launch_description() -> LaunchDescription:
     truth_file = ParameterValue(LaunchConfiguration("truth_file"), value_type=str)
     return LaunchDescription(
         [
-            DeclareLaunchArgument("namespace", default_value="", description="Of the drive."),
-            DeclareLaunchArgument("machine", default_value="ipm", description="Shipped machine, or a machine file."),
-            DeclareLaunchArgument("truth_file", default_value="", description="File for the truth; empty: none."),
+            DeclareLaunchArgument("namespace", default_value="", description="Namespace of the drive."),
+            DeclareLaunchArgument(
+                "machine", default_value="ipm", description="Shipped machine (ipm, spm, pmsyrm) or machine file."
+            ),
+            DeclareLaunchArgument(
+                "truth_file", default_value="", description="File for the ground truth; empty: none."
+            ),
             DeclareLaunchArgument(
                 "bench_parameters",
                 default_value=str(CONFIG / "bench_simulator.yaml"),
                 description="Parameter file of the bench.",
             ),
             *(
-                DeclareLaunchArgument(topic, default_value=topic, description="Its name on this graph.")
+                DeclareLaunchArgument(topic, default_value=topic, description="Topic name to use instead.")
                 for topic in TOPICS
             ),
             Node(

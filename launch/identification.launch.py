@@ -1,7 +1,7 @@
-"""What identifies a drive, real or simulated: trajectory publisher, recorder and identification.
+"""The nodes that identify a drive, real or simulated: trajectory publisher, recorder, identification.
 
-``ros2 launch drive_id identification.launch.py namespace:=drive_1``. Each node has a parameter file of its own; topics
-with other names are remapped for all of them with ``ros2 launch ... phase_currents:=/inverter/currents``.
+``ros2 launch drive_id identification.launch.py namespace:=drive_1``. Each node has its own parameter file; topics are
+remapped for all of them with ``ros2 launch ... phase_currents:=/inverter/currents``.
 """
 
 from pathlib import Path
@@ -20,8 +20,8 @@ TOPICS = ("current_reference", "phase_currents", "phase_voltages", "resolver")
 def generate_launch_description() -> LaunchDescription:
     """Describe the launch."""
     arguments = [
-        DeclareLaunchArgument("namespace", default_value="", description="Of the drive."),
-        DeclareLaunchArgument("use_sim_time", default_value="false", description="Whether /clock gives the time."),
+        DeclareLaunchArgument("namespace", default_value="", description="Namespace of the drive."),
+        DeclareLaunchArgument("use_sim_time", default_value="false", description="Take the time from /clock."),
     ]
     arguments += [
         DeclareLaunchArgument(
@@ -32,7 +32,7 @@ def generate_launch_description() -> LaunchDescription:
         for node in NODES
     ]
     arguments += [
-        DeclareLaunchArgument(topic, default_value=topic, description="Its name on this graph.") for topic in TOPICS
+        DeclareLaunchArgument(topic, default_value=topic, description="Topic name to use instead.") for topic in TOPICS
     ]
     use_sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     nodes = [

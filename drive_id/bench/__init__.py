@@ -1,1 +1,1 @@
-"""The simulated drive: machine, inverter, sensors and current controller, with known truth."""
+"""The simulated drive: machine, inverter, sensors and current controller, with known ground truth."""

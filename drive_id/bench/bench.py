@@ -1,4 +1,4 @@
-"""The simulated bench in time: which samples exist by now, and what the drive was told meanwhile."""
+"""The simulated bench in real time: produces the samples due by now and follows the received references."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from drive_id.health import Health, Level
 from drive_id.types import GroundTruth, MachineMap
 
 _SAMPLES_AT_ONCE = 5000
-"""Samples to catch up with in one call, so that references and services get their turn."""
+"""Most samples simulated in one call, so that references and services are served in between."""
 _CLOCK_AHEAD = 0.02  # s
-_LARGEST_LAG = 0.5  # s, beyond which a delay is worth a warning
+_LARGEST_LAG = 0.5  # s, above which the diagnostics warn
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 Columns = tuple[NDArray[np.float32], ...]
@@ -25,7 +25,7 @@ Columns = tuple[NDArray[np.float32], ...]
 
 @dataclass(frozen=True, eq=False)
 class MessageBlock:
-    """A block of samples as a bench publishes it.
+    """The samples of one message of each topic.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class MessageBlock:
 
 
 class Bench:
-    """A simulated drive that runs with a clock; building it also compiles what it needs.
+    """A simulated drive that runs with a clock; building it also loads or compiles its kernels.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Bench:
     Raises
     ------
     ConfigurationError
-        When the settings do not fit together or the machine.
+        When the settings fit neither each other nor the machine.
     """
 
     def __init__(self, machine_map: MachineMap, drive: SimulationSettings, bench: BenchSettings) -> None:
@@ -75,25 +75,25 @@ class Bench:
         self._reported = (0, 0, 0)
 
     def truth(self) -> GroundTruth:
-        """Return what is true of the drive: for a file, never for a topic."""
+        """Return the ground truth: for a file, never for a topic."""
         return self._drive.truth()
 
     @property
     def latest(self) -> int | None:
-        """Time, ns, beyond which a clock that waits for the simulation must not go; None before the beginning."""
+        """Latest time, ns, for a clock that waits for the simulation; None before the first sample."""
         ahead = max(2 * self._settings.block_size, round(_CLOCK_AHEAD / self._period))
         return None if self._start is None else self._stamp(self._done + ahead)
 
     def set_speeds(self, speeds: tuple[float, ...], ramp_time: float) -> None:
-        """Ramp from the present speed to the first of these, rpm, from the next sample on, in ``ramp_time``, s."""
+        """Ramp from the present speed to the first of ``speeds``, rpm, in ``ramp_time``, s, from the next sample on."""
         now, profile = self._drive.time, self._drive.profile
         present = float(np.interp(now, profile.time, profile.speed))
         self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
 
     def advance(self, now: int) -> list[MessageBlock]:
-        """Return the blocks that are complete by ``now``, ns; if there are too many, the oldest of them.
+        """Return the blocks that are complete by ``now``, ns; the oldest ones if there are too many.
 
-        The first call begins the time of the bench.
+        The first call starts the simulation.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class Bench:
         ]
 
     def health(self) -> Health:
-        """Tell whether the bench keeps up and can follow: only what a real one could tell, too."""
+        """Return whether the bench keeps up and follows; only what a real bench would know, too."""
         counts, references = self.references.counts, self.references
         now = (counts.late, counts.unusable, counts.limited)
         late, unusable, limited = (a - b for a, b in zip(now, self._reported, strict=True))
@@ -145,11 +145,11 @@ class Bench:
         if self._lag > _LARGEST_LAG:
             sentence = f"The simulation is {self._lag:.1f} s behind the clock: lower time_scale, or raise block_size."
         elif unusable:
-            sentence = f"{unusable} set-points were not usable: different lengths, no period, NaN, or far too many."
+            sentence = f"{unusable} set-points were rejected: different lengths, no period, NaN, or far too many."
         elif limited:
-            sentence = f"{limited} set-points were beyond the drive's largest current and have been drawn in."
+            sentence = f"{limited} set-points above the largest current were limited: lower the publisher's i_max."
         elif late:
-            sentence = f"{late} set-points came too late: raise the publisher's lead_time."
+            sentence = f"{late} set-points arrived too late: raise the publisher's lead_time."
         else:
             return Health(Level.OK, "Zero current: no references." if references.dry else "Following.", values)
         return Health(Level.WARN, sentence, values)
@@ -160,7 +160,7 @@ class Bench:
 
 
 class Pace:
-    """Time for the bench, from a steady clock.
+    """Scales a steady clock to the time of the bench.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Pace:
     steady : int
         The steady clock then, ns.
     scale : float
-        Seconds per second. Other than 1, time waits for whoever is too slow, because all others follow it.
+        Simulated time per real time. Other than 1, time waits for the simulation, since all other nodes follow it.
     """
 
     def __init__(self, start: int, steady: int, scale: float) -> None:

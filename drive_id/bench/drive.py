@@ -1,4 +1,4 @@
-"""The simulated drive: machine, inverter, sensors and controller run together, block after block or at once."""
+"""The simulated drive: machine, inverter, sensors and controller, simulated in blocks or at once."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 SETTLING_TIME = 0.05
-"""Time that the drive runs at its first reference before the first sample is shown, s."""
+"""Time for which the drive runs at its first reference before the first sample, s."""
 
 _TRUTH_NODES = 81
 
 _INTERRUPTIBLE = 20_000  # samples
 _FLUX_TOLERANCE = 3e-8
-"""What the bend of the inverter's drop may cost in one integration step, relative to the largest flux."""
+"""Largest error per integration step from the bend of the inverter curve, relative to the largest flux."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBlock:
-    """A stretch of a simulated experiment.
+    """A block of a simulated experiment.
 
     Parameters
     ----------
     samples : Samples
-        What the drive's sensors and log show.
+        As measured and logged by the drive.
     i_dq_true : (N, 2) float
-        Currents at the samples in the true rotor frame, without any sensor, A.
+        True currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, not wrapped to one turn, rad.
     """
@@ -47,12 +47,12 @@ class SimulatedBlock:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A simulated experiment and what is true about it.
+    """A simulated experiment and its ground truth.
 
     Parameters
     ----------
     samples : Samples
-        What the drive's sensors and log show.
+        As measured and logged by the drive.
     truth : GroundTruth
     machine : Machine
         Whose ``mean_flux`` is the truth at any current.
@@ -70,21 +70,21 @@ class Simulation:
 
 
 class Drive:
-    """A simulated drive that runs block after block and carries its state between them.
+    """A simulated drive that runs in blocks and keeps its state between them.
 
     Parameters
     ----------
     machine : Machine
     settings : SimulationSettings
     i_dq_start : (2,) tuple of float, optional
-        Reference, A, at which the drive settles before the first sample.
+        Reference at which the drive settles before the first sample, A.
     duration : float, optional
-        Of the experiment, s; needed for several speeds without durations of their own.
+        Duration of the experiment, s; needed for several speeds without segment durations.
 
     Raises
     ------
     ConfigurationError
-        When the speeds cannot be laid out in time, or the drive cannot be brought to its start.
+        When the speeds do not fit into the duration, or the drive does not settle at its start.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Drive:
         return SimulatedBlock(samples, out.i_dq_true, out.angle_true)
 
     def truth(self) -> GroundTruth:
-        """Return what is true of this drive."""
+        """Return the ground truth of this drive."""
         machine = self.machine
         axis = np.linspace(-machine.i_max, machine.i_max, _TRUTH_NODES)
         psi = machine.mean_flux(axis[:, None], axis[None, :])

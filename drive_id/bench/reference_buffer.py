@@ -1,4 +1,4 @@
-"""What a drive does with current references that arrive ahead of time: hold, replace, and go to zero without them."""
+"""The drive's buffer of current references: holds, replaces and limits them, and goes to zero when they run out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from drive_id.core.signals.signal import finite_rows
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 NANOSECONDS = 1_000_000_000
-_LARGEST = 5_000_000  # set-points that wait
-_EARLY = 0.1  # of a sample: set-points that come due by less than this after a sample are taken for it
-_HOLD = 1.5  # of its period: how long the last set-point is held before the current goes to zero
+_LARGEST = 5_000_000  # set-points in the buffer
+_EARLY = 0.1  # sample periods by which a set-point may come due after the sample that takes it
+_HOLD = 1.5  # periods for which the last set-point is held before the current goes to zero
 
 
 @dataclass
 class ReferenceCounts:
-    """Set-points that were not followed as they came: too late, not usable, and drawn into the disc."""
+    """Set-points that arrived too late, were rejected, or were limited to the disc."""
 
     late: int = 0
     unusable: int = 0
@@ -27,7 +27,7 @@ class ReferenceCounts:
 
 
 class ReferenceBuffer:
-    """Set-points that wait for their time.
+    """Set-points until they come due.
 
     Parameters
     ----------
@@ -52,16 +52,16 @@ class ReferenceBuffer:
         return len(self._due)
 
     def add(self, stamp: int, sample_period: float, d: NDArray[np.float32], q: NDArray[np.float32]) -> None:
-        """Take a block of set-points; it replaces whatever is due at or after its stamp.
+        """Add a block of set-points, which replaces all due at or after its stamp.
 
         Parameters
         ----------
         stamp : int
-            When the first is due, ns.
+            Due time of the first, ns.
         sample_period : float
             s.
         d, q : (N,) float32
-            A. A block that makes no sense is counted and left out.
+            A. Malformed blocks are counted and rejected.
         """
         if len(d) != len(q) or not 1e-9 <= sample_period <= 1e3 or len(d) + len(self) > _LARGEST:
             self.counts.unusable += max(len(d), len(q), 1)
@@ -109,6 +109,6 @@ class ReferenceBuffer:
 
 
 def _runs(known: BoolArray) -> list[tuple[int, int]]:
-    """Return where stretches of equal values begin and end."""
+    """Return begin and end of each run of equal values."""
     edges = np.flatnonzero(np.diff(known)) + 1
     return list(zip([0, *edges.tolist()], [*edges.tolist(), len(known)], strict=True))

@@ -12,7 +12,7 @@ INVERTERS = ("none", "tanh", "dead_time", "two_stage")
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Settings of the simulated drive; every fault acts inside the loop, and zero switches it off."""
+    """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
         None, "Largest current amplitude; default: the machine's, as far as its map reaches", unit="A", minimum=0.0
@@ -33,7 +33,7 @@ class SimulationSettings:
     ramp_time: float = setting(0.1, "Duration of the ramp that begins each further speed", unit="s", minimum=0.0)
     speed_ripple: float = setting(0.0, "Amplitude of the speed ripple as a fraction of speed", minimum=0.0, maximum=0.5)
     ripple_order: int = setting(1, "Periods of the speed ripple per mechanical revolution", minimum=1)
-    inverter: str = setting("dead_time", "Law of the inverter's voltage error", choices=INVERTERS)
+    inverter: str = setting("dead_time", "Model of the inverter's voltage error", choices=INVERTERS)
     inverter_voltage: float | None = setting(
         None, "Voltage error at large current; default: 1 % of the DC link", unit="V", minimum=0.0
     )
@@ -46,18 +46,18 @@ class SimulationSettings:
     device_resistance: float | None = setting(
         None, "Slope of the devices in two_stage; default: 0.2 % of the DC link at i_max", unit="ohm", minimum=0.0
     )
-    inverter_compensation: bool = setting(False, "Whether the drive adds the known voltage error to its commands")
+    inverter_compensation: bool = setting(False, "Compensate the voltage error in the commands")
     current_noise: float = setting(
-        0.0, "Deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
+        0.0, "Standard deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
     )
     current_gain: tuple[float, float, float] = setting((1.0, 1.0, 1.0), "Gain of each current sensor")
     current_offset: tuple[float, float, float] = setting((0.0, 0.0, 0.0), "Offset of each current sensor", unit="A")
-    current_quantization: float = setting(0.0, "Step of the current converter", unit="A", minimum=0.0)
+    current_quantization: float = setting(0.0, "Quantization step of the currents", unit="A", minimum=0.0)
     resolver_offset: float = setting(0.0, "Measured minus true electrical angle", unit="rad")
-    resolver_noise: float = setting(0.0, "Deviation of the electrical angle's noise", unit="rad", minimum=0.0)
-    speed_noise: float = setting(0.0, "Deviation of the electrical speed's noise", unit="rad/s", minimum=0.0)
+    resolver_noise: float = setting(0.0, "Standard deviation of the electrical angle's noise", unit="rad", minimum=0.0)
+    speed_noise: float = setting(0.0, "Standard deviation of the electrical speed's noise", unit="rad/s", minimum=0.0)
     voltage_delay: float = setting(
-        0.0, "Time by which voltages act later than the log says", unit="samples", minimum=-4.0, maximum=1.99
+        0.0, "Delay of the voltages relative to the log", unit="samples", minimum=-4.0, maximum=1.99
     )
     current_bandwidth: float = setting(
         200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency", unit="Hz", minimum=1.0
@@ -84,16 +84,15 @@ class BenchSettings:
     block_size: int = setting(100, "Samples per message", minimum=1, maximum=10_000)
     time_scale: float = setting(
         1.0,
-        "Speed of simulated against real time; other than 1, this node publishes /clock, and all others must set "
-        "use_sim_time",
+        "Simulated time per real time; other than 1, this node publishes /clock, and all others must set use_sim_time",
         minimum=0.001,
         maximum=100.0,
     )
     zero_slew_rate: float = setting(
         10000.0, "|di/dt| to zero current when references run out", unit="A/s", minimum=1.0, maximum=1e9
     )
-    frame_id: str = setting("drive", "Name of the drive in the blocks' headers")
-    truth_file: str = setting("", "File for the truth about the simulated machine (.npz); empty: none is written")
+    frame_id: str = setting("drive", "Name of the drive in the message headers")
+    truth_file: str = setting("", "File for the ground truth of the simulated machine (.npz); empty: none")
 
     def __post_init__(self) -> None:
         check(self)

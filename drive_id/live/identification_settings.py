@@ -1,4 +1,4 @@
-"""Settings of the identification node, beside those of the fit."""
+"""Settings of the identification node besides those of the fit."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from drive_id.settings import check, setting
 
 @dataclass(frozen=True)
 class IdentificationSettings:
-    """Where recordings come from, where results go to, and what is kept of the live samples."""
+    """Folders of recordings and results, and what is kept of the live samples."""
 
     data_directory: str = setting(
-        "recordings", "Folder of the recordings that may be asked for; a relative one is below the working directory"
+        "recordings", "Folder of the recordings that may be requested; relative to the working directory"
     )
     output_directory: str = setting(
         "identifications",
-        "Folder in which each fit makes one of its own; a relative one is below the working directory",
+        "Folder in which each fit makes a new one; relative to the working directory",
     )
     validation_seconds: float = setting(
-        2.0, "Latest live samples to keep for the MAD of the simulated current", unit="s", minimum=0.01, maximum=60.0
+        2.0, "Latest live samples kept for the MAD of the simulated current", unit="s", minimum=0.01, maximum=60.0
     )
-    picture: bool = setting(False, "Draw the maps beside the result files, which takes about a second")
+    picture: bool = setting(False, "Draw the maps beside the result files; takes about a second")
     frame_id: str = setting("drive", "Name of the drive in the header of the flux map")
 
     def __post_init__(self) -> None:

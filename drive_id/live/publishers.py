@@ -1,4 +1,4 @@
-"""Who publishes a topic, and how reliably to subscribe to it."""
+"""Publishers of a topic, and the reliability to subscribe with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drive_id.health import Finding, Level
 
 @dataclass(frozen=True)
 class Publisher:
-    """Who offers a topic: full name of the node, type (``package/msg/Name``), and quality of service."""
+    """A publisher: full name of its node, message type (``package/msg/Name``), quality of service."""
 
     node: str
     type_name: str
@@ -20,12 +20,12 @@ class Publisher:
 
 
 def of_type(publishers: Sequence[Publisher], type_name: str) -> list[Publisher]:
-    """Return those that publish the given type."""
+    """Return the publishers of the given type."""
     return [publisher for publisher in publishers if publisher.type_name == type_name]
 
 
 def reliable_wanted(publishers: Sequence[Publisher], type_name: str, now: bool) -> bool:
-    """Tell whether to subscribe reliably: from a publisher that is not, a reliable subscription receives nothing.
+    """Tell whether to subscribe reliably: a reliable subscription receives nothing from a best-effort publisher.
 
     Parameters
     ----------
@@ -34,14 +34,14 @@ def reliable_wanted(publishers: Sequence[Publisher], type_name: str, now: bool) 
     type_name : str
         The expected type.
     now : bool
-        What is subscribed; kept while nobody publishes.
+        The present reliability; kept while nobody publishes.
     """
     right = of_type(publishers, type_name)
     return all(publisher.reliable for publisher in right) if right else now
 
 
 def publisher_findings(topic: str, type_name: str, publishers: Sequence[Publisher]) -> list[Finding]:
-    """Tell what is wrong with the publishers of a topic that should be of one type."""
+    """Return what is wrong with the publishers of a topic: wrong type, best effort, more than one."""
     findings: list[Finding] = []
     for publisher in publishers:
         if publisher.type_name != type_name:
@@ -53,5 +53,5 @@ def publisher_findings(topic: str, type_name: str, publishers: Sequence[Publishe
     right = of_type(publishers, type_name)
     if len(right) > 1:
         names = " and ".join(publisher.node for publisher in right)
-        findings.append((Level.WARN, f"{names} publish {topic} both: their counts cannot be told apart."))
+        findings.append((Level.WARN, f"{names} both publish {topic}: stop one, their sample counts mix."))
     return findings

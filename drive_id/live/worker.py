@@ -1,4 +1,4 @@
-"""One long job at a time in a thread of its own, which can be told to give up."""
+"""A thread that runs one long job at a time and can cancel it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from drive_id.types import Progress
 Result = TypeVar("Result")
 
 
-class Cancelled(BaseException):  # like KeyboardInterrupt it is no error, and nobody may handle it
-    """The job was told to give up."""
+class Cancelled(BaseException):  # like KeyboardInterrupt, no handler of errors may catch it
+    """The job was cancelled."""
 
 
 class Worker(Generic[Result]):
-    """Runs jobs that tell their progress, which is where they can be stopped.
+    """Runs jobs that report their progress; where they do, they can be cancelled.
 
-    The thread is a daemon: at the end of the process nobody waits for compiled code that cannot be stopped.
+    The thread is a daemon: the end of the process does not wait for compiled code.
     """
 
     def __init__(self) -> None:
@@ -42,9 +42,9 @@ class Worker(Generic[Result]):
         Parameters
         ----------
         job : callable
-            Gets the function to tell its progress to; must not raise.
+            Called with the function that takes its progress; must not raise.
         done : callable
-            Called with its result, in the worker's thread, unless it was stopped.
+            Called with the result, in the worker's thread, unless the job was cancelled.
         """
 
         def run() -> None:
@@ -59,7 +59,7 @@ class Worker(Generic[Result]):
         self._thread.start()
 
     def stop(self, patience: float) -> bool:
-        """Tell the job to give up, and whether it did so within so many seconds."""
+        """Cancel the job, and return whether it ended within ``patience``, s."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(patience)

@@ -1,5 +1,7 @@
-"""The rclpy nodes: they declare parameters, make endpoints, call and publish; the only room that imports rclpy."""
+"""The ROS 2 nodes: parameters, topics, services and diagnostics; the only package that imports rclpy."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded; our matrices are small: more threads wait
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # before numpy is loaded; small matrices gain nothing from more threads

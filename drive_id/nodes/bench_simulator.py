@@ -31,17 +31,17 @@ _LONGEST_TICK = 2e-2
 
 
 class BenchSimulator(Node):
-    """Follows current references and publishes what a real bench would measure, and nothing else."""
+    """Follows current references and publishes what a real bench would measure, nothing else."""
 
     def __init__(self) -> None:
-        # The log holds the truth, so it must not become a topic.
+        # The log holds the ground truth, so it must not be published on /rosout.
         super().__init__("bench_simulator", enable_rosout=False)
         names = SimulationSettings.__dataclass_fields__
         self._drive = declare_settings(self, SimulationSettings, read_only=set(names) - {"speeds", "ramp_time"})
         self._settings = declare_settings(self, BenchSettings, read_only=BenchSettings.__dataclass_fields__)
         self._follows_clock = bool(self.get_parameter("use_sim_time").value)
         if self._follows_clock and self._settings.time_scale != 1.0:
-            raise ConfigurationError("time_scale makes this node the clock: do not set use_sim_time for it, too.")
+            raise ConfigurationError("With time_scale this node publishes /clock: do not set use_sim_time for it, too.")
         self.get_logger().info("Loading the numerical kernels; the first start compiles them: about 10 s.")
         self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings)
         self._pace: Pace | None = None
@@ -79,7 +79,7 @@ class BenchSimulator(Node):
         )
 
     def _health(self) -> Health:
-        """Add how many listen, which only the bench knows: what it sends before it has found one is lost on it."""
+        """Add the number of subscribers: what is published before one is discovered never reaches it."""
         health = self._bench.health()
         publishers = self._publishers_kept.values()
         listeners = {f"{p.topic_name}: listeners": str(p.get_subscription_count()) for p in publishers}
@@ -97,7 +97,7 @@ class BenchSimulator(Node):
     def _on_timer(self) -> None:
         now = self._now()
         if now <= 0:
-            return  # nobody has published /clock yet
+            return  # no /clock yet
         for block in self._bench.advance(now):
             self._publish(block)
         if self._clock_publisher is not None:
@@ -123,7 +123,7 @@ class BenchSimulator(Node):
 
     def _check(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:
-            raise ConfigurationError(f"speeds has {len(settings.speeds)} entries: a running drive takes one new speed.")
+            raise ConfigurationError(f"speeds has {len(settings.speeds)} entries: give a running drive one new speed.")
 
     def _on_settings(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds:

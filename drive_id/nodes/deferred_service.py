@@ -1,4 +1,4 @@
-"""Services that reply later, while the node goes on."""
+"""Services that reply later without blocking the node."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 
 class Reply:
-    """The way back to the client of one request."""
+    """Sends the response of one request to its client."""
 
     def __init__(self, node: Node, empty: Callable[[], Any], send: Callable[[Any, Any], None]) -> None:
         self._node = node
@@ -20,19 +20,19 @@ class Reply:
         self._response: Any = None
 
     def __call__(self, response: Any) -> None:
-        """Reply; in the thread of the executor, once."""
-        if self._header is None:  # the callback has not returned yet
+        """Send the response, once; call it in the executor's thread."""
+        if self._header is None:  # the service callback has not returned yet
             self._response = response
         else:
             self._send(response, self._header)
 
     def from_thread(self, make: Callable[[], Any]) -> None:
-        """Have the executor make the response and reply; from any thread."""
+        """Have the executor make and send the response; call it from any thread."""
 
         def reply() -> None:
             try:
                 response = make()
-            except Exception:  # noqa: BLE001  # the events executor of rclpy up to 9.1 does not survive it
+            except Exception:  # noqa: BLE001  # kills the events executor of rclpy up to 9.1
                 self._node.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
                 response = self._empty()
             self(response)
@@ -42,26 +42,26 @@ class Reply:
             executor.create_task(reply)
 
     def attach(self, header: Any) -> None:
-        """Take the client's address once the callback has returned."""
+        """Set the request's header when the service callback has returned."""
         self._header = header
         if self._response is not None:
             self._send(self._response, header)
 
 
 class DeferredService:
-    """A service whose callback gets a :class:`Reply` to call then or later.
+    """A service whose callback gets a :class:`Reply` to call at once or later.
 
-    Not an ``async`` callback: the events executor of rclpy 7.1 does not know these, and others keep a core busy while
-    one awaits. Instead, what the callback returns meets an envelope in the place where the executor sends responses.
+    Not an ``async`` callback: the events executor of rclpy 7.1 does not support these, and the others keep a core busy
+    while one awaits. Instead, the callback returns the reply itself, and ``send_response`` is replaced to wait for it.
 
     Parameters
     ----------
     node : Node
     kind : type
-        Of the service.
+        Service type.
     name : str
     callback : callable
-        Called with request and reply.
+        Called with the request and its :class:`Reply`.
     """
 
     def __init__(self, node: Node, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:

@@ -1,4 +1,4 @@
-"""A node's health on ``/diagnostics``, once a second."""
+"""Publishes a node's health on ``/diagnostics`` once a second."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _PERIOD = 1.0  # s
 
 
 class Diagnostics:
-    """Publishes a node's health every second of a steady clock.
+    """Publishes a node's health every second of the steady clock.
 
     Parameters
     ----------
     node : Node
     read : callable
-        Returns the health now.
+        Returns the present health.
     """
 
     def __init__(self, node: Node, read: Callable[[], Health]) -> None:
@@ -30,7 +30,7 @@ class Diagnostics:
         self._timer = node.create_timer(_PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
-        """Publish the health now."""
+        """Publish the present health."""
         health = self._read()
         status = DiagnosticStatus(
             level=bytes([health.level]),

@@ -1,4 +1,4 @@
-"""The node ``identification``: fits recordings, or the live samples so far, when asked."""
+"""The node ``identification``: fits recordings or the live samples on request."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from drive_id.nodes.replies import fill
 from drive_id.nodes.runtime import run
 
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
-_LOOK_ROUND = 0.25  # s between looks at who publishes
-_PATIENCE = 2.0  # s that a fit under way may take to give up at the end of the process
-_SWITCH_INTERVAL = 5e-4  # s after which a fit lets the executor have the interpreter
+_MATCH_PERIOD = 0.25  # s between checks of who publishes
+_PATIENCE = 2.0  # s for a running fit to stop at the end of the process
+_SWITCH_INTERVAL = 5e-4  # s after which a fit yields the interpreter to the executor
 
 
 class Identification(Node):
-    """Accumulates live samples from its beginning; a worker does the fits."""
+    """Accumulates live samples from its start on; fits run in a worker thread."""
 
     def __init__(self) -> None:
         super().__init__("identification")
@@ -47,14 +47,16 @@ class Identification(Node):
         self._identifier = Identifier(settings, fit, topics)
         self._frame_id = settings.frame_id
         self._worker: Worker[Reply] = Worker()
-        self._fitting = False  # not the worker's word: its thread may outlive the reply
+        self._fitting = False  # not worker.busy: its thread may outlive the reply
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         on_change(self, FitSettings, lambda _: None, self._on_settings)
         self._topics = [
             MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
             for section, (name, kind) in enumerate(TOPICS.items())
         ]
-        self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(
+            _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self._services_kept = [
             DeferredService(self, Identify, "~/identify", self._on_identify),
             self.create_service(Trigger, "~/reset", self._on_reset),
@@ -63,16 +65,16 @@ class Identification(Node):
         self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
     def close(self) -> None:
-        """Give up the fit that is under way; where it does not, in compiled code, it ends with the process."""
+        """Stop a running fit; one inside compiled code ends with the process."""
         self._worker.stop(_PATIENCE)
 
-    def _look_round(self) -> None:
+    def _match_topics(self) -> None:
         for topic in self._topics:
             topic.match()
 
     def _on_settings(self, settings: FitSettings) -> None:
         if self._identifier.configure(settings):
-            self.get_logger().info("The live samples were forgotten, because the settings of the fit have changed.")
+            self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
 
     def _on_identify(self, request: Identify.Request, answer: Answer) -> None:
         if self._fitting:
@@ -101,7 +103,7 @@ class Identification(Node):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._identifier.reset()
-        response.success, response.message = True, "The live samples are forgotten."
+        response.success, response.message = True, "The live samples were discarded."
         return response
 
     def _health(self) -> Health:

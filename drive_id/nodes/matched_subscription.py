@@ -1,4 +1,4 @@
-"""Subscriptions that are as reliable as the publishers of their topic allow."""
+"""Subscriptions with the reliability that the publishers of their topic offer."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
 
 
 class MatchedSubscription:
-    """A subscription that is made anew when the reliability of the publishers changes; call ``match`` now and then.
+    """A subscription that is replaced when the reliability of the publishers changes; call ``match`` periodically.
 
     Parameters
     ----------
     node : Node
     kind : type
-        Of the messages.
+        Message type.
     topic : str
         As given to ``create_subscription``.
     callback : callable
         Called with a message, or with its serialized bytes.
     depth : int
-        Messages that may wait.
+        Queue depth, messages.
     raw : bool
-        Serialized messages.
+        Pass serialized messages.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class MatchedSubscription:
         self.match()
 
     def match(self) -> None:
-        """Look who publishes, and subscribe, or subscribe anew, accordingly."""
+        """Look up the publishers, and subscribe with a reliability that matches them."""
         self.publishers = [_publisher(info) for info in self._node.get_publishers_info_by_topic(self.topic)]
         wanted = reliable_wanted(self.publishers, self.type_name, self.reliable)
         if self._subscription is not None and wanted == self.reliable:
@@ -67,8 +67,8 @@ class MatchedSubscription:
         qos = QoSProfile(
             history=base.history, depth=self._depth, reliability=base.reliability, durability=base.durability
         )
-        # Without the default event callbacks: they only log what the diagnostics say anyhow, and an events executor
-        # dies of an event of a subscription that is destroyed meanwhile.
+        # Without the default event callbacks: they log what the diagnostics say anyway, and an event of a destroyed
+        # subscription kills the events executor.
         self._subscription = self._node.create_subscription(
             self._kind,
             self._given,
@@ -79,10 +79,10 @@ class MatchedSubscription:
         )
 
     def _receiver(self) -> Callable[[Any], None]:
-        """Return the callback of a new subscription, deaf as soon as there is a newer one.
+        """Return a callback that ignores messages as soon as there is a newer subscription.
 
-        An events executor keeps a destroyed subscription as long as it has events of it, and that one goes on receiving
-        what the new one receives, too.
+        An events executor keeps a destroyed subscription while it has events of it, and both then receive the same
+        messages.
         """
         self._generation += 1
         generation = self._generation
@@ -94,13 +94,13 @@ class MatchedSubscription:
         return receive
 
     def drain(self) -> None:
-        """Call the callback with every message that has arrived by now, instead of when the executor gets to it.
+        """Call the callback now with every message that has arrived.
 
-        An executor works off what waits in an order of its own: the single-threaded one serves a request after one
-        message of each topic, however many came before it.
+        Executors do not keep the order of arrival: the single-threaded one serves a request after one message of each
+        topic, however many arrived before it.
         """
         subscription = self._subscription
-        for _ in range(self._depth):  # no more can wait; those that come meanwhile are not from before the call
+        for _ in range(self._depth):  # more cannot wait; what arrives meanwhile is none of ours
             with subscription.handle:
                 taken = subscription.handle.take_message(self._kind, self._raw)
             if taken is None:
@@ -108,7 +108,7 @@ class MatchedSubscription:
             self._callback(taken[0])
 
     def offered(self) -> Qos | None:
-        """Return the quality of service that the topic is offered with; None while nobody publishes it."""
+        """Return the quality of service that the publishers offer; None while nobody publishes."""
         for publisher in of_type(self.publishers, self.type_name):
             reliability = "reliable" if self.reliable else "best_effort"
             durability = "transient_local" if publisher.transient_local else "volatile"

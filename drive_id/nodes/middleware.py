@@ -1,4 +1,4 @@
-"""What Fast DDS is told before it begins: no type lookup service, for processes die of it."""
+"""Configuration of Fast DDS: without the type lookup service, which crashes processes at their end."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ _PROFILES = b"""<?xml version="1.0" encoding="UTF-8"?>
 
 @contextmanager
 def without_type_lookup() -> Iterator[None]:
-    """Have the node that is made meanwhile do without the type lookup service of Fast DDS 3, as Fast DDS 2 does.
+    """Switch off the type lookup service of Fast DDS 3 for nodes created in the body.
 
-    The service answers other participants' questions in a thread of its own, which Fast DDS 3.2 (Kilted) stops only
-    after having deleted what it writes with: a node that ends while somebody has just discovered it dies of SIGSEGV.
-    Nothing of ROS 2 needs it. Whoever has given Fast DDS profiles of their own keeps these, and other middleware does
-    not look at the variable.
+    Fast DDS 3.2 (Kilted) deletes the service's writer before it stops the service's thread: a node that ends just after
+    another participant has discovered it dies of SIGSEGV. ROS 2 does not use the service. Users' own Fast DDS profiles
+    take precedence, and other middleware ignores the variable.
     """
     own = os.environ.get(_VARIABLE) or os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE")
     if own or Path("DEFAULT_FASTDDS_PROFILES.xml").exists():

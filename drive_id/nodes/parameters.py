@@ -1,4 +1,4 @@
-"""Settings dataclasses as ROS parameters: one source for name, type, default, description and bounds."""
+"""Settings dataclasses as ROS parameters: one source for names, types, defaults, descriptions and bounds."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _LARGEST = 1.7e308
 def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str] = ()) -> Settings:
     """Declare a ROS parameter for each field of a settings dataclass and return the settings of this start.
 
-    A number that may be None is NaN as a parameter, because ROS deletes parameters that are set to nothing. Parameters
-    set later are checked together, as the dataclass checks its fields, see :func:`on_change`.
+    None is NaN as a parameter, because ROS deletes parameters that are set to nothing. Later changes are checked as a
+    whole by the dataclass, see :func:`on_change`.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str
     Raises
     ------
     ConfigurationError
-        When the values given at start do not make sense together.
+        When the values given at start are inconsistent.
     """
     hints = typing.get_type_hints(cls)
     fixed = set(read_only)
@@ -68,22 +68,22 @@ def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str
 def _declare_array(
     node: Node, name: str, kind: Parameter.Type, descriptor: ParameterDescriptor, default: list[Any]
 ) -> None:
-    """Declare an array, which may be empty: rclpy takes the value ``[]`` for bytes, and in a file for nothing."""
+    """Declare an array, which may be empty: rclpy takes ``[]`` for a byte array, and in a file for no value."""
     changeable = copy.copy(descriptor)
     changeable.read_only = False
     if node.declare_parameter(name, kind, changeable).type_ is Parameter.Type.NOT_SET:
-        given = name in node._parameter_overrides  # noqa: SLF001  # rclpy tells nowhere else that [] was given
+        given = name in node._parameter_overrides  # noqa: SLF001  # the only place that shows that [] was given
         node.set_parameters([Parameter(name, kind, [] if given else default)])
     node.set_descriptor(name, descriptor)
 
 
 def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] = ()) -> Settings:
-    """Return the settings that the node's parameters make, with changes that are about to be set.
+    """Return the settings from the node's parameters, with changes that are about to be made.
 
     Raises
     ------
     ConfigurationError
-        When they do not make sense together.
+        When they are inconsistent.
     """
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # a settings dataclass
     values = {name: node.get_parameter(name).value for name in names}
@@ -96,7 +96,7 @@ def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] 
 def on_change(
     node: Node, cls: type[Settings], check: Callable[[Settings], None], apply: Callable[[Settings], None]
 ) -> None:
-    """Refuse parameters that do not make sense together, and tell of those that were set.
+    """Refuse inconsistent changes of parameters, and report accepted ones.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def on_change(
     cls : type
         Settings dataclass.
     check : callable
-        Further check of the new settings; raises ConfigurationError to refuse them.
+        Further check of new settings; raises ConfigurationError to refuse them.
     apply : callable
-        Called with the new settings after they were set.
+        Called with the new settings.
     """
 
     def refuse(changes: list[Parameter]) -> SetParametersResult:
@@ -125,7 +125,7 @@ def on_change(
 
 
 def _parameter_type(hint: Any) -> tuple[Parameter.Type, bool]:
-    """Return the type of a parameter, and whether the field may be None, too."""
+    """Return the type of a parameter, and whether the field may be None."""
     options = [option for option in typing.get_args(hint) if option is not type(None)]
     if options and typing.get_origin(hint) is not tuple:
         return _parameter_type(options[0])[0], True
@@ -165,7 +165,7 @@ def _descriptor(
 
 
 def _plain(value: Any, hint: Any) -> Any:
-    """Return a parameter's value as YAML would give it for a field of this type."""
+    """Return a parameter's value as YAML represents it for a field of this type."""
     if typing.get_origin(hint) is tuple:
         return list(value)
     optional = type(None) in typing.get_args(hint)

@@ -1,4 +1,4 @@
-"""Qualities of service of the topics, chosen once."""
+"""Quality of service of the topics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STREAM = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Blocks of samples: each one counts; a depth of 10 loses samples at 1 kHz, without a word."""
+"""Blocks of samples, none of which may be lost; a depth of 10 silently loses samples at 1 kHz."""
 
 STREAM_BEST_EFFORT = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -18,7 +18,7 @@ STREAM_BEST_EFFORT = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For subscribing where a publisher offers no more: a reliable subscription would receive nothing from it."""
+"""For subscriptions to best-effort publishers, from which a reliable subscription receives nothing."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -26,4 +26,4 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""The flux map: who comes late gets the last one."""
+"""The flux map: late subscribers get the last one."""

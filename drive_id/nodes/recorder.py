@@ -1,4 +1,4 @@
-"""The node ``recorder``: writes the topics of a drive, untouched, into a bag."""
+"""The node ``recorder``: records the topics of a drive, unchanged, in a bag."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ TOPICS = {
     "resolver": Resolver,
     "current_reference": CurrentReference,
 }
-_LOOK_ROUND = 0.25  # s between looks at who publishes
-_PATIENCE = 3.0  # s that the node stands still for a slow disk
-_LAST_PATIENCE = 30.0  # s, when the node ends
+_MATCH_PERIOD = 0.25  # s between checks of who publishes
+_PATIENCE = 3.0  # s that ~/stop waits for a slow disk
+_LAST_PATIENCE = 30.0  # s, at the end of the process
 
 
 class Recorder(Node):
-    """Is subscribed from its beginning: a recording holds what arrives from its start to its stop, and nothing else."""
+    """Subscribes at its start; a recording holds exactly what arrives between ~/start and ~/stop."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -59,14 +59,16 @@ class Recorder(Node):
             self.create_service(StartRecording, "~/start", self._on_start),
             self.create_service(StopRecording, "~/stop", self._on_stop),
         ]
-        self._timer = self.create_timer(_LOOK_ROUND, self._look_round, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(
+            _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         for topic in self._topics:
             type_hash(topic.type_name)  # kept for ~/start; the first one loads a parser
         self._diagnostics = Diagnostics(self, self._health)
         self.get_logger().info(f"Ready: recordings go to {self._settings.data_directory}.")
 
     def close(self) -> None:
-        """Complete the bag when the node ends during a recording."""
+        """Complete the bag of a running recording."""
         if self._session is not None:
             self._drain()
             ended = self._session.stop(_LAST_PATIENCE)
@@ -82,7 +84,7 @@ class Recorder(Node):
             self._session.receive(topic, data, self._now())
 
     def _drain(self) -> None:
-        """Take what has arrived: it came before what the node is about to do."""
+        """Take all messages that have arrived before now."""
         for topic in self._topics:
             topic.drain()
 
@@ -90,7 +92,7 @@ class Recorder(Node):
         clock = self.get_clock()
         return int(clock.now().nanoseconds) if clock.ros_time_is_active else time.time_ns()
 
-    def _look_round(self) -> None:
+    def _check_topics(self) -> None:
         for topic in self._topics:
             topic.match()
         if self._session is not None and self._session.error and not self._told_error:

@@ -1,4 +1,4 @@
-"""Results as messages."""
+"""Converts results to messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drive_id.live.identifier import Reply
 
 
 def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
-    """Return the message of an identified map; an empty one of a request that failed."""
+    """Return the message of the identified map; an empty one if the request failed."""
     message = FluxMap()
     identification = reply.identification
     if identification is None:
@@ -36,7 +36,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
 
 
 def fit_report_message(reply: Reply) -> FitReport:
-    """Return how the fit went, as far as it came."""
+    """Return the report of the fit, or of the samples only if the request failed."""
     message = FitReport(warnings=list(reply.warnings))
     if reply.identification is not None:
         report = reply.identification.report

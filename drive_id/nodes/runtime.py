@@ -1,4 +1,4 @@
-"""Running a node as a process: the quickest executor that works, and a clean end on SIGINT and SIGTERM."""
+"""Running a node as a process: the fastest executor that works, and a clean end on SIGINT and SIGTERM."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from drive_id.errors import DriveIdError
 from drive_id.nodes.middleware import without_type_lookup
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_WAKE_UP = 0.1  # s; how long a node without any callback to work off overlooks a signal
+_WAKE_UP = 0.1  # s after which an idle node notices a signal at the latest
 
 
 class Stop:
-    """Remembers the first SIGINT or SIGTERM; only while nothing is spinning yet does it break off.
+    """Records the first SIGINT or SIGTERM; before the node spins, raises KeyboardInterrupt.
 
-    Not rclpy's own handlers: they invalidate the context before a node can publish its last words.
+    rclpy's own handlers invalidate the context before a node can publish its last messages.
     """
 
     def __init__(self) -> None:
@@ -44,10 +44,10 @@ class Stop:
         if first and not self.spinning:
             raise KeyboardInterrupt
         if first:
-            os.write(self._tell, b"!")  # takes no lock, which the code that the signal has interrupted may hold
+            os.write(self._tell, b"!")  # takes no lock: the interrupted code may hold it
 
     def complete(self, future: Future[None]) -> None:
-        """Complete a future as soon as the process is told to stop."""
+        """Complete a future when the process is told to stop."""
 
         def wait() -> None:
             os.read(self._heard, 1)
@@ -57,16 +57,16 @@ class Stop:
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
-    """Make a node, spin it until the process is told to stop, close it, and end the process.
+    """Create a node, spin it until the process is told to stop, close it, and end the process.
 
-    The exit code is 0, or 1 when the node could not be made, with one sentence that says why.
+    The exit code is 0, or 1 with one sentence when the node cannot be created.
 
     Parameters
     ----------
     make : callable
-        The node's class. A node that has ``close()`` is closed, while it can still publish, before it is destroyed.
+        The node's class. Its ``close()``, if any, is called while the node can still publish.
     args : sequence of str, optional
-        Command line; default that of the process.
+        Command line; default: that of the process.
     """
     stop = Stop()
     node: Node | None = None
@@ -80,9 +80,9 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"{make.__name__}: {error}\n")
         code = 1
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # how a node is meant to be stopped
+        pass  # the usual end of a node
     finally:
-        # Ctrl-C and a launcher often send one signal each: the second must not break off the end.
+        # Ctrl-C and a launcher often send one signal each: the second must not interrupt the shutdown.
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         close = getattr(node, "close", None)
@@ -91,17 +91,16 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
         if node is not None:
             node.destroy_node()
         else:
-            gc.collect()  # destroys one that was half made, so that nobody goes on seeing it
+            gc.collect()  # destroys a half-created node, so that it leaves the graph
         rclpy.try_shutdown()
     _leave(code)
 
 
 def _leave(code: int) -> NoReturn:
-    """End the process now that all is closed, without taking the interpreter and its libraries apart.
+    """End the process without finalizing the interpreter.
 
-    That took seconds on a busy machine, for nothing; Python 3.11 then dies of SIGINT, whatever the exit code was to be,
-    if a KeyboardInterrupt has ever gone through an ``exec`` (numba's, say); and a fit that cannot be stopped goes on in
-    its thread meanwhile.
+    Finalizing takes seconds on a busy machine, waits for a fit inside compiled code, and Python 3.11 ends with SIGINT
+    instead of the exit code if a KeyboardInterrupt has ever passed through an ``exec`` (numba's, for example).
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -110,18 +109,18 @@ def _leave(code: int) -> NoReturn:
 
 
 def spin(node: Node, stop: Stop) -> None:
-    """Work off a node's callbacks until the process is told to stop or the context is shut down."""
+    """Run a node's callbacks until the process is told to stop or the context is shut down."""
     executor = _executor()
     executor.add_node(node)
     over: Future[None] = Future()
-    stop.complete(over)  # the events executor looks at the time only when it has nothing to do: a busy one is deaf else
+    stop.complete(over)  # a busy events executor never checks its timeout
     stop.spinning = True
     while rclpy.ok() and not stop.asked:
         executor.spin_until_future_complete(over, _WAKE_UP)
 
 
 def _executor() -> Executor:
-    """Return an events executor where rclpy has one (a third of the cost per message), or the single-threaded one.
+    """Return an events executor where rclpy has one (a third of the cost per message), else the single-threaded one.
 
     Its ``spin()`` never returns in rclpy 7.1.6 and 9.1.2, hence the loop in :func:`spin`.
     """

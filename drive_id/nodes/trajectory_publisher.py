@@ -1,4 +1,4 @@
-"""The node ``trajectory_publisher``: references ahead of time, and a safe end whatever happens."""
+"""The node ``trajectory_publisher``: publishes current references ahead of time and ends at zero current."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
 from drive_id.nodes.runtime import run
 
 _DELIVERY = Duration(seconds=2)
-"""How long the end of a process waits until its last blocks have arrived."""
+"""Time for the last blocks to be acknowledged at the end of the process."""
 
 
 class TrajectoryPublisher(Node):
-    """Publishes current references when asked, watches the drive meanwhile, and stops to zero current."""
+    """Publishes current references on request, supervises the drive, and always ends at zero current."""
 
     def __init__(self) -> None:
         super().__init__("trajectory_publisher")
@@ -38,7 +38,7 @@ class TrajectoryPublisher(Node):
         self._frame_id = settings.frame_id
         self._logged = ""
         self._publisher = self.create_publisher(CurrentReference, "current_reference", STREAM)
-        self._subscriptions_kept = [  # best effort takes whatever a drive offers, and a lost block is no danger here
+        self._subscriptions_kept = [  # best effort receives from any publisher; a lost block does no harm here
             self.create_subscription(PhaseCurrents, "phase_currents", self._on_currents, STREAM_BEST_EFFORT),
             self.create_subscription(Resolver, "resolver", self._on_resolver, STREAM_BEST_EFFORT),
         ]
@@ -53,7 +53,7 @@ class TrajectoryPublisher(Node):
         self.get_logger().info(f"Ready: {self._experiment.plan()}")
 
     def close(self) -> None:
-        """Bring the current to zero, whatever is under way, before the process ends."""
+        """Bring the current to zero before the process ends."""
         blocks = self._experiment.finish(self._now())
         if blocks:
             self._publish(blocks)

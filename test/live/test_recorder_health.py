@@ -64,7 +64,7 @@ def test_an_error_comes_alone_and_first():
         ((), 0.1, Level.WARN, "Nobody publishes /resolver."),
         ((BENCH,), None, Level.WARN, "No message has come on /resolver yet."),
         ((BENCH,), 1.5, Level.WARN, "No message has come on /resolver for 1.5 s."),
-        ((BENCH, Publisher("/other", KIND)), 0.1, Level.WARN, "/bench and /other publish /resolver both"),
+        ((BENCH, Publisher("/other", KIND)), 0.1, Level.WARN, "/bench and /other both publish /resolver"),
         ((Publisher("/bench", KIND, reliable=False),), 0.1, Level.WARN, "as best effort only"),
         ((BENCH, Publisher("/x", "a/msg/B")), 0.1, Level.ERROR, f"/x publishes a/msg/B on /resolver instead of {KIND}"),
     ],

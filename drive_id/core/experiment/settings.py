@@ -20,7 +20,7 @@ class ExperimentSettings:
 
     trajectory: str = setting(
         "lissajous",
-        "Curve in the current disc: the paper's Lissajous figure, a stair of steady operating points, or a spiral",
+        "Trajectory in the current disc: the paper's Lissajous figure, a stair of operating points, or a spiral",
         choices=TRAJECTORIES,
     )
     i_max: float = setting(
@@ -41,14 +41,14 @@ class ExperimentSettings:
     stair_points: int = setting(9, "Stair: grid points per axis", minimum=3, maximum=101)
     dwell_time: float = setting(0.2, "Stair: time at each operating point", unit="s", minimum=1e-3, maximum=1e4)
     spiral_turns: float = setting(10.0, "Spiral: turns from the centre to the rim", minimum=0.5, maximum=1000.0)
-    repeat: int = setting(1, "How often the trajectory runs; 0: until it is stopped", minimum=0, maximum=1_000_000)
+    repeat: int = setting(1, "Repetitions of the trajectory; 0: until it is stopped", minimum=0, maximum=1_000_000)
     slew_rate: float = setting(
         10000.0, "Largest |di/dt| of the references, also when ramping in and out", unit="A/s", minimum=1.0, maximum=1e9
     )
     sample_period: float = setting(
         1e-4, "Time between two set-points: the control period of the drive", unit="s", minimum=1e-6, maximum=1e-1
     )
-    publish_rate: float = setting(50.0, "How often blocks are published", unit="Hz", minimum=1.0, maximum=1000.0)
+    publish_rate: float = setting(50.0, "Rate at which blocks are published", unit="Hz", minimum=1.0, maximum=1000.0)
     lead_time: float = setting(
         0.3,
         "How far ahead set-points are published: as long, the drive goes on if this node dies",
@@ -56,7 +56,7 @@ class ExperimentSettings:
         minimum=5e-3,
         maximum=10.0,
     )
-    frame_id: str = setting("drive", "Name of the drive in the blocks' headers")
+    frame_id: str = setting("drive", "Name of the drive in the message headers")
     watch: bool = setting(
         True, "Run only while resolver and phase_currents arrive without a fault; false: without feedback"
     )

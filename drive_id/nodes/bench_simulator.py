@@ -42,7 +42,6 @@ class BenchSimulator(Node):
         self._follows_clock = bool(self.get_parameter("use_sim_time").value)
         if self._follows_clock and self._settings.time_scale != 1.0:
             raise ConfigurationError("With time_scale this node publishes /clock: do not set use_sim_time for it, too.")
-        self.get_logger().info("Loading the numerical kernels; the first start compiles them: about 10 s.")
         self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings)
         self._pace: Pace | None = None
         self._tell_truth()

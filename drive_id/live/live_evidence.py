@@ -10,9 +10,9 @@ from drive_id.core.checks.plausibility import Plausibility
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import Identification
+from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin, joined
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
-from drive_id.core.signals.stream_join import SECTIONS, Piece, StreamJoin, joined
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
 

@@ -12,8 +12,8 @@ from drive_id.core import frames
 from drive_id.core.checks.plausibility import Plausibility
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify
+from drive_id.core.signals.join import Piece, joined
 from drive_id.core.signals.signal import Signal
-from drive_id.core.signals.stream_join import Piece, joined
 from drive_id.errors import ConfigurationError, DriveIdError, EmptyTopicError
 from drive_id.live.live_evidence import LiveEvidence
 from drive_id.live.warm_up import warm_up

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drive_id.core.signals.stream_join import Piece, joined
+from drive_id.core.signals.join import Piece, joined
 from drive_id.types import Samples
 
 SPAN = 1 << 14

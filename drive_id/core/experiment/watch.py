@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.signals.sample_count import SampleCount
+from drive_id.core.signals.signal import SampleCount
 
 
 @dataclass(frozen=True)

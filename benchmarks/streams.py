@@ -37,7 +37,6 @@ TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _FAST = 100_000.0  # Hz
 _FAST_BLOCK = 1000
 _I_MAX = 320.0
-_KEPT = 2.0  # s, for the MAD
 
 Message = tuple[int, bytes]
 
@@ -109,8 +108,8 @@ def _feed(live: LiveEvidence, messages: Iterator[Message]) -> float:
 def _accumulation(settings: FitSettings) -> Row:
     samples = experiment(4.0, _FAST)
     half = replace(samples, **{name: getattr(samples, name)[: len(samples) // 8] for name in _ARRAYS})
-    _feed(LiveEvidence(settings, _KEPT), _messages(half, _FAST_BLOCK))  # compiles, fills caches
-    spent = min(_feed(LiveEvidence(settings, _KEPT), _messages(samples, _FAST_BLOCK)) for _ in range(3))
+    _feed(LiveEvidence(settings), _messages(half, _FAST_BLOCK))  # compiles, fills caches
+    spent = min(_feed(LiveEvidence(settings), _messages(samples, _FAST_BLOCK)) for _ in range(3))
     duration = len(samples) / _FAST
     return Row(
         f"`{settings.method}`: accumulating 100 kHz live, blocks of 1000",
@@ -124,7 +123,7 @@ _ARRAYS = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
 
 def _reply(settings: FitSettings, repeats: int, minutes: float) -> Row:
     samples = experiment(60.0)
-    live = LiveEvidence(settings, _KEPT)
+    live = LiveEvidence(settings)
     spent = _feed(live, _messages(samples, 100, round(minutes)))
     cost = in_turns({"reply": lambda: live.snapshot().identify()}, repeats)["reply"]
     return Row(

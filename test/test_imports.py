@@ -197,7 +197,7 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.core.numerics.bspline", "from drive_id.core.maps.coverage import Visits"),
         ("drive_id.core.maps.coenergy", "from drive_id.core import full"),
         ("drive_id.core.paper.regression", "from drive_id.core.full.windows import windows"),
-        ("drive_id.core.accumulation.evidence", "from drive_id.core.checks.survey import Survey"),
+        ("drive_id.core.accumulation.evidence", "from drive_id.core.checks.prescan import Prescan"),
         ("drive_id.core.full.fit", "import numba"),
         ("drive_id.files.storage.bag", "from drive_id.files.read.reader import read_recording"),
         ("drive_id.files.read.reader", "import drive_id.files.results.folder"),
@@ -226,7 +226,7 @@ def test_the_checker_sees_what_is_forbidden(module, source):
         ("drive_id.nodes.recorder", "from drive_id.fitting.workflows import fit_bags"),
         ("drive_id.cli.app", "import drive_id\nfrom drive_id.fitting.workflows import fit_bags"),
         ("drive_id.report.reproduction", "def f():\n    from drive_id.fitting.workflows import fit_bags"),
-        ("drive_id.core.checks.samples", "from drive_id.core.accumulation.evidence import Evidence"),
+        ("drive_id.core.checks.prescan", "from drive_id.core.accumulation.evidence import Evidence"),
     ],
 )
 def test_the_checker_lets_pass_what_is_allowed(module, source):

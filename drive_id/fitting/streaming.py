@@ -1,9 +1,8 @@
-"""From bags to all that a fit needs to know of them: accumulated, in memory that does not grow with their length.
+"""Accumulate bags for a fit, in memory that does not grow with their length.
 
-A recording of up to :data:`WHOLE` samples is read once and kept, to survey it before its samples are accumulated. A
-longer one is read twice, unless i_max is given: first for checks and the range of its currents, then to accumulate.
-Another thread reads, unpacks and joins meanwhile. For the MAD and for pictures, all of a short recording is kept, and
-eight evenly spaced parts of a longer one.
+A recording of up to :data:`WHOLE` samples is read once and kept between the prescan and accumulating. A longer one is
+read twice, unless i_max is set: for the prescan, then to accumulate. Another thread reads, unpacks and joins meanwhile.
+For the MAD and for pictures, a short recording is kept whole, and eight evenly spaced parts of a longer one.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
-from drive_id.core.checks.survey import Survey
+from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap
@@ -26,11 +25,11 @@ from drive_id.files.results.checkpoint import Checkpoint, Progressed
 from drive_id.types import Progress, silent
 
 WHOLE = SPAN * SPANS
-"""Samples of a recording that is short enough to be kept as a whole."""
+"""Longest recording, in samples, that is kept whole."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """An interrupt after which a second call goes on from where this one was; the text says so."""
+    """Interrupted, but a checkpoint was kept: the same call resumes from it."""
 
 
 def accumulate(
@@ -55,11 +54,11 @@ def accumulate(
     namespace : str
         Of the drive, when a bag holds several.
     i_max : float, optional
-        Radius of the current disc, A, instead of that of the settings. What is to be merged needs one in common.
+        Radius of the current disc, A, instead of that of the settings. Whatever is to be merged needs the same one.
     checkpoint : Path, optional
-        File to keep while long bags are read, from which a second call after an interrupt goes on.
+        File kept while long bags are read; after an interrupt the same call resumes from it.
     threads : bool
-        Let other threads read meanwhile; not where each process is to keep to one core.
+        Read in other threads; False where each process is confined to one core.
     tell : callable, optional
 
     Raises
@@ -67,7 +66,7 @@ def accumulate(
     DriveIdError
         When a bag cannot be read, or its samples cannot give a map.
     Interrupted
-        When there is a checkpoint to go on from.
+        When interrupted with a checkpoint to resume from.
     """
     if not bags:
         raise ConfigurationError("No bag is given: name at least one.")
@@ -84,7 +83,7 @@ def accumulate(
             gathering.accumulate()
     except KeyboardInterrupt:
         if saved and saved.saved:
-            raise Interrupted("the same call once more goes on from where it was.") from None
+            raise Interrupted("run the same command again to resume where it stopped.") from None
         raise
     if saved:
         saved.remove()
@@ -101,34 +100,35 @@ def accumulate(
 
 @dataclass(eq=False)
 class _Step:
-    """What is to be done with the samples while they are read once.
+    """One pass over the bags.
 
     Parameters
     ----------
     what : str
-        To tell with the progress.
-    survey : bool
+        Name of the step, for the progress.
+    prescan : bool
+        Whether to prescan the samples.
     evidence : Evidence or None
-        To accumulate in.
+        Where to accumulate them; None in a pass that only prescans.
     done : int
-        Pieces that are in it already.
+        Pieces that it holds already.
     """
 
     what: str
-    survey: bool
+    prescan: bool
     evidence: Evidence | None = None
     done: int = 0
 
 
 class _Gathering:
-    """Reads once or twice, and gathers survey, evidence and the parts for the MAD."""
+    """Reads the bags once or twice, and keeps prescan, evidence and the excerpt for the MAD."""
 
     def __init__(self, reading: SeveralBags, settings: FitSettings, saved: Checkpoint | None, tell: Progress) -> None:
         self._reading = reading
         self._settings = settings
         self._saved = saved
         self._tell = tell
-        self._survey = Survey()
+        self._prescan = Prescan()
         self.spans = Spans()
         self._evidence: Evidence | None = None
 
@@ -138,10 +138,10 @@ class _Gathering:
         return self._evidence
 
     def read(self) -> None:
-        """Read all once, and check it; when the radius is known or an interrupted call left evidence, accumulate."""
+        """Read once and check; accumulate meanwhile if i_max is set or an interrupted call left a checkpoint."""
         progressed = self._saved.load() if self._saved else None
         while True:
-            self._survey, self.spans = Survey(), Spans()
+            self._prescan, self.spans = Prescan(), Spans()
             step = self._first_step(progressed)
             try:
                 self._take(step)
@@ -150,16 +150,18 @@ class _Gathering:
                 self._reading.read_whole()
                 progressed = None
         self._evidence = step.evidence
-        if step.survey:
-            self._survey.check()
+        if step.prescan:
+            self._prescan.check()
+            if self._evidence is not None:
+                self._evidence.reached = self._prescan.radius
 
     def accumulate(self) -> None:
-        """Accumulate, unless it is done: what was kept, or else all of it, read once more."""
+        """Accumulate, unless the first pass did: the samples that were kept, or all of them in a second pass."""
         if self._evidence is not None:
             return
-        self._evidence = evidence = self._survey.prepare(self._settings)
+        self._evidence = evidence = self._prescan.prepare(self._settings)
         if not self.spans.whole:
-            self._take(_Step("Accumulating", survey=False, evidence=evidence))
+            self._take(_Step("Accumulating", prescan=False, evidence=evidence))
             return
         for samples in self.spans.samples():
             evidence.add(samples, partial(self._tell_done, len(samples)))
@@ -170,16 +172,16 @@ class _Gathering:
     def _first_step(self, progressed: Progressed | None) -> _Step:
         known = self._settings.i_max is not None
         if progressed is not None:
-            return _Step("Accumulating", survey=known, evidence=progressed.evidence, done=progressed.pieces)
+            return _Step("Accumulating", prescan=known, evidence=progressed.evidence, done=progressed.pieces)
         if known:
-            return _Step("Accumulating", survey=True, evidence=self._survey.prepare(self._settings))
-        return _Step("Reading", survey=True)
+            return _Step("Accumulating", prescan=True, evidence=self._prescan.prepare(self._settings))
+        return _Step("Reading", prescan=True)
 
     def _take(self, step: _Step) -> None:
-        first_time = step.survey or step.done
+        first_time = step.prescan or step.done
         for number, (piece, begins) in enumerate(self._reading.pieces(step.what)):
-            if step.survey:
-                self._survey.add(piece.samples, continues=piece.continues)
+            if step.prescan:
+                self._prescan.add(piece.samples, continues=piece.continues)
             if first_time:
                 self.spans.add(piece)
             if step.evidence is None or number < step.done:

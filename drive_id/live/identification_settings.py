@@ -18,9 +18,6 @@ class IdentificationSettings:
         "identifications",
         "Folder in which each fit makes a new one; relative to the working directory",
     )
-    validation_seconds: float = setting(
-        2.0, "Latest live samples kept for the MAD of the simulated current", unit="s", minimum=0.01, maximum=60.0
-    )
     picture: bool = setting(False, "Draw the maps beside the result files; takes about a second")
     frame_id: str = setting("drive", "Name of the drive in the header of the flux map")
 

@@ -89,7 +89,7 @@ class Identifier:
     ) -> None:
         self.settings = settings
         self.topics = topics
-        self.live = LiveEvidence(fit, settings.validation_seconds, topics)
+        self.live = LiveEvidence(fit, topics)
         self._streams = self._new_streams()
         self._unreadable = 0
         self._last_error = ""
@@ -242,8 +242,8 @@ def _fit_live(
     tell("Writing", None)
     report = snapshot.report
     provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)
-    validation, draw = snapshot.validation(), _draw(settings)
-    pictures = draw(identification, [validation] if validation else [], "Live samples") if draw else {}
+    draw = _draw(settings)
+    pictures = draw(identification, snapshot.validation(), "Live samples") if draw else {}
     write_results(output, identification, provenance, pictures=pictures)
     warnings = (*report.warnings, *identification.report.warnings)
     stamp = snapshot.join.last_stamp or 0

@@ -1,20 +1,53 @@
-"""Live samples as evidence: accumulated as they arrive, and fitted from a snapshot while more arrive."""
+"""Live samples: accumulated as they arrive, and fitted from a snapshot while more arrive."""
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.checks.plausibility import Plausibility
+from drive_id.core.accumulation.excerpts import Spans
+from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import Identification
+from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
-from drive_id.core.signals.stream_join import SECTIONS, Piece, StreamJoin, joined
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
+
+
+@dataclass(eq=False)
+class Gathered:
+    """What is kept of joined samples.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    prescan : Prescan
+    excerpt : Spans
+        Of the trajectory, for the MAD; rests are left out of it, for at rest every map looks good.
+    resting : bool
+        The last piece was left out of the excerpt.
+    """
+
+    evidence: Evidence
+    prescan: Prescan
+    excerpt: Spans
+    resting: bool = False
+
+    def add(self, piece: Piece) -> None:
+        """Take a further piece."""
+        moving = len(piece.samples) - piece.continues + self.evidence.idle
+        self.evidence.add(piece.samples, continues=piece.continues)
+        self.prescan.add(piece.samples, continues=piece.continues)
+        before, self.resting = self.resting, self.evidence.idle == moving
+        if not self.resting:
+            self.excerpt.add(replace(piece, continues=piece.continues and not before))
+
+    def copy(self, settings: FitSettings) -> Gathered:
+        """Return an independent copy for another method."""
+        return Gathered(self.evidence.copy(settings), self.prescan.copy(), self.excerpt.copy(), self.resting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,29 +58,23 @@ class Snapshot:
     ----------
     join : StreamJoin
         Finished.
-    evidence : Evidence
-    plausibility : Plausibility
+    gathered : Gathered
     rest : tuple of Piece
-        Of the join, not yet in evidence and plausibility.
-    recent : tuple of Piece
-        The last seconds but for the rest, for the MAD.
+        Of the join, not yet gathered.
     """
 
     join: StreamJoin
-    evidence: Evidence
-    plausibility: Plausibility
+    gathered: Gathered
     rest: tuple[Piece, ...]
-    recent: tuple[Piece, ...]
 
     @property
     def report(self) -> JoinReport:
         """What became of the signals."""
         return self.join.report()
 
-    def validation(self) -> Samples | None:
-        """Return the last seconds as one recording."""
-        pieces = [*self.recent, *self.rest]
-        return joined(pieces) if pieces else None
+    def validation(self) -> tuple[Samples, ...]:
+        """Return the excerpt of the trajectory, to be simulated for the MAD and to be drawn."""
+        return self.gathered.excerpt.samples()
 
     def identify(self) -> Identification:
         """Fit; call it once.
@@ -59,11 +86,10 @@ class Snapshot:
         """
         self.join.check()
         for piece in self.rest:
-            self.evidence.add(piece.samples, continues=piece.continues)
-            self.plausibility.add(piece.samples, continues=piece.continues)
-        self.plausibility.check()
-        validation = self.validation()
-        return conclude(self.evidence, [] if validation is None else [validation])
+            self.gathered.add(piece)
+        self.gathered.prescan.check()
+        self.gathered.evidence.reached = self.gathered.prescan.radius
+        return conclude(self.gathered.evidence, self.validation())
 
 
 class LiveEvidence:
@@ -72,37 +98,35 @@ class LiveEvidence:
     Parameters
     ----------
     settings : FitSettings
-        Without i_max nothing can be accumulated.
-    validation_seconds : float
-        How much of the latest samples to keep for the MAD, s.
+        Nothing can be accumulated without i_max.
     names : tuple of str
         Topics of currents, voltages and resolver, for messages.
     """
 
-    def __init__(
-        self, settings: FitSettings, validation_seconds: float, names: tuple[str, str, str] = SECTIONS
-    ) -> None:
+    def __init__(self, settings: FitSettings, names: tuple[str, str, str] = SECTIONS) -> None:
         self.settings = settings
-        self._validation_seconds = validation_seconds
         self._names = names
         self.reset()
 
+    @property
+    def evidence(self) -> Evidence | None:
+        """Of all samples so far; None without i_max."""
+        return None if self._gathered is None else self._gathered.evidence
+
     def reset(self) -> None:
         """Forget all samples."""
-        settings = self.settings
         self.join = StreamJoin(self._names)
-        self.evidence = None if settings.i_max is None else Evidence.within(settings, settings.i_max)
-        if self.evidence is not None:
-            self.evidence.next_recording()  # the live samples are the first one
-        self._plausibility = Plausibility()
-        self._recent: deque[Piece] = deque()
-        self._recent_count = 0
+        self._gathered: Gathered | None = None
+        if self.settings.i_max is not None:
+            evidence = Evidence.within(self.settings, self.settings.i_max)
+            evidence.next_recording()  # the live samples are the first one
+            self._gathered = Gathered(evidence, Prescan(), Spans())
 
     def configure(self, settings: FitSettings) -> bool:
         """Take other settings, and tell whether the samples had to be forgotten.
 
-        What is gathered for method full serves the others, but not the reverse; with what shapes no sum, the same
-        samples are fitted anew.
+        They are kept where only settings of the solution change, and where method full, whose evidence serves all
+        methods, is replaced by another one.
         """
         self.settings = settings
         lost = settings.i_max is not None if self.evidence is None else not self.evidence.suits(settings)
@@ -113,11 +137,8 @@ class LiveEvidence:
     def add(self, section: int, piece: Signal) -> None:
         """Take a further part of a signal, see :meth:`StreamJoin.add`."""
         for found in self.join.add(section, piece):
-            if self.evidence is None:
-                continue
-            self.evidence.add(found.samples, continues=found.continues)
-            self._plausibility.add(found.samples, continues=found.continues)
-            self._keep(found)
+            if self._gathered is not None:
+                self._gathered.add(found)
 
     def snapshot(self, method: str = "") -> Snapshot:
         """Return what has arrived so far, to be fitted in another thread.
@@ -134,18 +155,10 @@ class LiveEvidence:
         """
         settings = replace(self.settings, method=method or self.settings.method)
         settings.check_recordings(1)
-        if self.evidence is None:
+        if self._gathered is None:
             raise ConfigurationError(
                 "i_max is not set, and live samples need it in advance: set it to the radius of the trajectory's "
                 "current disc in A, or give bags."
             )
         join, rest = self.join.finished()
-        return Snapshot(join, self.evidence.copy(settings), self._plausibility.copy(), tuple(rest), tuple(self._recent))
-
-    def _keep(self, piece: Piece) -> None:
-        """Keep the latest seconds."""
-        self._recent.append(piece)
-        self._recent_count += len(piece.samples)
-        most = self._validation_seconds / piece.samples.sample_period
-        while self._recent and self._recent_count - len(self._recent[0].samples) >= most:
-            self._recent_count -= len(self._recent.popleft().samples)
+        return Snapshot(join, self._gathered.copy(settings), tuple(rest))

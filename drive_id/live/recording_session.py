@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from drive_id.core.signals.sample_count import SampleCount
+from drive_id.core.signals.signal import SampleCount
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import NANOSECONDS, BlockHead, read_head
 from drive_id.files.storage.mcap import McapStorage

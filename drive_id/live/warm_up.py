@@ -30,7 +30,7 @@ def warm_up(settings: FitSettings) -> None:
     u_abc = frames.phases(u_s)
     stamp = np.rint(t * 1e9).astype(np.int64)
     position = np.stack([np.angle(np.exp(1j * angle)), np.full(_COUNT, _SPEED)], axis=-1)
-    live = LiveEvidence(replace(settings, splines_d=8, splines_q=8, grid_points=33, i_max=1.0), 1.0)
+    live = LiveEvidence(replace(settings, splines_d=8, splines_q=8, grid_points=33, i_max=1.0))
     for section, values in enumerate((frames.to_abc(i_dq, angle), u_abc, position)):
         rows = np.ascontiguousarray(values)  # as messages are decoded: kernels are compiled for each memory layout
         live.add(section, Signal(f"warm-up {section}", stamp, rows, _PERIOD, np.zeros(1, np.int64)))

@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive_bags import blocks_of, write_blocks
+from synthetic import record
 
+from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identify import gather
+from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
@@ -28,7 +30,7 @@ from drive_id.files.results import checkpoint
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.streaming import Interrupted, accumulate
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.workflows import accumulate_bags, fit_bags
 
 SETTINGS = FitSettings(method="joint")
 
@@ -138,6 +140,56 @@ def test_several_bags(simulation, bag, tmp_path):
         accumulate([], SETTINGS)
 
 
+@pytest.fixture(scope="module")
+def one_without_references(tmp_path_factory):
+    """Two bags, the first one with references up to 260 A, the second one without, and with currents up to 310 A."""
+    folder = tmp_path_factory.mktemp("references")
+    known, without = (record(duration=1.0, noise=0.3, i_max=i_max) for i_max in (260.0, 310.0))
+    wanted = frames.to_dq(record(duration=1.0, i_max=260.0).i_abc, known.angle)
+    write_recording(folder / "known", replace(known, i_dq_reference=wanted))
+    write_recording(folder / "without", replace(without, stamp=without.stamp + 10**10))
+    return folder / "known", folder / "without"
+
+
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+@pytest.mark.parametrize("parts", ["long", "short"])
+def test_one_recording_without_references_gives_one_radius_on_every_way_in(
+    one_without_references, order, parts, request
+):
+    """By bags it was once 260.0 A, by arrays 309.7 A."""
+    if parts == "long":
+        request.getfixturevalue("long")
+    bags = one_without_references[order]
+    samples = [read_recordings([bag]).samples for bag in bags]
+    further = samples[bags[0].name == "known"]
+    reached = np.quantile(np.hypot(*frames.to_dq(further.i_abc, further.angle).T), 0.999)
+    found = [
+        gather(samples, SETTINGS).i_max,
+        gather([read_recordings(bags).samples], SETTINGS).i_max,
+        fit_bags(bags, None, SETTINGS).identification.i_max,
+    ]
+    assert found == pytest.approx([found[0]] * 3, rel=1e-14)
+    assert found[0] == pytest.approx(reached, rel=1e-3)
+
+
+def test_one_radius_that_is_set_is_that_of_every_way_in(one_without_references, tmp_path):
+    """What is merged needs it in advance, as live samples do."""
+    known, without = one_without_references
+    with pytest.raises(ConfigurationError, match="without has no current references to take the radius"):
+        accumulate_bags([known, without], tmp_path / "both.info", SETTINGS)
+    settings = replace(SETTINGS, i_max=311.0)
+    accumulate_bags([without], tmp_path / "one.info", settings)
+    samples = [read_recordings([bag]).samples for bag in (known, without)]
+    found = [
+        identify(samples, settings),
+        fit_bags([known, without], None, settings).identification,
+        fit_bags([known, tmp_path / "one.info"], None, settings).identification,
+        fit_bags([known, tmp_path / "one.info"], None, SETTINGS).identification,
+    ]
+    assert [one.i_max for one in found] == [311.0] * 4
+    assert [one.resistance for one in found] == pytest.approx([found[0].resistance] * 4, rel=1e-6)
+
+
 @pytest.mark.usefixtures("long")
 def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
     """Without a sample period, or with topics one behind the other, also among others."""
@@ -228,7 +280,7 @@ def test_a_second_call_goes_on_where_the_first_was_interrupted(bag, tmp_path, mo
     monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
     settings, kept = FitSettings("joint", i_max=i_max), tmp_path / "kept"
     expected = accumulate([bag], settings)
-    with pytest.raises(Interrupted, match="goes on from where it was"):
+    with pytest.raises(Interrupted, match="run the same command again"):
         accumulate([bag], settings, checkpoint=kept, tell=Stop(7))
     assert kept.stat().st_size < 2e7
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]

@@ -468,11 +468,11 @@ def test_without_i_max_live_samples_are_refused_with_a_remedy(ros, bag):
 
 
 def test_nonsense_at_start_is_one_sentence(ros):
-    process = ros.start(MODULE, parameters={"validation_seconds": -1.0}, namespace="/fourth")
+    process = ros.start(MODULE, parameters={"i_max": -1.0}, namespace="/fourth")
     process.expected_to_fail = True
     process.popen.wait(DEADLINE)
     assert process.popen.returncode == 1
-    assert "validation_seconds" in process.output
+    assert "i_max" in process.output
     assert "Traceback" not in process.output
 
 

@@ -24,7 +24,8 @@ from drive_id.types import BoolArray, FloatArray, Samples
 if TYPE_CHECKING:
     from drive_id.core.full.information import WindowInformation
 
-_DOMAIN_MARGIN = 1.05
+DOMAIN_MARGIN = 1.05
+"""Half width of the map by the i_max that is set."""
 _IDLE_CURRENT = 0.02
 REFERENCE_TEMPERATURE = 20.0
 """Degrees Celsius at which resistance and flux map are given where temperatures are known."""
@@ -59,6 +60,8 @@ class Evidence:
         )
         self.windows = _windows(settings, d, q, i_max) if settings.method == "full" else None
         self._recordings = 0
+        self.reached = 0.0
+        """Radius of the disc that the prescan found, whatever i_max is set to, A; 0 where it is not known."""
         self.samples = 0
         self.gaps = 0
         self.idle = 0
@@ -72,7 +75,7 @@ class Evidence:
     @classmethod
     def within(cls, settings: FitSettings, i_max: float) -> Evidence:
         """Prepare for samples of unknown range in a disc of known radius, A."""
-        edge = _DOMAIN_MARGIN * i_max
+        edge = DOMAIN_MARGIN * i_max
         return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
 
     def add(self, samples: Samples, done: Callable[[int], None] | None = None, *, continues: bool = False) -> None:
@@ -177,6 +180,7 @@ class Evidence:
         self.gaps += self.samples > 0 and other.samples > 0
         for name in (*_COUNTS, *_SUMS):
             setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.reached = max(self.reached, other.reached)
         self._quiet = 0
 
     def suits(self, settings: FitSettings) -> bool:
@@ -201,7 +205,7 @@ class Evidence:
 
     def state(self) -> State:
         """Return all that was gathered; settings, ranges and radius are not part of it."""
-        own: State = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet")}
+        own: State = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
         for name, accumulator in self.accumulators().items():
             own |= prefixed(name, accumulator.state())
         return own
@@ -210,6 +214,7 @@ class Evidence:
         """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
+        self.reached = exactly(state.get("reached", np.array(0.0)), np.array(0.0)).item()  # older files lack it
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 

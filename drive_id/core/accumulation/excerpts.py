@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from drive_id.core.signals.stream_join import Piece, joined
+import copy
+
+from drive_id.core.signals.join import Piece, joined
 from drive_id.types import Samples
 
 SPAN = 1 << 14
@@ -33,6 +35,12 @@ class Spans:
     def whole(self) -> bool:
         """Whether nothing was left out so far."""
         return self._stride == 1
+
+    def copy(self) -> Spans:
+        """Return an independent copy; the samples are shared."""
+        other = copy.copy(self)
+        other._parts = {number: list(part) for number, part in self._parts.items()}  # noqa: SLF001  # of its own class
+        return other
 
     def add(self, piece: Piece) -> None:
         """Take further samples."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.state_machine import Experiment, ExperimentState, ReferenceBlock
-from drive_id.core.signals.sample_count import SampleCount
+from drive_id.core.signals.signal import SampleCount
 from drive_id.health import Health, Level
 
 

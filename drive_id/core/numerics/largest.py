@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from drive_id.core.numerics.compiled import compiled
@@ -49,13 +51,13 @@ class Largest:
 
     def quantile(self, share: float) -> float:
         """Return the quantile as numpy interpolates it; the least value that is kept where it lies below."""
-        values = np.sort(self.rows()[:, 0])
-        at = share * (self.count - 1) - (self.count - len(values))
-        if at <= 0.0:
-            return float(values[0])
-        below = int(at)
-        above = min(below + 1, len(values) - 1)
-        return float(values[below] + (at - below) * (values[above] - values[below]))
+        return top_quantile(self.rows()[:, 0], self.count, share)
+
+    def copy(self) -> Largest:
+        """Return an independent copy."""
+        other = copy.copy(self)
+        other.low, other.high, other._waiting = self.low.copy(), self.high.copy(), list(self._waiting)  # noqa: SLF001
+        return other
 
     def _settle(self) -> None:
         rows = np.concatenate([self._rows, *self._waiting])
@@ -68,6 +70,17 @@ class Largest:
             self.low = np.minimum(self.low, [column.min() for column in out[:, 1:].T])
             self.high = np.maximum(self.high, [column.max() for column in out[:, 1:].T])
         self._rows = rows
+
+
+def top_quantile(largest: FloatArray, count: int, share: float) -> float:
+    """Return a quantile of ``count`` values of which only the largest (K,) are known, the least of these if below."""
+    at = share * (count - 1) - (count - len(largest))
+    if at <= 0.0:
+        return float(largest.min())
+    below = int(at)
+    above = min(below + 1, len(largest) - 1)
+    low, high = np.partition(largest, (below, above))[[below, above]]
+    return float(low + (at - below) * (high - low))
 
 
 @compiled

@@ -9,6 +9,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.checks.radius import check_radius
 from drive_id.core.maps.continuation import extend
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline
 from drive_id.core.numerics.bspline import Axis
@@ -18,10 +19,9 @@ from drive_id.core.result.identification import FitReport, FluxMap, Identificati
 from drive_id.core.result.warnings import review
 from drive_id.core.validation.current_simulation import simulate_current, typical_inductances
 from drive_id.core.validation.metrics import mean_absolute_deviation
-from drive_id.errors import CoverageError, DataError
+from drive_id.errors import DataError
 from drive_id.types import BoolArray, FloatArray, Samples
 
-_LEAST_COVERAGE = 0.05
 _CURVE_POINTS = 201
 _WEAK_COEFFICIENT = 0.1
 _FINE_COUNT = 24
@@ -52,12 +52,7 @@ def conclude(
         When no trustworthy map can come of this evidence.
     """
     information, inside, coverage = evidence.information, evidence.inside(), evidence.coverage()
-    if coverage < _LEAST_COVERAGE:
-        raise CoverageError(
-            f"The trajectory covers {100 * coverage:.1f} % of the disc of {evidence.i_max:.4g} A, too little for "
-            "a map: drive the machine along a trajectory that fills the current disc, such as a Lissajous figure; if "
-            "it does, i_max is wrong."
-        )
+    check_radius(evidence, coverage)
     total = information.total
     if not (np.isfinite(total).all() and total[VOLTAGE, VOLTAGE] > 0):
         raise DataError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.paper.sample_integrals import VOLTAGE
 from drive_id.core.paper.solver import Deviations, Solution, sigma
 from drive_id.core.result.identification import FluxMap
 from drive_id.types import BoolArray, FloatArray
 
-_WEAK_COVERAGE = 0.45
 _WEAK_FIT = 0.15
 _LARGE_NOISE = 0.1
 _LARGE_ASYMMETRY = 0.1
@@ -41,16 +41,7 @@ def on_data(evidence: Evidence, coverage: float) -> list[str]:
             f"The phase currents sum to {evidence.zero_sequence:.3g} A rms instead of zero: check gains and offsets of "
             "the current sensors."
         )
-    if coverage < _WEAK_COVERAGE:
-        warnings.append(
-            f"The data cover {100 * coverage:.0f} % of the disc of {evidence.i_max:.4g} A: the map is valid only where "
-            "'inside' says so."
-        )
-    if evidence.information.outside:
-        warnings.append(
-            f"{evidence.information.outside} pairs of samples lie beyond the map's range and were left out: they are "
-            "faulty, or i_max is set too low."
-        )
+    warnings += radius_warnings(evidence, coverage)
     if evidence.noise_share > _LARGE_NOISE and evidence.settings.method != "full":
         warnings.append(
             f"The noise of the currents is large for this speed ({100 * evidence.noise_share:.0f} % of what the "

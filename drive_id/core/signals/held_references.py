@@ -1,4 +1,4 @@
-"""Current references as they arrive, each held until the next one: the join's, without having all at once."""
+"""Current references at the instants of the samples: each is held until the next one."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from drive_id.types import FloatArray, IntArray
 
 
 class HeldReferences:
-    """References that stand, and are not past yet.
+    """References as they arrive, ahead of time or late, without those that are past.
 
     Parameters
     ----------
-    period : float
-        Time between them, s: each is held for at most 1.5 of it.
+    period : float or None
+        Time between them, s: each is held for at most 1.5 of it. None: that of the samples.
     """
 
-    def __init__(self, period: float) -> None:
-        self._hold = 1.5e9 * period
+    def __init__(self, period: float | None) -> None:
+        self._period = period
         self._stamp: IntArray = np.zeros(0, np.int64)
         self._values: FloatArray = np.zeros((0, 2))
 
     def add(self, piece: Signal) -> None:
-        """Take further references; they take back what is due at or after their stamps."""
+        """Take further references; they replace those due at or after their first stamp."""
         stamp, values = piece.stamp, piece.values
         if not all_finite(values):
             known = finite_rows(values)
@@ -40,9 +40,7 @@ class HeldReferences:
         self._values = np.concatenate([self._values[:kept], values])
 
     def at(self, stamp: IntArray, period: float) -> FloatArray | None:
-        """Return the references that hold at increasing stamps.
-
-        What lies before the last stamp is forgotten.
+        """Return the references valid at increasing stamps, and forget those before the last stamp.
 
         Parameters
         ----------
@@ -67,7 +65,7 @@ class HeldReferences:
         else:
             index = np.searchsorted(self._stamp, stamp + late, side="right") - 1
             first = np.maximum(index, 0)
-            valid = (index >= 0) & (stamp - self._stamp[first] <= self._hold)
+            valid = (index >= 0) & (stamp - self._stamp[first] <= 1.5e9 * (self._period or period))
             values = self._values[first]
             values[~valid] = np.nan
             past = int(first[-1])

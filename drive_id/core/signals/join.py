@@ -1,42 +1,54 @@
 """Join currents, voltages and resolver on one clock, and cut out whatever is not whole.
 
-The stamps of the currents are the clock. All comparisons are made on integer nanoseconds and on differences of
-neighbours, so that neither the epoch nor the length of a recording costs precision.
+The stamps of the currents are the clock; comparisons are made on integer nanoseconds and on differences of neighbours,
+so that neither the epoch nor the length of a recording costs precision. :class:`StreamJoin` joins signals as they
+arrive, in bounded memory; :func:`join` gives it whole signals and no bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.signals.join_report import JoinReport, SignalReport, join_warnings, period_text
-from drive_id.core.signals.matching import Phase, partners
-from drive_id.core.signals.period import check_declared_periods, common_period, measured_period
-from drive_id.core.signals.signal import LARGEST_CUT, Ordered, Signal, check_values, finite_rows, in_order
-from drive_id.errors import NoOverlapError, SamplePeriodError
-from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+from drive_id.core.signals.held_references import HeldReferences
+from drive_id.core.signals.join_report import JoinReport, join_warnings
+from drive_id.core.signals.matching import Phase, constant_shift, partners
+from drive_id.core.signals.period import check_agreement, measured_period, period_text
+from drive_id.core.signals.signal import LARGEST_CUT, Signal
+from drive_id.core.signals.signal_track import SignalTrack
+from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
+from drive_id.types import FloatArray, IntArray, Samples
 
+SECTIONS = ("currents", "voltages", "resolver")
 SHORTEST_RUN = 4
 """Fewest samples of a gap-free run that is kept."""
+_LOCKING_PAIRS = 1000
+_UNLIMITED = 1 << 62
 
 
 @dataclass(frozen=True, eq=False)
-class JoinResult:
-    """What :func:`join` returns: the samples, and what was done to get them."""
+class Piece:
+    """Joined samples.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of one run or of several.
+    continues : bool
+        They begin with the last sample of the piece before.
+    """
 
     samples: Samples
-    report: JoinReport
+    continues: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Match:
-    """Partners of the clock's samples in another signal: ``index`` (N,), valid where ``found`` (N,); offset in ns."""
-
-    index: IntArray
-    found: BoolArray
-    offset: int
+def joined(pieces: Sequence[Piece]) -> Samples:
+    """Put consecutive pieces, at least one, together; the first begins a recording whatever it continues."""
+    continues = [piece.continues and number > 0 for number, piece in enumerate(pieces)]
+    return Samples.joined([piece.samples for piece in pieces], continues)
 
 
 def join(currents: Signal, voltages: Signal, resolver: Signal, references: Signal | None = None) -> JoinResult:
@@ -71,75 +83,389 @@ def join(currents: Signal, voltages: Signal, resolver: Signal, references: Signa
         When the stamps of two signals are not locked to each other, or lie half a period apart.
     """
     signals = (currents, voltages, resolver)
-    for signal in signals:
-        check_values(signal)
-    check_declared_periods(signals)
-    ordered = [in_order(signal) for signal in signals]
-    period = common_period(signals)
-    clock = ordered[0].stamp
-    matches = [_match(ordered[0], other, period) for other in ordered[1:]]
-    kept = np.flatnonzero(matches[0].found & matches[1].found)
-    if len(kept) == 0:
-        raise overlap_error([(entry.signal.name, int(entry.stamp[0]), int(entry.stamp[-1])) for entry in ordered])
-    kept, starts, gaps = _runs(clock, kept, period, currents.name)
-    stamp = clock[kept]
-    position = ordered[2].values[matches[1].index[kept]]
-    angle = position[:, 0].copy()
-    speed = position[:, 1].copy() if position.shape[1] > 1 else derived_speed(angle, starts, period)
-    samples = Samples(
-        stamp=stamp,
-        i_abc=ordered[0].values[kept],
-        u_abc=ordered[1].values[matches[0].index[kept]],
-        angle=angle,
-        speed=speed,
-        sample_period=period,
-        run_starts=starts,
-        i_dq_reference=None if references is None else _held(references, stamp, period),
+    reference = None
+    if references is not None:
+        held = HeldReferences(references.sample_period or measured_period(references))
+        held.add(references)
+        reference = held.at
+    joining = StreamJoin(
+        (currents.name, voltages.name, resolver.name),
+        batch=_UNLIMITED,
+        capacity=_UNLIMITED,
+        recorded=True,
+        reference=reference,
     )
-    reports = tuple(
-        _signal_report(entry, matched, len(samples)) for entry, matched in zip(ordered, (None, *matches), strict=True)
-    )
-    lost_time = float(np.sum(np.diff(stamp)[starts[1:] - 1]) * 1e-9 - period * (len(starts) - 1))
-    report = JoinReport(reports, period, len(samples), len(starts), lost_time, gaps)
-    return JoinResult(samples, report.with_warnings(join_warnings(report)))
+    for section, signal in enumerate(signals):
+        joining.add(section, signal)
+    end, pieces = joining.finished()
+    end.check()
+    return JoinResult(joined(pieces), end.report())
 
 
-def _match(currents: Ordered, other: Ordered, period: float) -> _Match:
-    """Find the partner of each current sample, allowing for a constant offset below half a period."""
-    clock, step = currents.stamp, period * 1e9
-    offset = Phase.of(clock, other.stamp, step).offset(step, other.signal.name, currents.signal.name)
-    index, found = partners(clock, other.stamp, offset, step)
-    return _Match(index, found, offset)
+@dataclass(frozen=True, eq=False)
+class JoinResult:
+    """Joined samples, and what was done to get them."""
+
+    samples: Samples
+    report: JoinReport
 
 
-def _runs(clock: IntArray, kept: IntArray, period: float, name: str) -> tuple[IntArray, IntArray, int]:
-    """Divide the kept samples into gap-free runs and drop the shortest.
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Joined samples that are not handed on yet: stamps (N,), currents and voltages (N, 3), angle and speed (N, 2)."""
 
-    Returns
-    -------
-    kept : (N,) int64
-    starts : (S,) int64
-        Index into ``kept`` of the first sample of each run.
-    gaps : int
-        Number of breaks before short runs were dropped.
+    stamp: IntArray
+    i_abc: FloatArray
+    u_abc: FloatArray
+    position: FloatArray
+
+    @classmethod
+    def none(cls) -> _Rows:
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __getitem__(self, part: slice | IntArray) -> _Rows:
+        return _Rows(self.stamp[part], self.i_abc[part], self.u_abc[part], self.position[part])
+
+    def before(self, other: _Rows) -> _Rows:
+        if not len(self):
+            return other
+        return _Rows(
+            np.concatenate([self.stamp, other.stamp]),
+            np.concatenate([self.i_abc, other.i_abc]),
+            np.concatenate([self.u_abc, other.u_abc]),
+            np.concatenate([self.position, other.position]),
+        )
+
+
+class StreamJoin:
+    """Joins currents, voltages and resolver as they arrive.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Topics of currents, voltages and resolver, for messages.
+    batch : int
+        Samples to wait for before joining them: fewer cost more, more come later.
+    capacity : int
+        Most samples of a signal to keep while others lag behind; what is older goes without partners.
+    locking : int
+        Pairs of samples on which to measure the constant offset between the signals.
+    recorded : bool
+        The signals are read from a recording, see :class:`~drive_id.core.signals.signal_track.SignalTrack`. Given
+        whole, they need neither a declared period nor, in the resolver, the speed.
+    reference : callable, optional
+        Returns the current references (N, 2), A, at increasing stamps (N,), ns, for samples of a period, s.
+
+    Notes
+    -----
+    Nothing is raised while signals arrive: :meth:`check` says what is wrong with them.
     """
-    step = np.diff(clock[kept])
-    early = step < 0.5e9 * period
-    if early.sum() > LARGEST_CUT * len(kept):
-        k = int(np.argmax(early))
-        raise early_error(name, int(early.sum()), int(clock[kept[k]]) - int(clock[0]), period)
-    breaks = np.flatnonzero((step > 1.5e9 * period) | early) + 1
-    starts = np.concatenate(([0], breaks))
-    length = np.diff(np.append(starts, len(kept)))
-    long = length >= SHORTEST_RUN
-    if not long.any():
-        raise no_run_error(name)
-    kept = kept[np.repeat(long, length)]
-    starts = np.concatenate(([0], np.cumsum(length[long])[:-1]))
-    return kept, starts.astype(np.int64), len(breaks)
+
+    def __init__(
+        self,
+        names: tuple[str, str, str] = SECTIONS,
+        *,
+        batch: int = 1000,
+        capacity: int = 50_000,
+        locking: int = _LOCKING_PAIRS,
+        recorded: bool = False,
+        reference: Callable[[IntArray, float], FloatArray | None] | None = None,
+    ) -> None:
+        self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
+        self.batch = batch
+        self.locking = locking
+        self._reference = reference
+        self._recorded = recorded
+        self.capacity = capacity
+        self.samples = 0
+        self.runs = 0
+        self.gaps = 0
+        self.time_lost = 0.0
+        self._offsets: tuple[int, int] | None = None
+        self._phases = (Phase(), Phase())
+        self.late = False
+        """Samples arrived whose partners had been given up."""
+        self._given_up_to: int | None = None  # largest stamp of such partners
+        self._fault: DataError | None = None
+        self._taken: list[int | None] = [None, None]
+        self._carry = _Rows.none()
+        self._continues = False  # the carry is the last sample handed on
+        self._joined = 0
+        self._early = 0
+        self._first_early = 0
+        self._last_stamp: int | None = None  # handed on
+
+    @property
+    def last_stamp(self) -> int | None:
+        """Stamp of the last sample handed on, ns."""
+        return self._last_stamp
+
+    def add(self, section: int, piece: Signal) -> list[Piece]:
+        """Take a further part of a signal and return what can be joined by now.
+
+        Parameters
+        ----------
+        section : int
+            0 for currents, 1 for voltages, 2 for the resolver with angle and speed.
+        piece : Signal
+            With its declared period, unless it is a whole recorded signal; its losses are those since the part before.
+        """
+        track = self.tracks[section]
+        if self._given_up_to is not None and len(piece.stamp):
+            self.late |= int(piece.stamp.min()) <= self._given_up_to + self._step
+        track.add(piece)
+        return self._advance(final=False) if track.fresh >= self.batch else []
+
+    def advance(self) -> list[Piece]:
+        """Return what can be joined by now, however little it is."""
+        return self._advance(final=False)
+
+    @property
+    def failing(self) -> bool:
+        """Whether nothing will be joined any more: :meth:`check` says why."""
+        return self._fault is not None or any(track.fault for track in self.tracks)
+
+    def finished(self) -> tuple[StreamJoin, list[Piece]]:
+        """Join the rest as if nothing were to follow, without touching this stream.
+
+        Returns
+        -------
+        join : StreamJoin
+            The stream after its end, for :meth:`check` and :meth:`report`.
+        pieces : list of Piece
+            What was still waiting.
+        """
+        other = copy.copy(self)
+        other.tracks = tuple(track.copy() for track in self.tracks)
+        other._taken = list(self._taken)  # noqa: SLF001  # of its own class
+        return other, other._advance(final=True)  # noqa: SLF001  # of its own class
+
+    def check(self) -> None:
+        """Raise what is wrong with the signals, see :func:`join`; call it on a finished stream.
+
+        Raises
+        ------
+        EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError
+        """
+        claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
+        if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):
+            check_agreement(claims)  # first, for a wrong period shows as stamps out of order, too
+        for track in self.tracks:
+            track.check()
+        measured = [(f"the stamps of {track.name} show", track.measured_period) for track in self.tracks]
+        claims += [(said, period) for said, period in measured if period is not None]
+        if not claims:
+            raise SamplePeriodError(
+                f"The sample period is unknown, for {self.tracks[0].name} declares none and holds too few messages to "
+                "measure it: give sample_period in a signals file."
+            )
+        check_agreement(claims)
+        if self._fault is not None:
+            raise self._fault
+        clock = self.tracks[0].name
+        for track, phase in zip(self.tracks[1:], self._phases, strict=True):
+            phase.offset(self._step, track.name, clock)
+        if not self._joined:
+            raise _overlap_error([(track.name, *track.range) for track in self.tracks])
+        if self._early > LARGEST_CUT * self._joined:
+            raise _early_error(clock, self._early, self._first_early, self._step * 1e-9)
+        if not self.samples:
+            raise _no_run_error(clock)
+
+    def report(self) -> JoinReport:
+        """Return what became of the signals."""
+        offsets = (0, *(self._offsets or (0, 0)))
+        signals = tuple(track.report(self.samples, offset) for track, offset in zip(self.tracks, offsets, strict=True))
+        report = JoinReport(signals, self._period, self.samples, self.runs, self.time_lost * 1e-9, self.gaps)
+        given_up = [
+            f"{track.given_up} samples of {track.name} waited too long for the other signals and were left out."
+            for track in self.tracks
+            if track.given_up and not self._recorded
+        ]
+        return report.with_warnings((*join_warnings(report), *given_up))
+
+    @property
+    def _step(self) -> float:
+        """Sample period, ns; 0 as long as it is unknown."""
+        return self._period * 1e9
+
+    @property
+    def _period(self) -> float:
+        """Sample period, s: the first that a signal declares; of a recording that declares none, what stamps show."""
+        known = [track.period for track in self.tracks if track.period]
+        if not known and self._recorded:
+            known = [period for track in self.tracks if (period := track.measured_period)]
+        return known[0] if known else 0.0
+
+    def _advance(self, *, final: bool) -> list[Piece]:
+        """Join what can be joined, and what must be for want of room."""
+        for track in self.tracks:
+            track.fold()
+        pieces: list[Piece] = []
+        if not self._fault and not any(track.fault for track in self.tracks) and self._lock(final=final):
+            pieces = self._hand_on(self._match(final=final))
+        for track in self.tracks:
+            excess = len(track.stamp) - self.capacity
+            if excess > 0:
+                self._note_given_up(int(track.stamp[excess - 1]))
+                track.given_up += excess
+                track.drop(excess)
+        return pieces
+
+    def _lock(self, *, final: bool) -> bool:
+        """Measure the offsets once there are enough pairs; afterwards, or when they cannot be had, say which."""
+        if self._offsets is not None:
+            return True
+        if not self._step:
+            return False
+        clock = self.tracks[0]
+        phases = tuple(Phase.of(clock.stamp, other.stamp, self._step) for other in self.tracks[1:])
+        if not final and min(phase.count for phase in phases) < self.locking:
+            return False
+        try:
+            self._offsets = (
+                phases[0].offset(self._step, self.tracks[1].name, clock.name),
+                phases[1].offset(self._step, self.tracks[2].name, clock.name),
+            )
+        except DataError as error:
+            self._fault = error
+            return False
+        return True
+
+    def _match(self, *, final: bool) -> _Rows:
+        """Return the samples whose partners are decided, and forget whatever is past."""
+        clock, others, offsets = self.tracks[0], self.tracks[1:], self._offsets or (0, 0)
+        decided = len(clock.stamp)
+        if not final:
+            for other, offset in zip(others, offsets, strict=True):
+                latest = int(other.stamp[-1]) - offset if len(other.stamp) else np.iinfo(np.int64).min
+                decided = min(decided, int(np.searchsorted(clock.stamp, latest, side="right")))
+            overdue = len(clock.stamp) - self.capacity
+            if overdue > decided:
+                self._note_given_up(int(clock.stamp[overdue - 1]))
+                clock.given_up += overdue - decided
+                decided = overdue
+        stamp = clock.stamp[:decided]
+        rows = self._aligned(stamp)
+        if rows is None:
+            self._measure_drift(stamp)
+            rows = self._matched(stamp)
+        if decided:
+            for other, offset in zip(others, offsets, strict=True):
+                past = int(np.searchsorted(other.stamp, int(stamp[-1]) + offset, side="right")) - 1
+                other.drop(max(past, 0))
+            clock.drop(decided)
+        return rows
+
+    def _note_given_up(self, stamp: int) -> None:
+        self._given_up_to = max(stamp, self._given_up_to or stamp)
+
+    def _aligned(self, stamp: IntArray) -> _Rows | None:
+        """Return the samples at the clock's ``stamp`` (N,), if each signal has one for each of them, in order."""
+        parts, shifts = [], []
+        for k, (other, offset) in enumerate(zip(self.tracks[1:], self._offsets or (0, 0), strict=True)):
+            first = int(len(other.stamp) > 0 and other.stamp[0] == self._taken[k])
+            shift = constant_shift(stamp, other.stamp[first:], offset)
+            if shift is None or abs(shift - offset) > 0.5 * self._step:
+                return None
+            if first and 2 * abs(shift - offset) >= int(other.stamp[1]) - int(other.stamp[0]):
+                return None
+            parts.append(slice(first, first + len(stamp)))
+            shifts.append(shift)
+        phases = (Phase.constant(shift, len(stamp), self._step) for shift in shifts)
+        first_phase, second_phase = (before + phase for before, phase in zip(self._phases, phases, strict=True))
+        self._phases = first_phase, second_phase
+        for k, (other, part) in enumerate(zip(self.tracks[1:], parts, strict=True)):
+            self._taken[k] = int(other.stamp[part.stop - 1])
+        values = [other.values[part] for other, part in zip(self.tracks[1:], parts, strict=True)]
+        return _Rows(stamp, self.tracks[0].values[: len(stamp)], *values)
+
+    def _matched(self, stamp: IntArray) -> _Rows:
+        """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner."""
+        others = self.tracks[1:]
+        found = np.ones(len(stamp), np.bool_)
+        indices = []
+        for k, (other, offset) in enumerate(zip(others, self._offsets or (0, 0), strict=True)):
+            index, there = partners(stamp, other.stamp, offset, self._step, self._taken[k])
+            if there.any():
+                self._taken[k] = int(other.stamp[index[np.flatnonzero(there)[-1]]])
+            indices.append(index)
+            found &= there
+        if not found.any():
+            return _Rows.none()
+        values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
+        return _Rows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
+
+    def _measure_drift(self, stamp: IntArray) -> None:
+        first, second = (
+            phase + Phase.of(stamp, other.stamp, self._step)
+            for phase, other in zip(self._phases, self.tracks[1:], strict=True)
+        )
+        self._phases = first, second
+
+    def _hand_on(self, new: _Rows) -> list[Piece]:
+        """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
+        if not len(new):
+            return []
+        rows = self._carry.before(new)
+        step = np.diff(rows.stamp)
+        early = step < 0.5 * self._step
+        if early.any() and not self._early:
+            self._first_early = int(rows.stamp[np.argmax(early)]) - self.tracks[0].range[0]
+        self._early += int(early.sum())
+        self._joined += len(new)
+        starts = [0, *(np.flatnonzero((step > 1.5 * self._step) | early) + 1).tolist()]
+        ends = [*starts[1:], len(rows)]
+        self.gaps += len(starts) - 1
+        chosen: list[slice] = []
+        for start, end in zip(starts, ends, strict=True):
+            goes_on = self._continues and start == 0
+            if (goes_on and end - start > 1) or (not goes_on and end - start >= SHORTEST_RUN):
+                chosen.append(slice(start, end))
+        last = slice(starts[-1], ends[-1])
+        piece = self._piece(rows, chosen)
+        last_is_out = (bool(chosen) and chosen[-1] == last) or (self._continues and last.start == 0)
+        self._carry = rows[len(rows) - 1 :] if last_is_out else rows[last]
+        self._continues = last_is_out
+        return [piece] if piece else []
+
+    def _piece(self, rows: _Rows, runs: list[slice]) -> Piece | None:
+        """Put runs into one piece, and count them."""
+        if not runs:
+            return None
+        continues = self._continues and runs[0].start == 0
+        lengths = np.array([run.stop - run.start for run in runs])
+        starts = np.concatenate(([0], np.cumsum(lengths)[:-1])).astype(np.int64)
+        if len(starts) == 1 or int(lengths.sum()) == len(rows):
+            chosen = rows[runs[0].start : runs[-1].stop]
+        else:
+            chosen = rows[np.concatenate([np.arange(run.start, run.stop) for run in runs])]
+        stamp, period = chosen.stamp, self._period
+        angle = chosen.position[:, 0].copy()
+        derived = chosen.position.shape[1] == 1
+        before = np.concatenate(([self._last_stamp if self._last_stamp is not None else stamp[0]], stamp[:-1]))
+        begun = starts[1:] if continues or self._last_stamp is None else starts
+        self.time_lost += float(np.sum(stamp[begun] - before[begun]) - self._step * len(begun))
+        self.samples += len(stamp) - continues
+        self.runs += len(runs) - continues
+        self._last_stamp = int(stamp[-1])
+        samples = Samples(
+            stamp=stamp,
+            i_abc=chosen.i_abc,
+            u_abc=chosen.u_abc,
+            angle=angle,
+            speed=_derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy(),
+            sample_period=period,
+            run_starts=starts,
+            i_dq_reference=self._reference(stamp, period) if self._reference else None,
+        )
+        return Piece(samples, continues)
 
 
-def derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatArray:
+def _derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatArray:
     """Differentiate the angle (N,) within each run by central differences, rad/s."""
     speed = np.empty_like(angle)
     with np.errstate(over="ignore", invalid="ignore"):  # absurd angles give infinite speeds, which Samples refuses
@@ -148,41 +474,7 @@ def derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatAr
     return speed
 
 
-def _held(references: Signal, stamp: IntArray, period: float) -> FloatArray | None:
-    """Hold each reference until the next one, for at most 1.5 of their periods; NaN (N, 2) where there is none.
-
-    References are published ahead of time, and later ones take back what is due at or after their stamps.
-    """
-    known = finite_rows(references.values)
-    if not known.any():
-        return None
-    given, values = references.stamp[known], references.values[known]
-    stands = given[:-1] < np.minimum.accumulate(given[::-1])[::-1][1:]
-    given, values = given[np.append(stands, True)], values[np.append(stands, True)]
-    own = references.sample_period or measured_period(references) or period
-    index = np.searchsorted(given, stamp + int(0.1e9 * period), side="right") - 1
-    first = np.maximum(index, 0)
-    valid = (index >= 0) & (stamp - given[first] <= 1.5e9 * own)
-    return np.where(valid[:, None], values[first], np.nan)
-
-
-def _signal_report(ordered: Ordered, match: _Match | None, used: int) -> SignalReport:
-    signal = ordered.signal
-    return SignalReport(
-        topic=signal.name,
-        read=len(signal.stamp),
-        used=used,
-        repeated=ordered.repeated,
-        backward=ordered.backward,
-        lost=signal.lost,
-        losses=signal.losses,
-        offset=0.0 if match is None else match.offset * 1e-9,
-        declared_period=signal.sample_period,
-        measured_period=measured_period(signal),
-    )
-
-
-def early_error(name: str, count: int, after: int, period: float) -> SamplePeriodError:
+def _early_error(name: str, count: int, after: int, period: float) -> SamplePeriodError:
     """Return the error for samples that follow each other too soon, the first ``after`` ns behind the start."""
     return SamplePeriodError(
         f"{count} samples of {name} follow each other within half of the sample period "
@@ -191,7 +483,7 @@ def early_error(name: str, count: int, after: int, period: float) -> SamplePerio
     )
 
 
-def no_run_error(name: str) -> NoOverlapError:
+def _no_run_error(name: str) -> NoOverlapError:
     """Return the error for samples that are too scattered."""
     return NoOverlapError(
         f"No {SHORTEST_RUN} consecutive samples of {name} have partners in voltages and resolver: "
@@ -199,7 +491,7 @@ def no_run_error(name: str) -> NoOverlapError:
     )
 
 
-def overlap_error(ranges: Sequence[tuple[str, int, int]]) -> NoOverlapError:
+def _overlap_error(ranges: Sequence[tuple[str, int, int]]) -> NoOverlapError:
     """Return the error for signals, given by name, first and last stamp, ns, that share no sample."""
     start = min(first for _, first, _ in ranges)
     text = ", ".join(

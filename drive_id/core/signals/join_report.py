@@ -71,13 +71,8 @@ class JoinReport:
         return replace(self, warnings=warnings)
 
 
-def period_text(period: float) -> str:
-    """Write a sample period for a reader: ``100 us``."""
-    return f"{period * 1e6:.6g} us"
-
-
 def join_warnings(report: JoinReport) -> tuple[str, ...]:
-    """Say in sentences what the reader of a result should know about its samples."""
+    """Say in sentences what is missing, cut out or shifted in the joined samples."""
     sentences = []
     for signal in report.signals:
         if signal.repeated or signal.backward:

@@ -1,4 +1,4 @@
-"""Partners of samples in another signal: equal instants but for a constant offset below half a sample period."""
+"""Find for each sample its partner in another signal: the same instant, up to a constant offset below half a period."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def constant_shift(clock: IntArray, stamp: IntArray, offset: int = 0) -> int | N
 
 @dataclass(frozen=True)
 class Phase:
-    """Where the stamps of a signal lie between those of the clock, as a mean direction on the circle of one period.
+    """Circular mean of the offset of a signal's stamps from those of the clock, over one sample period.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def partners(
     step : float
         Sample period, ns.
     taken : int, optional
-        Stamp of the last partner of an earlier part of the clock, which is not to be had again.
+        Stamp of the last partner of an earlier part of the clock, which must not serve again.
 
     Returns
     -------

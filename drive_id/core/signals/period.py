@@ -1,4 +1,4 @@
-"""The sample period on which the signals of a drive agree: declared, and shown by the stamps."""
+"""The sample period of signals, as declared and as measured from their stamps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drive_id.core.signals.join_report import period_text
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import SamplePeriodError
 from drive_id.types import IntArray
@@ -48,9 +47,9 @@ def usual_period(elapsed: IntArray, count: IntArray) -> float | None:
 
 
 class Spacings:
-    """Times between neighbouring messages of a recording of any length, to measure its sample period by.
+    """Measures the sample period of a recording of any length from the times between neighbouring messages.
 
-    The first ones are kept; of later ones, the sum of those that the first ones call usual.
+    The first ones are kept; of later ones, the sum of those within half a period of the median of the first.
     """
 
     def __init__(self, kept: int = 1 << 16) -> None:
@@ -62,13 +61,13 @@ class Spacings:
         self._last: tuple[int, int] | None = None
 
     def copy(self) -> Spacings:
-        """Return spacings that go their own way."""
+        """Return an independent copy."""
         other = copy.copy(self)
         other._kept = list(self._kept)  # noqa: SLF001  # of its own class
         return other
 
     def add(self, stamp: IntArray, count: IntArray) -> None:
-        """Take further messages, by the stamp (B,), ns, and the number (B,) of their samples."""
+        """Take further messages: stamps (B,), ns, and numbers (B,) of samples."""
         if not len(stamp):
             return
         if self._last is not None:
@@ -103,40 +102,14 @@ class Spacings:
         return self._kept[0]
 
 
-def common_period(signals: Sequence[Signal]) -> float:
-    """Return the sample period on which all signals agree, s.
-
-    Raises
-    ------
-    SamplePeriodError
-        When a period is not positive, not known, or two differ by more than 1 %.
-    """
-    claims = declared_periods(signals)
-    for signal in signals:
-        measured = measured_period(signal)
-        if measured is not None:
-            claims.append((f"the stamps of {signal.name} show", measured))
-    if not claims:
-        raise SamplePeriodError(
-            f"The sample period is unknown, for {signals[0].name} declares none and holds too few messages to measure "
-            "it: give sample_period in a signals file."
-        )
-    check_agreement(claims)
-    return claims[0][1]
-
-
-def check_declared_periods(signals: Sequence[Signal]) -> None:
-    """Refuse declared periods that are none, or that disagree, before any stamp is looked at.
-
-    Raises
-    ------
-    SamplePeriodError
-    """
-    check_agreement(declared_periods(signals))
-
-
 def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
-    """Return who declares which sample period, s."""
+    """Return the declared sample periods, s, each with a text that names the signal.
+
+    Raises
+    ------
+    SamplePeriodError
+        When one is not a positive time below 10^4 s.
+    """
     claims = []
     for signal in signals:
         period = signal.sample_period
@@ -149,6 +122,11 @@ def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
             )
         claims.append((f"{signal.name} declares", period))
     return claims
+
+
+def period_text(period: float) -> str:
+    """Write a sample period for a reader: ``100 us``."""
+    return f"{period * 1e6:.6g} us"
 
 
 def check_agreement(claims: Sequence[tuple[str, float]]) -> None:

@@ -1,13 +1,12 @@
-"""Several recordings of one drive as one, at once or piece by piece."""
+"""Several recordings of one drive, put one behind the other: at once or piece by piece."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from drive_id.core.signals.join_report import period_text
-from drive_id.core.signals.period import PERIOD_TOLERANCE
-from drive_id.core.signals.stream_join import Piece
+from drive_id.core.signals.join import Piece
+from drive_id.core.signals.period import PERIOD_TOLERANCE, period_text
 from drive_id.errors import DataError, SamplePeriodError
 from drive_id.types import GroundTruth, Samples
 
@@ -16,7 +15,7 @@ _DISTANCE = 1_000_000_000
 
 
 def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
-    """Put recordings one behind the other; each begins a new run, so nothing reaches from one into the next.
+    """Put recordings one behind the other; each begins a new run.
 
     Parameters
     ----------
@@ -27,7 +26,7 @@ def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
     -------
     samples : Samples
     moved : tuple of int
-        Which parts lay in time before the end of an earlier one, as simulations do, and were moved behind it.
+        Parts that began before an earlier one had ended, as simulations do, and were moved behind it.
 
     Raises
     ------
@@ -42,7 +41,7 @@ def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
 
 
 class SeveralRecordings:
-    """Does to pieces of recordings what :func:`merge` does to all at once.
+    """Does piece by piece what :func:`merge` does to whole recordings.
 
     Attributes
     ----------
@@ -65,7 +64,7 @@ class SeveralRecordings:
         self._shift = None
 
     def placed(self, piece: Piece) -> Piece:
-        """Return the next piece of the recording, in its place behind those before.
+        """Return the next piece of the recording, moved behind those before if it overlaps them.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""One recorded signal, before it is joined with others."""
+"""One recorded signal, before it is joined with others, and the running count of its blocks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.errors import EmptyTopicError, NonFiniteError, StampOrderError
+from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 LARGEST_CUT = 0.01
@@ -43,50 +43,10 @@ class Signal:
     losses: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Ordered:
-    """A signal without its repeated and backward stamps."""
-
-    signal: Signal
-    stamp: IntArray
-    values: FloatArray
-    repeated: int
-    backward: int
-
-
 def finite_rows(values: FloatArray) -> BoolArray:
     """Tell which rows of ``values`` (N, K) hold finite numbers only."""
     finite: BoolArray = np.all(np.isfinite(values), axis=1)
     return finite
-
-
-def check_values(signal: Signal) -> None:
-    """Refuse a signal without samples, or with samples that are not finite."""
-    stamp, values = signal.stamp, signal.values
-    if len(stamp) == 0:
-        raise EmptyTopicError(f"{signal.name} holds no sample: record it, or name another topic.")
-    finite = finite_rows(values)
-    if not finite.all():
-        k = int(np.argmin(finite))
-        count = len(finite) - int(finite.sum())
-        raise non_finite_error(signal.name, count, int(stamp[k]) - int(stamp.min()))
-
-
-def in_order(signal: Signal) -> Ordered:
-    """Cut out every sample whose stamp does not exceed all stamps before it."""
-    stamp, values = signal.stamp, signal.values
-    seen = np.maximum.accumulate(stamp)
-    step = np.diff(stamp)
-    repeated = (stamp[1:] == seen[:-1]) | (step == 0)
-    behind = stamp[1:] <= seen[:-1]
-    cut = int(behind.sum())
-    if cut > LARGEST_CUT * len(stamp):
-        k = int(np.argmax(behind)) + 1
-        by, after = int(seen[k - 1]) - int(stamp[k]), int(stamp[k - 1]) - int(stamp[0])
-        raise order_error(signal.name, cut, len(stamp), by, after)
-    kept = np.concatenate(([True], ~behind))
-    n_repeated = int(repeated.sum())
-    return Ordered(signal, stamp[kept], values[kept], n_repeated, cut - n_repeated)
 
 
 def non_finite_error(name: str, count: int, after: int) -> NonFiniteError:
@@ -104,3 +64,40 @@ def order_error(name: str, cut: int, count: int, by: int, after: int) -> StampOr
         f"{by * 1e-9:.6f} s at {after * 1e-9:.6f} s: "
         "check the clock of the publisher, or take another stamp source in a signals file."
     )
+
+
+@dataclass
+class SampleCount:
+    """Received and lost samples, by the running count in the blocks.
+
+    Parameters
+    ----------
+    samples : int
+        Received.
+    blocks : int
+        Received.
+    lost, losses : int
+        Samples missing between blocks, and the number of places.
+    restarts : int
+        Places where the count ran backwards: the publisher restarted, or there are two of them.
+    """
+
+    samples: int = 0
+    blocks: int = 0
+    lost: int = 0
+    losses: int = 0
+    restarts: int = 0
+    _next: int | None = None
+
+    def add(self, first_sample: int, samples: int) -> None:
+        """Count one block of so many samples, the first of which is number ``first_sample``."""
+        due = self._next
+        if due is not None and first_sample != due:
+            if first_sample > due:
+                self.lost += first_sample - due
+                self.losses += 1
+            else:
+                self.restarts += 1
+        self._next = first_sample + samples
+        self.samples += samples
+        self.blocks += 1

@@ -1,4 +1,4 @@
-"""One signal as it arrives: put in order, counted, and kept until its samples have found their partners."""
+"""One signal as it arrives: sorted out, counted, and buffered until its samples have found their partners."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ _SPACINGS = 1000
 
 
 class SignalTrack:
-    """What is known of one signal, and its samples that still wait.
+    """One signal: its statistics, and the samples that still wait for partners.
 
     Parameters
     ----------
     name : str
         Topic, for messages.
     recorded : bool
-        It is read from a recording: all of its messages count for the measured period, not only the latest.
+        It is read from a recording: all of its messages count for the measured period, not only the latest, and it
+        need not declare one.
 
     Attributes
     ----------
@@ -81,7 +82,7 @@ class SignalTrack:
         return self._start or 0, self._latest
 
     def copy(self) -> SignalTrack:
-        """Return a track that goes its own way."""
+        """Return an independent copy."""
         other = copy.copy(self)
         other._raw, other._spacings = list(self._raw), self._spacings.copy()  # noqa: SLF001  # of its own class
         other._whole = self._whole and self._whole.copy()  # noqa: SLF001
@@ -102,7 +103,7 @@ class SignalTrack:
             self._raw_count += count
 
     def fold(self) -> None:
-        """Put in order what arrived: leave out samples that are not finite, and cut repeated and backward stamps."""
+        """Sort out what arrived: drop samples that are not finite, and cut repeated and backward stamps."""
         if not self._raw:
             return
         stamp, values = self._raw[0].stamp, self._raw[0].values
@@ -133,12 +134,14 @@ class SignalTrack:
         self.stamp, self.values = self.stamp[count:], self.values[count:]
 
     def check(self) -> None:
-        """Raise what the offline join would have found in this signal.
+        """Raise what is wrong with this signal.
 
         Raises
         ------
         EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
         """
+        if not self.read and self._whole is not None:
+            raise EmptyTopicError(f"{self.name} holds no sample: record it, or name another topic.")
         if not self.read:
             raise EmptyTopicError(f"No sample of {self.name} has arrived: start the drive, or remap the topic.")
         if self._not_finite:
@@ -188,7 +191,7 @@ class SignalTrack:
                 declared_periods([piece])
             except SamplePeriodError as error:
                 self.fault = error
-            if self.period is None:
+            if self.period is None and self._whole is None:
                 self.fault = SamplePeriodError(f"{self.name} declares no sample period: correct its publisher.")
         elif not abs((piece.sample_period or 0.0) - self.period) <= _SAME_PERIOD * self.period and self.fault is None:
             self.fault = SamplePeriodError(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core.signals.sample_count import SampleCount
-from drive_id.core.signals.signal import Signal
+from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import MessageTypeError, SamplePeriodError
 from drive_id.files.messages.block_codec import decode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from drive_id.core.signals.held_references import HeldReferences
-from drive_id.core.signals.join import JoinResult, join
+from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
-from drive_id.core.signals.stream_join import Piece, StreamJoin
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.signals_file import SignalMap

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 
+from drive_id.core.signals.join import Piece
 from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overlap_warning
-from drive_id.core.signals.stream_join import Piece
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.reader import BagFacts, bag_pieces

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from synthetic import cut
 
 from drive_id.core.accumulation.excerpts import Spans
-from drive_id.core.signals.stream_join import Piece
+from drive_id.core.signals.join import Piece
 from drive_id.types import Samples
 
 PERIOD = 1e-4

@@ -1,4 +1,4 @@
-"""References that arrive bit by bit against the join that has all of them."""
+"""References that arrive block by block against the join that has all of them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from whole_join import whole_join
 
 from drive_id.core.signals.held_references import HeldReferences
-from drive_id.core.signals.join import Signal, join
+from drive_id.core.signals.signal import Signal
 
 STEP = 100_000
 
@@ -40,7 +41,7 @@ def test_references_ahead_of_time_some_of_them_taken_back(data):
     whole = Signal(
         "/ref", np.concatenate([m[1] for m in messages]), np.concatenate([m[2] for m in messages]), ratio * 1e-4
     )
-    expected = join(*signals(n), whole).samples.i_dq_reference
+    expected = whole_join(*signals(n), whole).samples.i_dq_reference
     held, found, number = HeldReferences(ratio * 1e-4), [], 0
     part = data.draw(st.sampled_from([30, 100]))
     for start in range(0, n, part):

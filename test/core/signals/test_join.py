@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drive_id.core.signals.join import Signal, join, measured_period
+from drive_id.core.signals.join import join
+from drive_id.core.signals.period import measured_period
 from drive_id.core.signals.pieces import merge
+from drive_id.core.signals.signal import Signal
 from drive_id.errors import (
     DataError,
     EmptyTopicError,

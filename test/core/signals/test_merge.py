@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic import record
 
+from drive_id.core.signals.join import Piece
 from drive_id.core.signals.pieces import SeveralRecordings, merge
-from drive_id.core.signals.stream_join import Piece
 from drive_id.errors import SamplePeriodError
 
 

@@ -1,4 +1,4 @@
-"""The streaming join: whatever the interleaving and the size of the blocks, what the offline join gives."""
+"""The streaming join, whatever the interleaving and the size of the blocks, against a join of whole signals."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import record
+from whole_join import whole_join
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.signals.join import Signal, join
-from drive_id.core.signals.stream_join import StreamJoin
+from drive_id.core.signals.join import StreamJoin, join
+from drive_id.core.signals.signal import Signal
 from drive_id.errors import (
     DataError,
     EmptyTopicError,
@@ -81,7 +82,7 @@ def concatenated(pieces):
 
 
 def assert_same(end, pieces, signals):
-    expected = join(*signals)
+    expected = whole_join(*signals)
     samples = expected.samples
     stamp, values, starts = concatenated(pieces)
     np.testing.assert_array_equal(stamp, samples.stamp)
@@ -126,13 +127,56 @@ def test_the_pieces_are_the_offline_join(data):
     order = rng.integers(0, 3, 3 * n) if data.draw(st.booleans()) else np.repeat(rng.permutation(3), n)
     batch = data.draw(st.sampled_from([10, 97, 1000]))
     try:
-        join(*signals)
+        whole_join(*signals)
     except (DataError, EmptyTopicError) as error:
         end, _ = stream(signals, data.draw(SIZES), order, batch=batch)
         with pytest.raises(type(error)):
             end.check()
         return
     assert_same(*stream(signals, data.draw(SIZES), order, batch=batch), signals)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whole_signals_without_a_bound_are_the_offline_join(data):
+    """Strangers' signals: perhaps no declared period and no speed, references of their own rate."""
+    n = data.draw(st.integers(20, 1300))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    shifts = (0, data.draw(st.sampled_from([0, 20_000, -30_000])), data.draw(st.sampled_from([0, -10_000])))
+    signals = plain(n, shifts)
+    jitter, declared = data.draw(st.sampled_from([0, 5_000])), data.draw(st.sampled_from([(0, 1, 2), (1,), (2,), ()]))
+    for k in range(3):
+        keep = np.setdiff1d(np.arange(n), rng.integers(0, n, data.draw(st.integers(0, 6))))
+        signals[k] = take(signals[k], keep)
+        noise = rng.integers(-jitter, jitter + 1, len(keep))
+        period = signals[k].sample_period if k in declared else None
+        signals[k] = replace(signals[k], stamp=signals[k].stamp + noise, sample_period=period)
+    if data.draw(st.booleans()):
+        signals[2] = replace(signals[2], values=np.mod(0.05 * signals[2].values[:, :1] + np.pi, 2 * np.pi) - np.pi)
+    if data.draw(st.booleans()):
+        index = np.arange(n // 3, n, 5)
+        values = np.stack([index, -index], axis=-1).astype(float)
+        period = data.draw(st.sampled_from([5e-4, None]))
+        signals.append(Signal("/r", START + index * STEP, values, period))
+    try:
+        expected = whole_join(*signals)
+    except DataError as error:
+        with pytest.raises(type(error)):
+            join(*signals)
+        return
+    found = join(*signals)
+    for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts"):
+        np.testing.assert_array_equal(getattr(found.samples, name), getattr(expected.samples, name), err_msg=name)
+    assert found.samples.sample_period == expected.samples.sample_period
+    assert (found.samples.i_dq_reference is None) == (expected.samples.i_dq_reference is None)
+    if expected.samples.i_dq_reference is not None:
+        np.testing.assert_array_equal(found.samples.i_dq_reference, expected.samples.i_dq_reference)
+    for mine, other in zip(found.report.signals, expected.report.signals, strict=True):
+        assert mine == other
+    assert (found.report.samples, found.report.runs, found.report.gaps) == (
+        expected.report.samples, expected.report.runs, expected.report.gaps
+    )  # fmt: skip
+    assert found.report.time_lost == pytest.approx(expected.report.time_lost, abs=1e-9)
 
 
 @settings(max_examples=15, deadline=None)
@@ -149,7 +193,7 @@ def test_live_evidence_is_the_evidence_of_the_whole(data):
     live, whole = (Evidence.within(FitSettings(method="joint"), 100.0) for _ in range(2))
     for piece in pieces:
         live.add(piece.samples, continues=piece.continues)
-    whole.add(join(*signals).samples)
+    whole.add(whole_join(*signals).samples)
     total = whole.information.total
     scale = np.sqrt(np.outer(np.diag(total), np.diag(total)))
     np.testing.assert_allclose(live.information.total, total, atol=1e-12 * scale.max(), rtol=1e-9)
@@ -205,6 +249,8 @@ def test_what_is_wrong_is_said_as_the_offline_join_says_it():
     for kind, spoil in cases.items():
         signals = plain(2000)
         spoil(signals)
+        with pytest.raises(kind):
+            whole_join(*signals)
         with pytest.raises(kind) as expected:
             join(*signals)
         end, _ = stream(signals, (50, 50, 50), order)

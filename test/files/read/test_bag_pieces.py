@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from test_bag_reader import SPEED, STRANGER, rewrite, stranger
 
-from drive_id.core.signals.stream_join import joined
+from drive_id.core.signals.join import joined
 from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction

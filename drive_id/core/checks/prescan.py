@@ -1,0 +1,305 @@
+"""One-pass statistics of the samples, gathered before fitting: what is implausible, and the range of the map."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.numerics.compiled import compiled
+from drive_id.core.numerics.largest import KEPT, Largest, top_quantile
+from drive_id.core.numerics.scans import all_finite
+from drive_id.core.signals.signal import finite_rows
+from drive_id.errors import CoverageError, DataError, StandstillError
+from drive_id.types import FloatArray, Samples
+
+USUAL_QUANTILE = 0.999
+"""Share of the samples that stay below the usual amplitude."""
+SPIKE_FACTOR = 1.2
+"""Amplitudes beyond so many times the usual one are spikes: they do not widen the map."""
+_FAULT_FACTOR = 10.0
+"""Amplitudes beyond so many times the usual one are faults of a sensor or a field: they are refused."""
+_NOISE_SHARE = 0.1
+_RESOLVER_TOLERANCE = 0.02
+_LEAST_TURN = 2 * np.pi
+_WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
+_JUMP = 0.2
+_JUMP_FACTOR = 5.0
+_TINY = 1e-160
+_LEAST, _MOST = 1e-100, 1e100
+_REMEDY = "drive the machine along a trajectory that fills the current disc, such as a Lissajous figure."
+
+
+class Prescan:
+    """Checks samples and finds the range of their currents, in one pass and in bounded memory.
+
+    Arrays, bags and live samples all pass through it. The usual amplitude and the usual step of the angle (99.9 %
+    quantiles) are exact up to ``1000 kept`` samples, everything else always.
+
+    Parameters
+    ----------
+    kept : int
+        Largest amplitudes and largest jumps to keep.
+    """
+
+    def __init__(self, kept: int = KEPT) -> None:
+        self.samples = 0
+        self._turns: FloatArray = np.zeros((2, 4))  # see _follow_rotor; by the speed, and by the angle
+        self._turns[:, 1], self._turns[:, 2] = np.inf, -np.inf
+        self._products: FloatArray = np.zeros(3)  # speed squared, speed times angle, advances in the open window
+        self._extremes: FloatArray = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
+        self._step_square: FloatArray = np.zeros((2, 2))
+        self._steps = 0
+        self._amplitudes = Largest(3, kept)  # with i_d, i_q, and whether the reference is known
+        self._jumps = Largest(1, kept)  # with their time, s
+        self._begin: int | None = None
+        self._referenced = 0
+        self._largest_reference = 0.0
+        self._reference_low: FloatArray = np.full(2, np.inf)
+        self._reference_high: FloatArray = np.full(2, -np.inf)
+
+    def copy(self) -> Prescan:
+        """Return an independent copy."""
+        other = copy.copy(self)
+        for name in ("_turns", "_products", "_extremes", "_step_square", "_amplitudes", "_jumps"):
+            setattr(other, name, getattr(self, name).copy())
+        return other
+
+    def add(self, samples: Samples, *, continues: bool = False) -> None:
+        """Scan further samples.
+
+        Parameters
+        ----------
+        samples : Samples
+        continues : bool
+            They continue the piece before and begin with its last sample, which counts once.
+        """
+        if self._begin is None:
+            self._begin = int(samples.stamp[0])
+        new = slice(int(continues), None)
+        self.samples += len(samples) - continues
+        i_dq = frames.to_dq(samples.i_abc, samples.angle)
+        rows, jumps = np.empty((len(samples), 4)), np.zeros((len(samples), 2))
+        jumps[:, 1] = (samples.stamp - self._begin) * 1e-9
+        rows[new, 3] = self._add_references(samples.i_dq_reference, new)
+        for run in samples.runs():
+            _follow_rotor(
+                samples.angle[run], samples.speed[run], samples.sample_period, self._turns, self._products, jumps[run]
+            )
+            _scan_currents(i_dq[run], rows[run], self._extremes, self._step_square)
+            self._steps += run.stop - run.start - 1
+        self._amplitudes.add(rows[new])
+        self._jumps.add(jumps[new])
+
+    @property
+    def _usual(self) -> float:
+        """Amplitude that 99.9 % of the samples stay below, A; 0 without samples."""
+        return self._amplitudes.quantile(USUAL_QUANTILE) if self.samples else 0.0
+
+    @property
+    def radius(self) -> float:
+        """Radius of the current disc of the experiment as the samples show it: i_max where it is not set, A.
+
+        It is the largest amplitude of the references. Samples without a reference (a recording without the topic)
+        count by the amplitude that 99.9 % of them stay below, so that a second recording without references that
+        reaches further widens the disc. It never exceeds the usual amplitude of all samples, and is that amplitude
+        where there are no references, or where the currents exceed them by more than 20 %.
+        """
+        usual, wanted = self._usual, self._largest_reference
+        if SPIKE_FACTOR * wanted < usual:
+            return usual
+        if self._referenced == self.samples:
+            return min(wanted, usual)
+        rows = self._amplitudes.rows()
+        without = rows[rows[:, 3] == 0, 0]
+        other = top_quantile(without, self.samples - self._referenced, USUAL_QUANTILE) if len(without) else 0.0
+        return min(max(wanted, other), usual)
+
+    def check(self) -> None:
+        """Judge all samples so far.
+
+        Raises
+        ------
+        DataError
+            When the resolver's angle jumps, when it does not advance as the speed says (mechanical for electrical
+            units, sign, wrong field), or when a few currents are many times larger than all others.
+        StandstillError
+            When the machine turned by less than one electrical revolution: without speed, the flux induces no voltage.
+        CoverageError
+            When the references stand still, or a step of the current from sample to sample is as large as its range.
+        """
+        self._check_jumps()
+        self._check_rotation()
+        if self._referenced == self.samples and (self._reference_low == self._reference_high).all():
+            d, q = self._reference_low
+            raise CoverageError(
+                f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}"
+            )
+        self._check_currents()
+
+    def prepare(self, settings: FitSettings) -> Evidence:
+        """Return empty evidence for the i_max that is set, or else for the radius and range of these samples.
+
+        Without i_max, the axes of the map end where the currents do, spikes left out.
+        """
+        radius = self.radius
+        if settings.i_max is not None:
+            evidence = Evidence.within(settings, settings.i_max)
+        else:
+            rows = self._amplitudes.rows()
+            trusted = rows[rows[:, 0] <= SPIKE_FACTOR * self._usual, 1:3]
+            low = np.minimum(self._amplitudes.low[:2], trusted.min(axis=0, initial=np.inf))
+            high = np.maximum(self._amplitudes.high[:2], trusted.max(axis=0, initial=-np.inf))
+            d, q = Axis(low[0], high[0], settings.splines_d), Axis(low[1], high[1], settings.splines_q)
+            evidence = Evidence(settings, d, q, radius)
+        evidence.reached = radius
+        return evidence
+
+    def _add_references(self, i_dq: FloatArray | None, new: slice) -> FloatArray | float:
+        """Take the references (N, 2), A, and return which of them are known, as numbers (N,), or for all alike."""
+        if i_dq is None:
+            return 0.0
+        i_dq = i_dq[new]
+        finite = all_finite(i_dq)
+        rows = np.ones(len(i_dq), np.bool_) if finite else finite_rows(i_dq)
+        known = i_dq if finite else i_dq[rows]
+        self._referenced += len(known)
+        self._largest_reference = max(self._largest_reference, float(np.hypot(*known.T).max(initial=0.0)))
+        self._reference_low = np.minimum(self._reference_low, [axis.min(initial=np.inf) for axis in known.T])
+        self._reference_high = np.maximum(self._reference_high, [axis.max(initial=-np.inf) for axis in known.T])
+        return rows.astype(np.float64)
+
+    def _check_jumps(self) -> None:
+        if not self.samples:
+            return
+        jumps = self._jumps.rows()
+        found = jumps[jumps[:, 0] > max(_JUMP, _JUMP_FACTOR * self._jumps.quantile(USUAL_QUANTILE))]
+        if len(found):
+            by, at = found[found[:, 1].argmin()]
+            raise DataError(
+                f"The resolver's angle or speed jumps in {len(found)} places, the first at {at:.6f} s by "
+                f"{by:.2f} rad within one sample: repair or cut out the faulty samples."
+            )
+
+    def _check_rotation(self) -> None:
+        with np.errstate(invalid="ignore"):
+            turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
+        if turned < _LEAST_TURN:
+            raise StandstillError(
+                f"The machine turned by only {turned / (2 * np.pi):.2f} electrical revolutions: without speed its flux "
+                "induces no voltage, so record while it turns."
+            )
+        expected, advance = self._turns[:, 3]
+        square, product = self._products[0] + expected**2, self._products[1] + expected * advance
+        ratio = float(product / square) if square > 0 else 0.0
+        if not abs(ratio - 1) <= _RESOLVER_TOLERANCE:
+            raise DataError(
+                f"The resolver's angle advances {ratio:.3f} times as fast as its speed says: give both in electrical "
+                "radians (set the pole pairs or the scale in the signals file) and with the same sign."
+            )
+
+    def _check_currents(self) -> None:
+        finite = bool(np.isfinite(self._step_square[0]).all())
+        step = np.sqrt(self._step_square[0 if finite else 1] / max(self._steps, 1)) / (1.0 if finite else _TINY)
+        low, high = self._extremes
+        if np.any(step >= _NOISE_SHARE * (high - low)):
+            worst = int(np.argmax(step / np.maximum(high - low, 1e-300)))
+            raise CoverageError(
+                f"The current i_{'dq'[worst]} stays within {float((high - low)[worst]):.3g} A and shows only noise: "
+                f"{_REMEDY}"
+            )
+        largest, usual = float(self._amplitudes.rows()[:, 0].max()), self._usual
+        if largest > _FAULT_FACTOR * usual:
+            raise DataError(
+                f"A current of {largest:.4g} A stands out where {100 * USUAL_QUANTILE:.1f} % of all samples stay below "
+                f"{usual:.4g} A: repair or cut out the faulty samples."
+            )
+
+
+@compiled
+def _follow_rotor(
+    angle: FloatArray, speed: FloatArray, period: float, turns: FloatArray, products: FloatArray, jumps: FloatArray
+) -> None:
+    """Follow the rotor over one run.
+
+    Parameters
+    ----------
+    angle, speed : (N,) float
+        rad and rad/s.
+    period : float
+        s.
+    turns : (2, 4) float
+        By the speed and by the angle, rad: turned so far, its minimum and maximum, and since the last full window.
+    products : (3,) float
+        Over all full windows, the squared turns by the speed and their products with those by the angle, rad^2; and
+        the number of advances since the last one.
+    jumps : (N, C) float
+        The first column becomes the distance of the angle from where the speed takes it, rad.
+    """
+    for k in range(1, len(angle)):
+        expected = speed[k - 1] * period
+        advance = _wrapped(angle[k] - angle[k - 1])
+        jumps[k, 0] = abs(_wrapped(advance - expected))
+        for way, step in ((0, expected), (1, advance)):
+            turns[way, 0] += step
+            turns[way, 1] = min(turns[way, 1], turns[way, 0])
+            turns[way, 2] = max(turns[way, 2], turns[way, 0])
+            turns[way, 3] += step
+        products[2] += 1
+        if products[2] == _WINDOW:
+            products[0] += turns[0, 3] * turns[0, 3]
+            products[1] += turns[0, 3] * turns[1, 3]
+            turns[0, 3] = turns[1, 3] = products[2] = 0.0
+
+
+@compiled
+def _wrapped(angle: float) -> float:
+    """Return the angle, rad, between -pi and pi."""
+    wrapped: float = angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
+    return wrapped
+
+
+@compiled
+def _scan_currents(i_dq: FloatArray, rows: FloatArray, extremes: FloatArray, steps: FloatArray) -> None:
+    """Scan the currents (N, 2), A, of one run.
+
+    Parameters
+    ----------
+    i_dq : (N, 2) float
+    rows : (N, C) float
+        The first three columns become amplitude, i_d and i_q.
+    extremes : (2, 2) float
+        Least and largest i_d and i_q; widened.
+    steps : (2, 2) float
+        Sums of the squared steps of i_d and i_q, as they are and scaled against overflow; increased.
+    """
+    for k in range(len(i_dq)):
+        d, q = i_dq[k, 0], i_dq[k, 1]
+        larger = max(abs(d), abs(q))
+        rows[k, 0] = math.sqrt(d * d + q * q) if _LEAST < larger < _MOST else math.hypot(d, q)
+        rows[k, 1], rows[k, 2] = d, q
+    for axis in range(2):
+        low, high, before = extremes[0, axis], extremes[1, axis], i_dq[0, axis]
+        total = 0.0
+        for k in range(len(i_dq)):
+            now = i_dq[k, axis]
+            if now < low:  # noqa: PLR1730  # min and max care for NaN, and take twice as long
+                low = now
+            if now > high:  # noqa: PLR1730
+                high = now
+            total += (now - before) * (now - before)
+            before = now
+        tiny = total * _TINY * _TINY
+        if not total < _MOST:
+            tiny = 0.0
+            for k in range(1, len(i_dq)):
+                step = _TINY * (i_dq[k, axis] - i_dq[k - 1, axis])
+                tiny += step * step
+        extremes[0, axis], extremes[1, axis] = low, high
+        steps[0, axis] += total
+        steps[1, axis] += tiny

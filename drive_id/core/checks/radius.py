@@ -1,0 +1,77 @@
+"""The set i_max against the currents of the data: too small, too large, or the disc is not filled."""
+
+from __future__ import annotations
+
+from drive_id.core.accumulation.evidence import DOMAIN_MARGIN, Evidence
+from drive_id.errors import CoverageError
+
+_LEAST_COVERAGE = 0.05
+_WEAK_COVERAGE = 0.45
+_MUCH_TOO_SMALL = 2.0
+_TOO_LARGE = 0.7
+
+
+def check_radius(evidence: Evidence, coverage: float) -> None:
+    """Refuse a disc that the data do not fit at all.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of all samples.
+    coverage : float
+        Share of the disc with data, 0 to 1.
+
+    Raises
+    ------
+    CoverageError
+        When the currents reach more than twice i_max, or the data cover less than 5 % of the disc.
+    """
+    i_max, reached = evidence.i_max, evidence.reached
+    if reached > _MUCH_TOO_SMALL * i_max:
+        raise CoverageError(
+            f"i_max is {i_max:.4g} A but the recording reaches {reached:.4g} A: what lies beyond "
+            f"{DOMAIN_MARGIN * i_max:.4g} A has no place in the map, so set i_max to {reached:.3g} A."
+        )
+    if coverage >= _LEAST_COVERAGE:
+        return
+    if _too_large(evidence):
+        raise CoverageError(_too_large_sentence(evidence, coverage))
+    raise CoverageError(
+        f"The trajectory covers {100 * coverage:.1f} % of the disc of {i_max:.4g} A, too little for a map: drive the "
+        "machine along a trajectory that fills the current disc, such as a Lissajous figure."
+    )
+
+
+def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
+    """Say in sentences what is wrong with the disc, and which samples lie beyond the map; see :func:`check_radius`."""
+    warnings = []
+    i_max, reached, outside = evidence.i_max, evidence.reached, evidence.information.outside
+    if _too_large(evidence):
+        warnings.append(_too_large_sentence(evidence, coverage))
+    elif coverage < _WEAK_COVERAGE:
+        warnings.append(
+            f"The data cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A: the map is valid only where "
+            "'inside' says so."
+        )
+    if outside and evidence.settings.i_max is not None and reached > DOMAIN_MARGIN * i_max:
+        warnings.append(
+            f"i_max is {i_max:.4g} A but the recording reaches {reached:.4g} A: {outside} pairs of samples beyond "
+            f"{DOMAIN_MARGIN * i_max:.4g} A were left out, so set i_max to {reached:.3g} A."
+        )
+    elif outside:
+        warnings.append(
+            f"{outside} pairs of samples lie beyond the map's range and were left out: they are faulty, or i_max is "
+            "set too low."
+        )
+    return warnings
+
+
+def _too_large(evidence: Evidence) -> bool:
+    return 0 < evidence.reached < _TOO_LARGE * evidence.i_max
+
+
+def _too_large_sentence(evidence: Evidence, coverage: float) -> str:
+    return (
+        f"i_max is {evidence.i_max:.4g} A but the currents reach only {evidence.reached:.4g} A: the map covers "
+        f"{100 * coverage:.2g} % of the disc, so set i_max to {evidence.reached:.3g} A or drive the machine further."
+    )

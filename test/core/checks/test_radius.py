@@ -1,0 +1,99 @@
+"""An i_max far from the data is named with the numbers and the remedy."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from synthetic import record
+
+from drive_id.core import frames
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.checks.prescan import Prescan
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identify import gather, identify
+from drive_id.errors import CoverageError
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return record(duration=2.0)
+
+
+@pytest.mark.parametrize("method", ["joint", "full"])
+@pytest.mark.parametrize(
+    ("i_max", "said"),
+    [
+        (50.0, r"^i_max is 50 A but the recording reaches 300 A: .* beyond 52\.5 A .* set i_max to 300 A\.$"),
+        (1500.0, r"^i_max is 1500 A but the currents reach only 300 A: the map covers 4\.\d % .* set i_max to 300 A "),
+    ],
+)
+def test_far_off(samples, method, i_max, said):
+    with pytest.raises(CoverageError, match=said):
+        identify([samples], FitSettings(method, i_max=i_max))
+
+
+def test_off_by_some(samples):
+    def warnings(i_max):
+        return " ".join(identify([samples], FitSettings("joint", i_max=i_max)).report.warnings)
+
+    assert "i_max is 200 A but the recording reaches 300 A: " in warnings(200.0)
+    assert "set i_max to 300 A." in warnings(200.0)
+    assert "i_max is 600 A but the currents reach only 300 A: the map covers 2" in warnings(600.0)
+    for i_max in (290.0, 300.0, 400.0):
+        assert "i_max" not in warnings(i_max)
+
+
+def test_a_disc_that_is_not_filled_is_no_wrong_i_max(samples):
+    i_dq = frames.to_dq(samples.i_abc, samples.angle) * [0.007, 1.0]
+    samples = replace(samples, i_abc=frames.to_abc(i_dq, samples.angle))
+    with pytest.raises(CoverageError, match=r"^The trajectory covers \d\.\d % of the disc of 300 A, too little"):
+        identify([samples], FitSettings("joint", i_max=300.0))
+
+
+def test_what_was_reached_is_merged_and_stored():
+    settings = FitSettings("joint", i_max=300.0)
+    one, other = (gather([record(duration=1.0, i_max=i_max)], settings) for i_max in (100.0, 300.0))
+    assert one.merged(other).reached == other.reached == pytest.approx(300.0, rel=1e-3)
+    restored = Evidence.within(settings, 300.0)
+    restored.restore(one.state())
+    assert restored.reached == one.reached == pytest.approx(100.0, rel=1e-3)
+    older = one.state()
+    del older["reached"]
+    restored.restore(older)
+    assert restored.reached == 0.0
+
+
+@pytest.mark.parametrize(
+    ("i_max", "code", "said"),
+    [
+        (50, 1, r"i_max is 50 A but the recording reaches \d+ A: .* set i_max to \d+ A\."),
+        (600, 0, r"i_max is 600 A but the currents reach only \d+ A: the map covers 2\d % of the disc, .*\."),
+    ],
+)
+def test_drive_id_fit_says_so(bag, tmp_path, i_max, code, said):
+    command = [sys.executable, "-m", "drive_id.cli.app", "fit", bag, "--method", "joint", "--i-max", i_max]
+    command += ["--output", tmp_path / "out"]
+    ran = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+    assert ran.returncode == code, ran.stderr
+    assert re.search(said, re.sub(r"\s+", " ", ran.stderr + ran.stdout)), ran.stderr + ran.stdout
+    if not code:
+        warnings = json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"]
+        assert any(re.fullmatch(said, text) for text in warnings)
+
+
+def test_prepared_evidence_knows_what_was_reached(samples):
+    prescan = Prescan()
+    prescan.add(samples)
+    assert prescan.prepare(FitSettings("joint")).reached == prescan.radius == pytest.approx(300.0, rel=1e-3)
+
+
+def test_too_large_an_i_max_does_not_hide_the_mirrored_currents(simulation):
+    """It was once said that i_q had one sign only."""
+    found = identify([simulation.samples], FitSettings("full", i_max=1200.0, harmonic_orders=(6,)))
+    assert "i_max is 1200 A but the currents reach only 300 A: " in " ".join(found.report.warnings)
+    assert "both signs" not in " ".join((*found.statements, *found.report.warnings))

@@ -93,7 +93,7 @@ class Evidence:
         self.idle += int(idle[new].sum())
         self.information.add(samples, done, idle, rotation)
         if self.windows is not None:
-            self.windows.add(samples, continues=continues)
+            self.windows.add(samples, idle, continues=continues)
         self.visits.add(i_dq[new])
         self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
         self.samples += len(samples) - continues

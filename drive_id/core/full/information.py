@@ -16,7 +16,7 @@ from drive_id.core.full.model import FullModel
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.core.numerics.running_sums import State
 from drive_id.core.numerics.threads import in_threads
-from drive_id.types import FloatArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 FOLDS = 5
 SEGMENT = 0.25
@@ -63,9 +63,9 @@ class WindowInformation:
         self._cutter.restart(SEGMENT * self._next_start())
         self._cutter.set_conditions(heating, drop_scale)
 
-    def add(self, samples: Samples, *, continues: bool = False) -> None:
+    def add(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> None:
         """Accumulate further samples, see :meth:`WindowCutter.cut`."""
-        for windows in self._cutter.cut(samples, continues=continues):
+        for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
 
     def finished(self) -> WindowInformation:

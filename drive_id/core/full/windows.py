@@ -19,7 +19,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
-from drive_id.types import FloatArray, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE = np.deg2rad(60.0)
 LONGEST_WINDOW = 0.1
@@ -110,12 +110,13 @@ class _Stretch:
     u_abc: FloatArray
     angle: FloatArray
     speed: FloatArray
+    idle: BoolArray
 
     def __len__(self) -> int:
         return len(self.angle)
 
     def part(self, chosen: slice) -> _Stretch:
-        return _Stretch(self.i_abc[chosen], self.u_abc[chosen], self.angle[chosen], self.speed[chosen])
+        return _Stretch(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def followed_by(self, other: _Stretch) -> _Stretch:
         pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)]
@@ -152,16 +153,19 @@ class WindowCutter:
         """Count from another time on, s, after :meth:`finish`."""
         self._time = time
 
-    def cut(self, samples: Samples, *, continues: bool = False) -> Iterator[Windows]:
-        """Yield windows of further samples, some of them not before :meth:`finish`.
+    def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
+        """Yield the windows of further samples; the last ones follow with :meth:`finish`.
 
         Parameters
         ----------
         samples : Samples
+        idle : (N,) bool, optional
+            Samples at rest: windows that begin and end at one are left out.
         continues : bool
-            They begin with the last sample of those before.
+            The first of these samples is the last one of the samples before.
         """
-        whole = _Stretch(samples.i_abc, samples.u_abc, samples.angle, samples.speed)
+        idle = np.zeros(len(samples), np.bool_) if idle is None else idle
+        whole = _Stretch(samples.i_abc, samples.u_abc, samples.angle, samples.speed, idle)
         fewest = max(_FEWEST, int(2 * LONGEST_WINDOW / samples.sample_period))
         for number, run in enumerate(samples.runs()):
             if continues and number == 0 and self._rest is not None:
@@ -188,8 +192,10 @@ class WindowCutter:
         begin, length = self._places(stretch)
         complete = begin + length + _REACH < len(stretch)
         count = len(begin) if complete.all() else int(complete.argmin())
-        if count:
-            yield self._windows(stretch, begin[:count], begin[:count] + length[:count])
+        begin_used, end_used = begin[:count], begin[:count] + length[:count]
+        moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
+        if moving.any():
+            yield self._windows(stretch, begin_used[moving], end_used[moving])
         self._number += count
         grain = _grain(self._period)
         past = max(0, int(begin[count]) - grain * -(-_REACH // grain)) if count < len(begin) else 0

@@ -14,6 +14,7 @@ from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, SENSOR_ORDERS
 from drive_id.core.full.windows import MOST_DELAY
 from drive_id.core.maps.flux_models import BasisRows, jacobian
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
@@ -61,6 +62,7 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
+@one_blas_thread(with_scipy=False)
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Estimate offsets and gain mismatch of the current sensors.
 
@@ -249,6 +251,7 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     return points[:: max(1, len(points) // _MOST_MIRRORED)]
 
 
+@one_blas_thread(with_scipy=False)
 def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
 

@@ -17,7 +17,7 @@ from drive_id.core.full.solver import FullSolution, Solver, correct_attenuation,
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
-from drive_id.core.numerics.threads import in_threads
+from drive_id.core.numerics.threads import in_threads, one_blas_thread
 from drive_id.types import BoolArray, FloatArray
 
 BATCH = 0.05
@@ -121,6 +121,7 @@ def sigma(changes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
+@one_blas_thread(with_scipy=True)
 def fit_full(sums: WindowSums, settings: FitSettings, turn: float) -> FullFit:
     """Select a model and fit it.
 

@@ -16,7 +16,7 @@ from drive_id.core.full.model import FullModel
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.running_sums import SavedSums
-from drive_id.core.numerics.threads import in_threads
+from drive_id.core.numerics.threads import in_threads, one_blas_thread
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 FOLDS = 5
@@ -207,9 +207,10 @@ class WindowSums:
             return
         fold = self._segment % FOLDS
         matrix = self._own(fold)
-        for start in range(0, len(windows), _CHUNK):
-            part = windows.part(slice(start, start + _CHUNK))
-            add_products(self.model.design(part).reshape(-1, self.model.size), matrix)
+        with one_blas_thread(with_scipy=True):
+            for start in range(0, len(windows), _CHUNK):
+                few = windows.part(slice(start, start + _CHUNK))
+                add_products(self.model.design(few).reshape(-1, self.model.size), matrix)
         self._counts[fold] += len(windows)
         self.windows += len(windows)
         self._last = self._segment

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.paper.rows import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
 from drive_id.types import FloatArray, IntArray
 
@@ -49,6 +50,7 @@ class Solution:
     factor: FloatArray
 
 
+@one_blas_thread(with_scipy=False)
 def solve(total: FloatArray, rows: int, with_inverter: bool) -> Solution:
     """Solve ``eq:ls_regression`` from the cross products of its rows.
 
@@ -120,6 +122,7 @@ class Jackknife:
         return len(self.gamma) > 1
 
 
+@one_blas_thread(with_scipy=False)
 def jackknife(blocks: FloatArray, solution: Solution) -> Jackknife:
     """Leave out each block of time in turn.
 

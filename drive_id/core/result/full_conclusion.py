@@ -108,7 +108,9 @@ def conclude_full(
     warnings = review_full(evidence, coverage, fit, flux_map, found, mad if validation else (0.0, 0.0))
     report = FitReport(
         samples_read=evidence.samples,
-        samples_used=round(evidence.samples * information.windows / (information.windows + information.outside)),
+        samples_used=round(
+            (evidence.samples - evidence.idle) * information.windows / (information.windows + information.outside)
+        ),
         gaps=evidence.gaps,
         rows=2 * information.windows,
         parameters=fit.solution.basis.shape[1],

@@ -75,7 +75,7 @@ def test_sample_integrals_against_quadrature_of_the_matrix():
     angle, speed, period = np.array([0.7]), np.array([900.0]), 2e-4
     nodes, gauss = np.polynomial.legendre.leggauss(20)
     tau = (nodes + 1) / 2 * period
-    matrices = frames.clarke_park(angle + speed * tau)
+    matrices = clarke_park(angle + speed * tau)
     held = sum(w * period / 2 * m @ u_abc[0] for w, m in zip(gauss, matrices, strict=True))
     linear = sum(
         w * period / 2 * m @ (i_abc[0] + (i_abc[1] - i_abc[0]) * t / period)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -27,28 +27,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
         return list(pool.map(work, items))
 
 
-class _Limits:
-    """BLAS limits in force; the first body that needs one sets it, the last one restores what was before."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._bodies = 0
-        self._in_force: dict[bool, Any] = {}
-
-    def enter(self, *, with_scipy: bool) -> None:
-        with self._lock:
-            self._bodies += 1
-            if with_scipy not in self._in_force:
-                self._in_force[with_scipy] = _controller(with_scipy).limit(limits=1, user_api="blas")
-
-    def leave(self) -> None:
-        with self._lock:
-            self._bodies -= 1
-            while not self._bodies and self._in_force:
-                self._in_force.popitem()[1].restore_original_limits()
-
-
-_limits = _Limits()
+_limit = threading.Lock()  # held by whoever limits BLAS: only the thread that set a limit can restore it
 
 
 @cache
@@ -63,15 +42,18 @@ def _controller(with_scipy: bool) -> ThreadpoolController:
 def one_blas_thread(*, with_scipy: bool) -> Iterator[None]:
     """Limit BLAS to one thread: our matrices are small, more threads only wait, and results depend on their number.
 
-    May be nested, and entered by several threads at once.
+    The limit holds for the process. Inside another such body, of this thread or another one, nothing is changed.
 
     Parameters
     ----------
     with_scipy : bool
         Whether the body calls scipy.linalg.
     """
-    _limits.enter(with_scipy=with_scipy)
-    try:
+    if not _limit.acquire(blocking=False):
         yield
+        return
+    try:
+        with _controller(with_scipy).limit(limits=1, user_api="blas"):
+            yield
     finally:
-        _limits.leave()
+        _limit.release()

@@ -14,7 +14,7 @@ from drive_id.core.result.warnings import on_data
 from drive_id.types import FloatArray
 
 _WEAK_FIT = 0.05
-_OUTLYING_BATCH, _LEAST_OUTLYING = 30.0, 0.01
+_OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
 _LEAST_TURN = np.deg2rad(45.0)
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01

@@ -42,22 +42,33 @@ def blas_threads():
     }
 
 
-def test_blas_has_one_thread_until_the_last_body_ends():
+def test_blas_has_one_thread_inside_and_as_many_as_before_outside():
     before = blas_threads()
-    inner, outer = threading.Event(), threading.Event()
+    with one_blas_thread(with_scipy=True):
+        assert set(blas_threads().values()) == {1}
+        with one_blas_thread(with_scipy=False):
+            pass
+        assert set(blas_threads().values()) == {1}
+    assert blas_threads() == before
+    with pytest.raises(ZeroDivisionError), one_blas_thread(with_scipy=True):
+        raise ZeroDivisionError
+    assert blas_threads() == before
+
+
+def test_a_body_that_outlives_another_leaves_no_limit_behind():
+    before = blas_threads()
+    inside, done = threading.Event(), threading.Event()
 
     def body():
         with one_blas_thread(with_scipy=True):
-            inner.set()
-            assert outer.wait(60.0)
+            inside.set()
+            assert done.wait(60.0)
 
     other = threading.Thread(target=body)
-    with one_blas_thread(with_scipy=False):
+    with one_blas_thread(with_scipy=True):
         other.start()
-        assert inner.wait(60.0)
-        assert set(blas_threads().values()) == {1}
-    assert set(blas_threads().values()) == {1}
-    outer.set()
+        assert inside.wait(60.0)
+    done.set()
     other.join()
     assert blas_threads() == before
 

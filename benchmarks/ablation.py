@@ -24,16 +24,14 @@ from uncertainty import DRIVES, SECONDS, WITHIN
 from drive_id.bench.drive import Simulation
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.basis import PENALTIES, Choice
-from drive_id.core.full.model import SENSOR_ORDERS
-from drive_id.core.full.noise_correction import thinned, undiluted
-from drive_id.core.full.solver import Solver
+from drive_id.core.full.model import PENALTIES, SENSOR_ORDERS, ModelSpec
+from drive_id.core.full.solver import Solver, correct_attenuation, thinned
 from drive_id.core.result.conclusion import conclude
 from drive_id.fitting.simulated import load_machine, run_experiment
 from drive_id.types import FloatArray
 
 COLUMNS = ("psi_d", "psi_q", "R", "Inverter curve")
-INGREDIENTS = Choice(reciprocal=True, orders=(6, 12), penalty=PENALTIES[-2])
+INGREDIENTS = ModelSpec(reciprocal=True, orders=(6, 12), penalty=PENALTIES[-2])
 """What ``full`` chooses for these drives, but for the weight of the penalty, which it chooses by cross-validation."""
 ANGLES = (30.0, 60.0, 120.0, 240.0, 360.0)
 REPETITIONS = 12
@@ -74,7 +72,7 @@ def model() -> Iterator[str]:
         "harmonic 6 alone": replace(INGREDIENTS, orders=(6,)),
         f"all candidates, {every[0]} to {every[-1]}, whether they are there or not": replace(INGREDIENTS, orders=every),
         "no inverter": replace(INGREDIENTS, inverter=False),
-        "no inverter, no rotor harmonics, free maps: the windows alone": Choice(
+        "no inverter, no rotor harmonics, free maps: the windows alone": ModelSpec(
             False, (), inverter=False, penalty=1e-3
         ),
         "an inverter curve for each phase": replace(INGREDIENTS, per_phase=True),
@@ -211,9 +209,9 @@ def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
     solver = Solver(data.model, data.information.folds, data.information.counts)
     solution = solver.solve(INGREDIENTS)
     visited = np.concatenate([windows.i_dq[:, 0] for windows in data.information.kept()])
-    given_back, _ = undiluted(solver, solution, thinned(visited))
+    given_back, _ = correct_attenuation(solver, solution, thinned(visited))
     rows, columns = data.model.flux.rows(i_dq), data.model.map
-    return np.stack([rows.dot(each.residual[columns]) for each in (solution, given_back)])
+    return np.stack([rows.dot(each.estimate[columns]) for each in (solution, given_back)])
 
 
 PARTS = {

@@ -18,7 +18,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.regression import Information
+from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.solver import Solution, solve
 from drive_id.core.result.identify import identify
 from drive_id.types import Samples
@@ -31,7 +31,7 @@ def joint(samples: Samples) -> Solution:
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     low, high = i_dq.min(axis=0), i_dq.max(axis=0)
     model = TensorSpline(Axis(low[0], high[0], 8), Axis(low[1], high[1], 8))
-    information = Information(model, TanhShape())
+    information = RegressionSums(model, TanhShape())
     information.add(samples)
     return solve(information.total, information.rows, with_inverter=True)
 

@@ -10,8 +10,7 @@ from single_fit import Accumulation, Errors, solved
 
 from drive_id.bench.drive import Simulation
 from drive_id.core import frames
-from drive_id.core.full.basis import Choice, basis, roughness
-from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel, ModelSpec, basis, roughness
 from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
@@ -23,7 +22,7 @@ _LONGEST_LAG = 40  # samples
 _FINE = 72
 
 
-def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Errors, float]]:
+def compared(simulation: Simulation, choice: ModelSpec) -> Iterator[tuple[str, Errors, float]]:
     """Yield the name of each estimator, its errors, and the delay of the voltages that it finds, samples."""
     data = Accumulation(simulation)
     windows = Windows.joined(data.information.kept())
@@ -47,7 +46,7 @@ def compared(simulation: Simulation, choice: Choice) -> Iterator[tuple[str, Erro
     yield name, data.solved(choice, products=products), _delay(data, choice, products)
 
 
-def _delay(data: Accumulation, choice: Choice, products: FloatArray) -> float:
+def _delay(data: Accumulation, choice: ModelSpec, products: FloatArray) -> float:
     """Estimate a delay of the voltages of up to a sample as one more unknown, its column being its own instrument."""
     model, t = data.model, basis(data.model, choice)
     penalty = t.T @ roughness(model, data.total, choice.penalty) @ t
@@ -89,7 +88,7 @@ def _lagged(reference: FloatArray | None, measured: FloatArray) -> FloatArray:
     return np.concatenate([np.repeat(reference[:1], lag, axis=0), reference[: len(reference) - lag]])
 
 
-def _simulated(data: Accumulation, estimate: FloatArray, choice: Choice) -> FloatArray:
+def _simulated(data: Accumulation, estimate: FloatArray, choice: ModelSpec) -> FloatArray:
     """Simulate the currents (N, 2) open loop with an estimate (size,)."""
     model, evidence = data.model, data.evidence
     d, q = (Axis(axis.low, axis.high, _FINE) for axis in (evidence.d, evidence.q))

@@ -10,9 +10,8 @@ from scipy import linalg, sparse
 
 from drive_id.bench.drive import Simulation
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.basis import Choice, basis, roughness
-from drive_id.core.full.information import WindowInformation
-from drive_id.core.full.model import RESISTANCE, VOLTAGE, FullModel
+from drive_id.core.full.model import RESISTANCE, VOLTAGE, FullModel, ModelSpec, basis, roughness
+from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.result.identify import gather
 from drive_id.core.validation.metrics import nrmse, true_flux
 from drive_id.types import FloatArray
@@ -41,7 +40,7 @@ class Accumulation:
         self.simulation = simulation
         self.evidence = gather([simulation.samples], FitSettings(method="full"))
         assert self.evidence.windows is not None
-        self.information: WindowInformation = self.evidence.windows.finished()
+        self.information: WindowSums = self.evidence.windows.finished()
 
     @property
     def model(self) -> FullModel:
@@ -53,12 +52,12 @@ class Accumulation:
         """Z'Z, (size, size)."""
         return np.asarray(self.information.folds.sum(axis=0))
 
-    def solved(self, choice: Choice, shape: int | None = None, products: FloatArray | None = None) -> Errors:
+    def solved(self, choice: ModelSpec, shape: int | None = None, products: FloatArray | None = None) -> Errors:
         """Solve, and compare with the truth.
 
         Parameters
         ----------
-        choice : Choice
+        choice : ModelSpec
         shape : int, optional
             The only one of the inverter's shapes to use.
         products : (size, size) float, optional
@@ -66,7 +65,7 @@ class Accumulation:
         """
         return self.errors(self.estimate(choice, shape, products))
 
-    def estimate(self, choice: Choice, shape: int | None = None, products: FloatArray | None = None) -> FloatArray:
+    def estimate(self, choice: ModelSpec, shape: int | None = None, products: FloatArray | None = None) -> FloatArray:
         """Return the columns' coefficients (size,), see :meth:`solved`."""
         t = self._basis(choice, shape)
         products = self.total if products is None else products
@@ -97,7 +96,7 @@ class Accumulation:
         off = float(np.sqrt(np.mean((drop - curve) ** 2)) / np.abs(curve).max())
         return *flux, abs(float(estimate[RESISTANCE]) / (truth.resistance + slope) - 1), off
 
-    def _basis(self, choice: Choice, shape: int | None) -> sparse.csr_array:
+    def _basis(self, choice: ModelSpec, shape: int | None) -> sparse.csr_array:
         t = basis(self.model, choice)
         if shape is None:
             return t

@@ -1,4 +1,4 @@
-"""Settings of the identification, one source for files, command line and nodes."""
+"""Settings of a fit: the one source for files, command line and nodes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _OF_FULL = (
     "calibrate_angle", "calibrate_currents", "temperatures", "u_dc", "u_dc_reference", "voltage_delay",
 )  # fmt: skip
 _OF_OTHERS = (
-    "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
+    "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What can be chosen about a fit."""
+    """Settings of a fit."""
 
     method: str = setting(
         "full",
@@ -40,14 +40,14 @@ class FitSettings:
     inverter_current_scale: float = setting(1.0, "i_s in u_e tanh(i / i_s)", unit="A", minimum=1e-6)
     i_max: float | None = setting(
         None,
-        "radius of the current disc; by default that of the recorded references, or the largest measured amplitude",
+        "radius of the current disc; default: that of the recorded references, or the largest measured amplitude",
         unit="A",
         minimum=1e-3,
     )
     longest_rest: float = setting(
         0.02,
-        "samples after a longer rest below 2 % of i_max are left out, where the foot of the inverter's curve "
-        "would outweigh everything else",
+        "samples after a longer rest below 2 % of i_max are left out: there the steep foot of the inverter's curve "
+        "turns current noise into voltage",
         unit="s",
         minimum=0.0,
     )
@@ -59,21 +59,21 @@ class FitSettings:
     )
     harmonic_orders: tuple[int, ...] = setting(
         (6, 12, 18, 24),
-        "full: electrical orders of the rotor-position harmonics to look for",
+        "full: candidate rotor-position harmonics, electrical orders",
         minimum=3,
         maximum=96,
     )
     search_orders: bool = setting(
-        True, "full: whether to look for harmonics of other orders in what the fit leaves, and to fit them, too"
+        True, "full: whether to search the residuals for harmonics of other orders, and to fit those found"
     )
-    per_phase_inverter: bool = setting(False, "full: whether each phase has an inverter curve of its own")
+    per_phase_inverter: bool = setting(False, "full: whether to fit one inverter curve per phase")
     passive_maps: bool = setting(False, "full: whether to enforce a positive definite inductance matrix")
-    calibrate_delay: bool = setting(True, "full: whether to estimate by how much the voltages act later than recorded")
+    calibrate_delay: bool = setting(True, "full: whether to estimate the delay of the voltages after their stamps")
     calibrate_angle: bool = setting(True, "full: whether to estimate the resolver's offset from the mirror symmetry")
     calibrate_currents: bool = setting(True, "full: whether to estimate offsets and gain mismatch of the currents")
     temperatures: tuple[float, ...] = setting(
         (),
-        "full: temperature of each recording, in order; resistance and map are those at 20 degrees Celsius then",
+        "full: temperature of each recording, in order; resistance and map then hold at 20 degrees Celsius",
         unit="degC",
         minimum=-100.0,
         maximum=300.0,
@@ -86,13 +86,13 @@ class FitSettings:
     )
     u_dc_reference: float | None = setting(
         None,
-        "full: DC-link voltage for which the inverter's curve is given; by default that of the first recording",
+        "full: DC-link voltage at which the inverter's curve holds; default: that of the first recording",
         unit="V",
         minimum=1e-3,
     )
     voltage_delay: float = setting(
         0.0,
-        "full: known time by which the voltages act later than recorded, when it is not estimated",
+        "full: known delay of the voltages after their stamps, used when it is not estimated",
         unit="samples",
         minimum=-4.0,
         maximum=4.0,
@@ -100,13 +100,13 @@ class FitSettings:
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
 
     def idle(self) -> list[str]:
-        """Return the settings that were chosen, but which the method does not look at."""
+        """Return the settings that differ from their defaults but do not affect the method."""
         names = _OF_OTHERS if self.method == "full" else _OF_FULL
         defaults = type(self)()
         return [name for name in names if getattr(self, name) != getattr(defaults, name)]
 
     def check_recordings(self, count: int) -> None:
-        """Check that conditions are given for as many recordings as there are.
+        """Check that temperatures and DC-link voltages match the number of recordings.
 
         Raises
         ------
@@ -121,16 +121,16 @@ class FitSettings:
 
     @property
     def conditions(self) -> bool:
-        """Whether recordings were made under conditions of their own."""
+        """Whether temperatures or DC-link voltages of the recordings are given."""
         return bool(self.temperatures or self.u_dc)
 
     def of_recording(self, number: int) -> FitSettings:
-        """Return the settings for one recording by itself, which is to be merged with others.
+        """Return the settings for one recording that will be merged with others.
 
         Raises
         ------
         ConfigurationError
-            When there are conditions, but none for this one.
+            When conditions are given, but none for this recording.
         """
         for name in ("temperatures", "u_dc"):
             if getattr(self, name) and number >= len(getattr(self, name)):
@@ -156,5 +156,5 @@ class FitSettings:
         if self.splines_d * self.splines_q > _MOST_FUNCTIONS:
             raise ConfigurationError(
                 f"splines_d x splines_q is {self.splines_d} x {self.splines_q}: choose at most {_MOST_FUNCTIONS} "
-                "functions, more do not fit the memory."
+                "functions, more do not fit into memory."
             )

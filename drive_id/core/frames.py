@@ -21,28 +21,11 @@ PHASE_SHIFTS = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
 
 _THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 _SERIES_BELOW = 0.1
-"""Half turn, rad, below which the closed form loses digits and the series to the 9th power is exact."""
-
-
-def clarke_park(angle: FloatArray) -> FloatArray:
-    """Return the paper's matrix K(phi).
-
-    Parameters
-    ----------
-    angle : (...) float
-        Electrical angle, rad.
-
-    Returns
-    -------
-    (..., 2, 3) float
-        Matrices with ``i_dq = K i_abc``.
-    """
-    axes = np.asarray(angle)[..., None] - PHASE_SHIFTS
-    return 2 / 3 * np.stack([np.cos(axes), -np.sin(axes)], axis=-2)
+"""Half turn, rad, below which the closed form cancels and the series to the 9th power is exact."""
 
 
 def space_vector(x_abc: FloatArray) -> ComplexArray:
-    """Return the stator-frame space vector (N,) of phase quantities (N, 3); a zero sequence drops out."""
+    """Return the stator-frame space vector (N,) of phase quantities (N, 3); the zero sequence cancels."""
     a, b, c = np.asarray(x_abc).T
     x_s = np.empty(len(a), np.complex128)
     x_s.real = (2 * a - b - c) / 3
@@ -71,22 +54,22 @@ def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: Float
 
 
 def to_abc(x_dq: FloatArray, angle: FloatArray) -> FloatArray:
-    """Transform d and q components (N, 2) at electrical angles (N,), rad, to phase quantities (N, 3) that sum to 0."""
+    """Transform d and q components (N, 2) at electrical angles (N,), rad, to phase quantities (N, 3)."""
     return phases((x_dq[:, 0] + 1j * x_dq[:, 1]) * np.exp(1j * angle))
 
 
 def phases(x_s: ComplexArray) -> FloatArray:
-    """Return the phase quantities (N, 3), which sum to 0, of a stator-frame space vector (N,)."""
+    """Return the phase quantities (N, 3) of a stator-frame space vector (N,), without zero sequence."""
     return np.asarray((x_s[:, None] * np.exp(-1j * PHASE_SHIFTS)).real)
 
 
 def as_pairs(x: ComplexArray) -> FloatArray:
-    """Return real and imaginary part side by side, (N,) complex to (N, 2) float."""
+    """Return real and imaginary parts as columns, (N,) complex to (N, 2) float."""
     return np.stack([x.real, x.imag], axis=-1)
 
 
 def rotation_integrals(turn: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the moments of the rotation over one sample.
+    """Return the zeroth and first moment of the rotation over one sample.
 
     Parameters
     ----------

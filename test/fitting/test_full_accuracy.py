@@ -12,9 +12,8 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.basis import Choice
-from drive_id.core.full.noise_correction import noise_products
-from drive_id.core.full.solver import Solver
+from drive_id.core.full.model import ModelSpec
+from drive_id.core.full.solver import Solver, noise_products
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
@@ -224,7 +223,7 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     samples = run_experiment(machine, settings, seconds=4.0).samples
     noise = np.random.default_rng(1).normal(scale=settings.current_noise * machine.i_max, size=samples.i_abc.shape)
     once, twice = (windows_of(each) for each in (samples, replace(samples, i_abc=samples.i_abc + noise)))
-    choice = Choice(reciprocal=True, orders=(), penalty=1e-3)
+    choice = ModelSpec(reciprocal=True, orders=(), penalty=1e-3)
     solver = Solver(once.model, once.folds, once.counts)
     solution = solver.solve(choice)
     delay, _, squares = solver.delay(solution)

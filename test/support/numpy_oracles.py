@@ -48,7 +48,7 @@ def add_rows(
     value: FloatArray,
     gram: FloatArray,
 ) -> None:
-    """Add the cross products of the rows of pairs of samples, see :mod:`drive_id.core.paper.row_products`."""
+    """Add the cross products of the rows of pairs of samples, see :mod:`drive_id.core.paper.rows`."""
     size = len(gram)
     pairs = np.flatnonzero(valid)
     for start in range(0, len(pairs), _CHUNK):
@@ -81,7 +81,7 @@ def bend_square(i_dq: FloatArray) -> float:
 
 
 def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
-    """Evaluate B-splines by the Cox-de Boor recursion, see :mod:`drive_id.core.full.kernels`."""
+    """Evaluate B-splines by the Cox-de Boor recursion, see :mod:`drive_id.core.numerics.bspline`."""
     edges = knots[degree : len(knots) - degree]
     x = np.clip(x, edges[0], edges[-1])
     cell[:] = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -104,7 +104,7 @@ def tensor_products(
     column: NDArray[np.int32],
     value: FloatArray,
 ) -> None:
-    """Multiply splines of two axes, see :mod:`drive_id.core.full.kernels`."""
+    """Multiply splines of two axes, see :mod:`drive_id.core.numerics.bspline`."""
     first = (cell_d[:, None] + np.arange(w_d.shape[1])) * count_q + offset
     second = cell_q[:, None] + np.arange(w_q.shape[1])
     column[:] = (first[:, :, None] + second[:, None, :]).reshape(len(column), -1)
@@ -119,7 +119,7 @@ def add_end(
     factor: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Add the flux at one end of windows, see :mod:`drive_id.core.full.kernels`."""
+    """Add the flux at one end of windows, see :mod:`drive_id.core.full.model`."""
     window = np.arange(len(column))[:, None]
     d, q = value[:, 0], value[:, 1]
     for first, share in zip(start, factor, strict=True):
@@ -139,7 +139,7 @@ def add_end_through(
     share: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Add the flux at one end of windows, times a sparse matrix, see :mod:`drive_id.core.full.kernels`."""
+    """Add the flux at one end of windows, times a sparse matrix, see :mod:`drive_id.core.full.model`."""
     size = len(first) - 1
     t = sparse.csr_array((share, unknown, first), (size, out.shape[2]))
     rows = np.zeros((len(column), 2, size))
@@ -148,5 +148,5 @@ def add_end_through(
 
 
 def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
-    """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.full.kernels`."""
+    """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.full.model`."""
     total[np.ix_(chosen, chosen)] += np.tril(block)

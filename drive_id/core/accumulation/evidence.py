@@ -15,14 +15,14 @@ from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.numerics.running_sums import Accumulator, State, below, exactly, prefixed
+from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import bend_square, mark_rests
-from drive_id.core.paper.regression import Information
+from drive_id.core.paper.regression import RegressionSums
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:
-    from drive_id.core.full.information import WindowInformation
+    from drive_id.core.full.window_sums import WindowSums
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
@@ -54,7 +54,7 @@ class Evidence:
         self.d = d
         self.q = q
         self.i_max = i_max
-        self.information = Information(_model(settings, d, q, i_max), TanhShape(settings.inverter_current_scale))
+        self.information = RegressionSums(_model(settings, d, q, i_max), TanhShape(settings.inverter_current_scale))
         self.visits = Visits(
             np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
         )
@@ -96,7 +96,7 @@ class Evidence:
         self.idle += int(idle[new].sum())
         self.information.add(samples, done, idle, rotation)
         if self.windows is not None:
-            self.windows.add(samples, continues=continues)
+            self.windows.add(samples, idle, continues=continues)
         self.visits.add(i_dq[new])
         self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
         self.samples += len(samples) - continues
@@ -203,9 +203,9 @@ class Evidence:
             return "their maps have different ranges"
         return ""
 
-    def state(self) -> State:
+    def state(self) -> SavedSums:
         """Return all that was gathered; settings, ranges and radius are not part of it."""
-        own: State = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
+        own: SavedSums = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
         for name, accumulator in self.accumulators().items():
             own |= prefixed(name, accumulator.state())
         return own
@@ -266,12 +266,12 @@ class Evidence:
         return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
 
 
-def _windows(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> WindowInformation:
-    from drive_id.core.full.information import WindowInformation  # noqa: PLC0415
+def _windows(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> WindowSums:
     from drive_id.core.full.model import FullModel  # noqa: PLC0415  # scipy takes longer to load than a fit without it
+    from drive_id.core.full.window_sums import WindowSums  # noqa: PLC0415
 
     low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-    return WindowInformation(FullModel(low, high, i_max, settings.harmonic_orders))
+    return WindowSums(FullModel(low, high, i_max, settings.harmonic_orders))
 
 
 def _model(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> FluxModel:

@@ -1,1 +1,1 @@
-"""Method ``full``: windows in the stator frame, model selection, solution, noise correction, calibration."""
+"""Method ``full``: windows in the stator frame, regression model, solver, model selection, fit, sensor calibration."""

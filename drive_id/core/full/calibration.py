@@ -1,4 +1,4 @@
-"""Faults of the sensors, estimated from what they break: a machine's mirror symmetry and its sixfold periodicity."""
+"""Sensor faults: offset and gain mismatch of the currents, offset of the resolver, delay of the voltages."""
 
 from __future__ import annotations
 
@@ -6,36 +6,45 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, SENSOR_ORDERS
 from drive_id.core.full.windows import MOST_DELAY
-from drive_id.types import FloatArray, Samples
+from drive_id.core.maps.flux_models import BasisRows, jacobian
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
 _AGREEMENT, _LEAST_SHOWN, _LEAST_EXPLAINED = 0.5, 5e-4, 0.5
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
+_LARGEST_ANGLE = np.deg2rad(20.0)
+_LARGEST_ASYMMETRY = 0.01
+"""Asymmetry left at the best angle, relative to the largest flux: mirror-symmetric machines stay below."""
+_LEAST_MIRRORED = 0.3
+"""Range of i_q with mirror images, relative to i_max, below which there is no symmetry to use."""
+_FEWEST_MIRRORED, _MOST_MIRRORED = 16, 1500
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """One estimated fault.
+    """One estimated sensor fault.
 
     Parameters
     ----------
     name : str
     value, sigma : float
-        Estimate and its standard deviation.
+        Estimate and its standard error.
     unit : str
     applied : bool
-        The results are those of signals corrected by it.
+        The results hold for signals corrected by it.
     sentence : str
-        What it is, and if it was not applied, why.
+        The finding, and the reason if it was not applied.
     doubtful : bool
-        Whether the data contradict that it is this fault, or a fault that can be taken out.
+        The data contradict this fault, or it is too large to be corrected.
     """
 
     name: str
@@ -53,15 +62,16 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
+@one_blas_thread(with_scipy=False)
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Estimate offsets and gain mismatch of the current sensors.
 
-    With measured currents i = i_true + o + G i_true*, o the offset's space vector and G that of the mismatch, the flux
-    over the measured current gains ``-f'(i) e^{-j theta} o - f'(i) e^{-2 j theta} G i*``, to first order: harmonics of
-    order 1 and 2. The resistive drop of the wrong current adds ``-j R / omega`` times the same vector to the latter,
-    and the offset gives a constant voltage in the stator frame, ``-(R + r) o`` with the mean slope r of the inverter's
-    curve, if it is symmetrical. A constant voltage without its harmonic is one of the commanded voltages; a second
-    harmonic of another shape is no mismatch, and is not taken out of the currents.
+    With measured currents i = i_true + o + G i_true*, where o and G are the space vectors of offset and mismatch, the
+    flux over the measured current gains ``-f'(i) e^{-j theta} o - f'(i) e^{-2 j theta} G i*`` to first order: harmonics
+    1 and 2. The resistive drop of the wrong current adds ``-j R / omega`` times the same vector to the latter. The
+    offset also causes a constant voltage in the stator frame, ``-(R + r) o`` with the mean slope r of a symmetric
+    inverter curve. A constant voltage without this harmonic is an offset of the commanded voltages; a second harmonic
+    of another shape is not a mismatch, and the currents are not corrected for it.
 
     Parameters
     ----------
@@ -74,7 +84,7 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     Returns
     -------
     list of Calibration
-        Of the offset and the mismatch, both real and imaginary part; a zero sequence and a common gain do not show.
+        Real and imaginary part of offset and mismatch; zero sequence and common gain cannot be observed.
     """
     out = _offsets(fit, i_dq, i_max)
     traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
@@ -87,7 +97,7 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     if shown and not applied:
         reason = (
             "The flux has a second harmonic that is no mismatch of the current gains: the voltages' gains differ, the "
-            "resolver is eccentric, or the machine is asymmetric. It was fitted, too."
+            "resolver is eccentric, or the machine is asymmetric; the harmonic was included in the fit."
         )
         entries = [replace(entry, sentence=reason, doubtful=True) for entry in entries]
     return out + entries
@@ -95,7 +105,7 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
 
 @dataclass(frozen=True, eq=False)
 class _Traced:
-    """A harmonic as the effect of one vector: its value and deviation (2,), and the share of the harmonic explained."""
+    """The vector that causes a harmonic: value and standard error (2,), and the share of the harmonic it explains."""
 
     value: FloatArray
     sigma: FloatArray
@@ -103,31 +113,31 @@ class _Traced:
 
 
 def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
-    """Take a constant voltage for an offset of the currents, or where the flux contradicts, for one of the voltages."""
-    voltage, changes = fit.solution.residual[CONSTANT], fit.changes[CONSTANT]
+    """Attribute a constant voltage to an offset of the currents or, if the flux contradicts, of the voltages."""
+    voltage, changes = fit.solution.estimate[CONSTANT], fit.changes[CONSTANT]
     sigma = np.sqrt(np.sum(changes**2, axis=1))
     resistance = fit.solution.resistance + fit.drop_slope
-    offset, spread = -voltage / resistance, sigma / abs(resistance)
+    offset, sigma_offset = -voltage / resistance, sigma / abs(resistance)
     shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
     currents = "offset of the measured currents"
-    if not shown or _flux_shows(fit, offset, spread, i_dq):
-        return _entries("current_offset", "A", currents, (offset, spread), i_max, applied=shown)
+    if not shown or _flux_agrees(fit, offset, sigma_offset, i_dq):
+        return _entries("current_offset", "A", currents, (offset, sigma_offset), i_max, applied=shown)
     none = _entries("current_offset", "A", currents, (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
     height = float(np.sqrt(fit.total_voltage)) / fit.duration
     return none + _entries("voltage_offset", "V", "offset of the voltages", (voltage, sigma), height, applied=True)
 
 
-def _flux_shows(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
-    """Tell whether the flux has the first harmonic that an offset of the currents (2,), A, would give it, or may have.
+def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
+    """Tell whether the flux has the first harmonic of an offset of the currents (2,), A, or may have it.
 
-    A part that is constant in the stator frame shows in no voltage and is left open.
+    The part that is constant in the stator frame induces no voltage and cannot be checked.
     """
     order = SENSOR_ORDERS[0]
     cosine, sine = _effects(fit, order, i_dq)
     expected = np.concatenate([(cosine @ offset).ravel(), (sine @ offset).ravel()])
     constant = _constants(len(i_dq))
     expected = expected - constant @ np.linalg.lstsq(constant, expected)[0]
-    largest = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.residual[fit.model.map])).max())
+    largest = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.estimate[fit.model.map])).max())
     if np.sqrt(np.mean(expected**2)) < _LEAST_SHOWN * largest:
         return True  # too small to be seen there
     traced = _traced(fit, order, i_dq)
@@ -149,38 +159,37 @@ def _entries(
 
 
 def _products_with(i_dq: FloatArray) -> FloatArray:
-    """Return the matrices (N, 2, 2) of the multiplication of a complex number with the currents."""
+    """Return the matrices (N, 2, 2) that multiply a complex number by the currents."""
     d, q = i_dq.T
     return np.stack([np.stack([d, -q], axis=-1), np.stack([q, d], axis=-1)], axis=1)
 
 
 def _effects(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what a sensor's vector does to the amplitudes of cosine and sine of its harmonic, (N, 2, 2) each."""
-    by_d, by_q = (rows.dot(fit.solution.residual[fit.model.map]) for rows in fit.model.flux.slope_rows(i_dq))
-    jacobian = np.stack([by_d, by_q], axis=-1)  # (N, flux, current)
+    """Return the matrices (N, 2, 2) from a sensor's vector to the cosine and the sine amplitudes of its harmonic."""
+    effect = jacobian(fit.model.flux, fit.solution.estimate[fit.model.map], i_dq)
     if order == SENSOR_ORDERS[0]:
         vector = np.broadcast_to(np.eye(2), (len(i_dq), 2, 2))
     else:
         fast = np.abs(fit.speeds) > 0.1 * np.abs(fit.speeds).max()
-        jacobian = jacobian + fit.solution.resistance * float(np.mean(1 / fit.speeds[fast])) * _QUARTER
+        effect = effect + fit.solution.resistance * float(np.mean(1 / fit.speeds[fast])) * _QUARTER
         vector = _products_with(i_dq * np.array([1.0, -1.0]))
-    cosine = np.einsum("nab,nbc->nac", -jacobian, vector)
-    sine = np.einsum("nab,bc,ncd->nad", jacobian, _QUARTER, vector)  # e^{-j h theta} = cos h theta - j sin h theta
+    cosine = np.einsum("nab,nbc->nac", -effect, vector)
+    sine = np.einsum("nab,bc,ncd->nad", effect, _QUARTER, vector)  # e^{-j h theta} = cos h theta - j sin h theta
     return cosine, sine
 
 
 def _constants(count: int) -> FloatArray:
-    """Return the amplitudes (4 N, 2) of the first harmonic that a constant flux in the stator frame has."""
+    """Return the first-harmonic amplitudes (4 N, 2) of a constant flux in the stator frame."""
     return np.concatenate([np.tile(np.eye(2), (count, 1)), np.tile(-_QUARTER, (count, 1))])
 
 
 def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
-    """Trace a sensor's harmonic back to its vector, by least squares on the amplitudes; None where there is none."""
-    if order not in fit.choice.orders:
+    """Return the vector that causes a sensor's harmonic, by least squares on the amplitudes; None without harmonic."""
+    if order not in fit.spec.orders:
         return None
     space, columns = fit.model.space(order), fit.model.harmonics[order]
     rows = space.rows(i_dq)
-    regressors = np.concatenate([part.reshape(-1, 2) for part in _effects(fit, order, i_dq)])
+    regressors = np.concatenate([effect.reshape(-1, 2) for effect in _effects(fit, order, i_dq)])
     if order == SENSOR_ORDERS[0]:
         regressors = np.hstack([regressors, _constants(len(i_dq))])
 
@@ -188,7 +197,7 @@ def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
         halves = np.split(gamma, 2)
         return np.concatenate([rows.dot(half).reshape(2 * len(i_dq), -1) for half in halves])
 
-    found = amplitudes(fit.solution.residual[columns][:, None])
+    found = amplitudes(fit.solution.estimate[columns][:, None])
     value = np.linalg.lstsq(regressors, found)[0]
     left = float(np.sum((found - regressors @ value) ** 2) / np.sum(found**2))
     moves = np.linalg.lstsq(regressors, amplitudes(fit.changes[columns]))[0][:2]
@@ -196,30 +205,117 @@ def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
 
 
 def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
-    """Report the delay of the voltages that the fit took."""
-    name, taken = "voltage_delay", fit.choice.delay
+    """Report the delay of the voltages used by the fit."""
+    name, used, delay, sigma = "voltage_delay", fit.spec.delay, fit.selection.delay, fit.selection.sigma_delay
     if not wanted:
-        sentence = f"The voltages act {taken:g} samples late, as set."
-        return Calibration(name, taken, 0.0, "samples", taken != 0.0, sentence)
-    if not fit.choice.reciprocal:
-        reason = "The maps are not reciprocal, which leaves a delay of the voltages open: none was taken out."
-        return Calibration(name, fit.delay, fit.sigma_delay, "samples", False, reason)
-    found = f"{fit.delay:+.3f} +- {fit.sigma_delay:.3f} samples"
-    if taken == 0.0:
-        reason = f"The voltages act as recorded ({found}, which is not distinct from none, or too small to matter)."
-        return Calibration(name, fit.delay, fit.sigma_delay, "samples", False, reason)
-    if abs(taken) >= MOST_DELAY:
+        sentence = f"The voltages act {used:g} samples late, as set."
+        return Calibration(name, used, 0.0, "samples", used != 0.0, sentence)
+    if not fit.spec.reciprocal:
+        reason = "A delay of the voltages cannot be estimated from maps that are not reciprocal: none was corrected."
+        return Calibration(name, delay, sigma, "samples", False, reason)
+    found = f"{delay:+.3f} +- {sigma:.3f} samples"
+    if used == 0.0:
+        reason = f"The voltages act as recorded (delay {found}: not significant, or too small to matter)."
+        return Calibration(name, delay, sigma, "samples", False, reason)
+    if abs(used) >= MOST_DELAY:
         sentence = (
-            f"The voltages seem to act {found} later than recorded, at the end of what can be taken out: align the "
+            f"The voltages seem to act {found} later than recorded, at the limit of what can be corrected: align the "
             "recorded voltages with the currents."
         )
-        return Calibration(name, taken, fit.sigma_delay, "samples", True, sentence, doubtful=True)
-    sentence = f"The voltages were taken to act {found} later than recorded, for which the maps are reciprocal."
-    return Calibration(name, taken, fit.sigma_delay, "samples", True, sentence)
+        return Calibration(name, used, sigma, "samples", True, sentence, doubtful=True)
+    sentence = (
+        f"The voltages act {found} later than recorded, as the reciprocity of the maps shows; this was corrected."
+    )
+    return Calibration(name, used, sigma, "samples", True, sentence)
+
+
+def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> FloatArray:
+    """Return currents (N, 2), A, of a grid that have data and whose mirror images in the d axis have data, too.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        Equally spaced axes, A.
+    inside : (D, Q) bool
+        Nodes with data.
+    i_max : float
+        Radius of the current disc, A; none are returned if those with mirror images span too little of i_q.
+    """
+    step = i_q[1] - i_q[0]
+    image = np.rint((-i_q - i_q[0]) / step).astype(np.int64)
+    on_grid = (image >= 0) & (image < len(i_q))
+    both = inside & on_grid & inside[:, np.where(on_grid, image, 0)]
+    points = np.asarray(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1)[both], np.float64)
+    if np.abs(points[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * i_max:
+        return points[:0]
+    return points[:: max(1, len(points) // _MOST_MIRRORED)]
+
+
+@one_blas_thread(with_scipy=False)
+def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
+    """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
+
+    An offset rotates currents and fluxes together, which no voltage shows. A machine whose rotor is not symmetric about
+    its d axis lacks this symmetry, and then the offset cannot be estimated.
+
+    Parameters
+    ----------
+    fit : FullFit
+    i_dq : (N, 2) float
+        Measured currents whose mirror images have data, too, A; see :func:`mirrored_points`.
+
+    Returns
+    -------
+    Calibration
+        Measured minus true electrical angle, rad.
+    """
+    name, unit = "resolver_offset", "rad"
+    if len(i_dq) < _FEWEST_MIRRORED:
+        reason = "An offset of the angle cannot be estimated without currents of both signs of i_q."
+        return Calibration(name, 0.0, float("nan"), unit, False, reason)
+    mirror = np.array([1.0, -1.0])
+
+    def sides(angle: float) -> list[tuple[FloatArray, BasisRows]]:
+        return [(sign, fit.model.flux.rows(rotated(i_dq * sign, -angle))) for sign in (np.ones(2), mirror)]
+
+    def difference(angle: float) -> FloatArray:
+        """Return the asymmetry (N, 2) of the map rotated back by an angle."""
+        one, other = (sign * rotated(rows.dot(gamma), angle) for sign, rows in sides(angle))
+        return np.asarray(one - other)
+
+    def form(angle: float, weights: FloatArray) -> FloatArray:
+        """Return the gradient (P,) of the sum of the differences times weights (N, 2) by the map's coefficients."""
+        one, other = (
+            rows.sparse(len(gamma)).T @ rotated(sign * weights, -angle).ravel() for sign, rows in sides(angle)
+        )
+        return np.asarray(one - other)
+
+    gamma = fit.solution.estimate[fit.model.map]
+    found = minimize_scalar(
+        lambda angle: float(np.sum(difference(angle) ** 2)),
+        bounds=(-_LARGEST_ANGLE, _LARGEST_ANGLE),
+        method="bounded",
+        options={"xatol": 1e-7},
+    )
+    angle, step = float(found.x), 1e-4
+    slope = (difference(angle + step) - difference(angle - step)) / (2 * step)
+    moves = form(angle, slope) @ fit.changes[fit.model.map]
+    sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
+    size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
+    asymmetry = float(np.sqrt(np.mean(difference(angle) ** 2))) / size
+    degrees = f"{np.rad2deg(angle):+.4f} +- {np.rad2deg(sigma):.4f} degrees"
+    if asymmetry > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
+        reason = (
+            f"No angle makes the map mirror-symmetric ({100 * asymmetry:.1f} % are left at {degrees}): the machine is "
+            "asymmetric, or the angle is far off, so the angle was not corrected."
+        )
+        return Calibration(name, angle, sigma, unit, False, reason)
+    sentence = f"The measured angle is {degrees} too large, as the mirror symmetry shows; this was corrected."
+    return Calibration(name, angle, sigma, unit, True, sentence)
 
 
 def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
-    """Return samples without the faults that were found and applied; runs become shorter by no sample."""
+    """Return samples corrected for the applied faults; no sample is lost."""
     found = {entry.name: entry.value for entry in calibrations if entry.applied}
     i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
     u_s = u_s - complex(found.get("voltage_offset_alpha", 0.0), found.get("voltage_offset_beta", 0.0))
@@ -238,7 +334,7 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
 
 
 def _delayed(u_s: ComplexArray, delay: float) -> ComplexArray:
-    """Return the mean over each sample of a held voltage that acts later."""
+    """Return the mean over each sample of a held voltage that acts ``delay`` samples later."""
     place = np.arange(len(u_s)) - delay
     first = np.floor(place).astype(np.int64)
     share = place - first

@@ -1,81 +1,73 @@
-"""The fit of method ``full``: which model the data ask for, its parameters, and how far they can be trusted."""
+"""The fit of method ``full``: selected model, corrected estimate, covariance of the estimate, passive maps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
 
 from drive_id.core import frames
-from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.basis import Choice
-from drive_id.core.full.choice import Chosen, choose, distinct_orders
-from drive_id.core.full.information import WindowInformation
-from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel
-from drive_id.core.full.noise_correction import thinned, undiluted
-from drive_id.core.full.order_search import HIGHEST_ORDER, unexpected_orders
-from drive_id.core.full.passivity import enforce_passivity, passive_points
-from drive_id.core.full.solver import FullSolution
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
+from drive_id.core.full.selection import Selection, select
+from drive_id.core.full.solver import FullSolution, Solver, correct_attenuation, thinned
+from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
-from drive_id.core.maps.flux_models import BasisRows
-from drive_id.core.numerics.threads import in_threads
+from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
+from drive_id.core.numerics.threads import in_threads, one_blas_thread
 from drive_id.types import BoolArray, FloatArray
 
 BATCH = 0.05
-"""s; residuals of windows that start within as much are taken as dependent, those further apart as not."""
+"""Residuals of windows that start within this time are treated as dependent, others as independent, s."""
 
 _SERIES, _CONVERGED = 16, 1e-3
 _SLOPE_STEP = 0.02
-_SEARCHES = 2
 _STUDENT = 1.21
-"""What Student's 97.5 % quantile exceeds the normal one by, relative and per degree of freedom: (1.96^2 + 1) / 4."""
+"""Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
 _KURTOSIS, _FEWEST = 3.0, 6.0
+_NEAR_ZERO = 0.02
+"""Currents relative to i_max below which the steep foot of the inverter's curve amplifies current noise."""
+_PASSIVE_POINTS, _STIFFER, _ROUNDS = 41, 10.0, 7
 
 
 @dataclass(frozen=True, eq=False)
 class FullFit:
-    """What was fitted, and what each batch of time changes in it.
+    """The fitted model and the influence of each batch of time on it.
 
     Parameters
     ----------
     model : FullModel
     solution : FullSolution
     changes : (size, B) float
-        What leaving each batch's residuals out changes in the estimate, to first order, and last what the penalties
-        change and what the correction for the noise in the currents may have missed: ``changes @ changes.T`` is the
-        covariance of the estimate, a heteroscedasticity and autocorrelation consistent one, plus squared biases.
-    delay, sigma_delay : float
-        Estimated delay of the voltages and its deviation, samples; NaN when it was not asked for.
-    advantage : float
-        Share of the squared error on data left out that free maps save over reciprocal ones; negative when they cost.
+        First-order change of the estimate when each batch's residuals are left out, then the bias by the penalties and
+        the bound on the bias by current noise: ``changes @ changes.T`` is the covariance of the estimate,
+        heteroscedasticity and autocorrelation consistent, plus squared biases.
+    selection : Selection
+        How the model was found.
     speeds : (N,) float
         Electrical speeds of windows, rad/s.
     drop_slope : float
-        Mean slope of the inverter's curve over the currents that flowed, ohm.
-    total_voltage : float
-        Mean square of the integrated voltages, (Vs)^2.
+        Mean slope of the inverter's curve over the measured currents, ohm.
     turn, duration : float
-        Median angle by which a window turns the rotor, rad, and median duration of one, s.
+        Median angle, rad, and duration, s, of a window.
     outlying : float
-        Largest mean square residual of a batch of time, over the median of all.
+        Largest mean square residual of a batch of time over the median of all batches; residuals near zero current,
+        where the inverter amplifies noise, do not count, and those at large inductances, which do so, count less.
     outlying_share : float
-        Its root, over that of ``total_voltage``.
+        Rms residual of that batch over the rms of the integrated voltages.
     outlying_time : float
-        Where that is, in time of data, s.
+        Time of that batch, gaps not counted, s.
     """
 
     model: FullModel
     solution: FullSolution
     changes: FloatArray
-    delay: float
-    sigma_delay: float
-    advantage: float
+    selection: Selection
     speeds: FloatArray
     drop_slope: float
-    total_voltage: float
     turn: float
     duration: float
     outlying: float
@@ -83,16 +75,21 @@ class FullFit:
     outlying_time: float
 
     @property
-    def choice(self) -> Choice:
-        """What was fitted."""
-        return self.solution.choice
+    def spec(self) -> ModelSpec:
+        """The selected variant of the model."""
+        return self.solution.spec
 
-    def deviation(self, form: FloatArray) -> float:
-        """Return the standard deviation of a linear function (size,) of the estimate."""
-        return float(spread(form @ self.changes))
+    @property
+    def total_voltage(self) -> float:
+        """Mean square of the integrated voltages, (Vs)^2."""
+        return self.selection.solver.total_voltage
 
-    def white(self, rows: BasisRows) -> FloatArray:
-        """Return the deviations (N, 2) of fluxes B gamma, Wb, if the residuals were white."""
+    def sigma(self, form: FloatArray) -> float:
+        """Return the standard error of a linear function (size,) of the estimate."""
+        return float(sigma(form @ self.changes))
+
+    def white_sigma(self, rows: BasisRows) -> FloatArray:
+        """Return the standard errors (N, 2) of fluxes B gamma under white residuals, Wb."""
         t = self.solution.basis[self.model.map]
         covariance = np.asarray(t @ (t @ self.solution.white_covariance).T)
         met = covariance[rows.column[..., None], rows.column[..., None, :]]  # (N, 2, K, K)
@@ -101,22 +98,22 @@ class FullFit:
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
-        return passive_points(self.model.flux, self.solution.residual[self.model.map], i_dq)
+        return passive_points(self.model.flux, self.solution.estimate[self.model.map], i_dq)
 
     @property
     def sigma_resistance(self) -> float:
         """Ohm."""
         form = np.zeros(self.model.size)
         form[RESISTANCE] = 1.0
-        return self.deviation(form)
+        return self.sigma(form)
 
 
-def spread(changes: FloatArray) -> FloatArray:
-    """Return the deviation (...) of an estimate that batches of time change by (..., B).
+def sigma(changes: FloatArray) -> FloatArray:
+    """Return the standard error (...) of a quantity from its changes (..., B) by batches of time.
 
-    Few passes of the trajectory determine an estimate, so that its deviation is uncertain, too: it is widened as
-    Student's distribution is. Its degrees of freedom follow from the fourth powers of the changes, which for B normal
-    ones are three times the squared variance.
+    Few passes of the trajectory determine a quantity, so the standard error is uncertain itself and is widened like
+    Student's distribution. The degrees of freedom follow from the fourth powers of the changes, which are three times
+    the squared variance for B normal ones.
     """
     squares = changes**2
     total = squares.sum(axis=-1)
@@ -124,98 +121,85 @@ def spread(changes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
-def fit_full(information: WindowInformation, settings: FitSettings, turn: float) -> FullFit:
-    """Choose a model and fit it.
+@one_blas_thread(with_scipy=True)
+def fit_full(sums: WindowSums, settings: FitSettings, turn: float) -> FullFit:
+    """Select a model and fit it.
 
     Parameters
     ----------
-    information : WindowInformation
+    sums : WindowSums
         Finished.
     settings : FitSettings
     turn : float
-        Root mean square of the angle turned per sample, rad.
+        Angle turned per sample, rms, rad.
     """
-    chosen = choose(information, settings, turn)
-    if settings.search_orders:
-        information, chosen = _with_unexpected_orders(information, chosen, settings, turn)
-    model, kept, solver = information.model, information.kept(), chosen.solver
+    sums, selection = select(sums, settings, turn)
+    kept, solver = sums.kept(), selection.solver
     i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
-    solution, doubt = undiluted(solver, chosen.solution, thinned(i_dq))
+    solution, bias_bound = correct_attenuation(solver, selection.solution, thinned(i_dq))
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
-    batches, energy, times = batch_changes(information, solution)
-    changes = np.column_stack([batches, solver.shrinkage(solution), doubt])
+    batches, energy, times = batch_changes(sums, solution)
     durations = np.concatenate([windows.duration for windows in kept])
-    outlying = float(energy.max() / max(np.median(energy), np.finfo(np.float64).tiny))
-    slope = _drop_slope(model, solution, kept)
+    tiny = np.finfo(np.float64).tiny
     return FullFit(
-        model,
-        solution,
-        changes,
-        chosen.delay,
-        chosen.sigma_delay,
-        chosen.advantage,
-        speeds,
-        slope,
-        solver.total_voltage,
-        float(np.median(np.abs(speeds) * durations)),
-        float(np.median(durations)),
-        outlying,
-        float(np.sqrt(energy.max() / max(solver.total_voltage, np.finfo(np.float64).tiny))),
-        float(times[energy.argmax()]),
+        model=sums.model,
+        solution=solution,
+        changes=np.column_stack([batches, solver.shrinkage(solution), bias_bound]),
+        selection=selection,
+        speeds=speeds,
+        drop_slope=_drop_slope(sums.model, solution, kept),
+        turn=float(np.median(np.abs(speeds) * durations)),
+        duration=float(np.median(durations)),
+        outlying=float(energy.max() / max(np.median(energy[energy > 0]) if energy.any() else 0.0, tiny)),
+        outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
+        outlying_time=float(times[energy.argmax()]),
     )
-
-
-def _with_unexpected_orders(
-    information: WindowInformation, chosen: Chosen, settings: FitSettings, turn: float
-) -> tuple[WindowInformation, Chosen]:
-    """Fit harmonics, too, that stand out from what is left, as long as there are any."""
-    known = information.model.all_orders
-    for _ in range(_SEARCHES):
-        new = unexpected_orders(information.model, chosen.solution.residual, information.kept(), known, HIGHEST_ORDER)
-        new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
-        if not new:
-            break
-        kept = tuple(order for order in chosen.solution.choice.orders if order not in SENSOR_ORDERS)
-        information = information.with_orders((*kept, *new)[:MOST_ORDERS])
-        known = (*known, *new)
-        chosen = choose(information, settings, turn)
-    return information, chosen
 
 
 def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:
     i_abc = np.concatenate([frames.to_abc(windows.i_dq[:, 0], windows.angle[:, 0]) for windows in kept])
-    heights = solution.residual[model.phase_columns()].mean(axis=1)
+    heights = solution.estimate[model.phase_columns()].mean(axis=1)
     step = _SLOPE_STEP * model.i_max
     sides = [(model.shapes(i_abc + sign * step) @ heights).mean() for sign in (1, -1)]
     return float(sides[0] - sides[1]) / (2 * step)
 
 
-def batch_changes(information: WindowInformation, solution: FullSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what each batch of kept windows changes in the estimate, (size, B), and its mean square and time (B,)."""
-    model, kept = information.model, information.kept()
-    through = sparse.csr_array(sparse.hstack([solution.basis, solution.residual[:, None]]))
-    covariance = solution.white_covariance  # before the threads want it
+def batch_changes(sums: WindowSums, solution: FullSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the change of the estimate by each batch of kept windows (size, B), its comparable energy and time (B,).
 
-    def batches_of(segment: Windows) -> list[tuple[FloatArray, float, float]]:
-        return _batch_scores(solution, covariance, segment, model.forms(segment, through, solution.choice.orders))
+    The energy, (Vs)^2, is the mean square residual of windows away from zero current, 0 without any, divided by their
+    mean square inductance where that is above average: residuals by current noise are proportional to it.
+    """
+    model, kept = sums.model, sums.kept()
+    through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
+    covariance = solution.white_covariance  # cached before the threads start
 
-    batches = [batch for part in in_threads(batches_of, kept) for batch in part]
-    scores, energy, time = (np.array(part) for part in zip(*batches, strict=True))
-    share = information.windows / max(sum(len(segment) for segment in kept), 1)
-    return np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T)), energy, time
+    def batches_of(segment: Windows) -> list[tuple[FloatArray, float, float, float]]:
+        rows = model.design_times(segment, through, solution.spec.orders)
+        away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
+        inductances = jacobian(model.flux, solution.estimate[model.map], segment.i_dq.reshape(-1, 2))
+        squares = np.square(inductances).reshape(len(segment), -1).sum(axis=1)
+        return _batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0))
+
+    batches = [batch for several in in_threads(batches_of, kept) for batch in several]
+    scores, energy, square, time = (np.array(values) for values in zip(*batches, strict=True))
+    share = sums.windows / max(sum(len(segment) for segment in kept), 1)
+    usual = square[square > 0].mean() if square.any() else 1.0
+    changes = solution.basis @ solution.gain(np.sqrt(share) * scores.T)
+    return np.asarray(changes), energy / np.maximum(square / usual, 1.0), time
 
 
 def _batch_scores(
-    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray
-) -> list[tuple[FloatArray, float, float]]:
-    """Return for each batch the scores (ZT)'e (M,), the mean square residual, (Vs)^2, and its time, s.
+    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray, squares: FloatArray
+) -> list[tuple[FloatArray, float, float, float]]:
+    """Return of each batch the scores (ZT)'e (M,), mean square residual, (Vs)^2, mean of ``squares``, and time, s.
 
-    ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r.
-    The residuals e are without the fit's leverage. That is CR2, ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, by the
-    binomial series, which bounds what residuals of full leverage are multiplied by.
+    ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r. The residuals e are corrected for leverage by CR2,
+    ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, through the binomial series, which bounds the factor on residuals of
+    full leverage. Both means are over windows whose ``squares`` (N,) are not zero.
     """
     residuals = rows[..., -1]
     edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(BATCH)))), len(segment)]
@@ -233,5 +217,32 @@ def _batch_scores(
                 break
         all_scores = np.zeros(len(solution.scale))
         all_scores[met] = total
-        out.append((all_scores, float(np.mean(residuals[start:end] ** 2)), float(segment.time[start:end].mean())))
+        used = start + np.flatnonzero(squares[start:end])
+        energy, square = (float(x[used].mean()) if len(used) else 0.0 for x in (residuals**2, squares))
+        out.append((all_scores, energy, square, float(segment.time[start:end].mean())))
     return out
+
+
+def passive_points(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> BoolArray:
+    """Tell (N,) where the symmetric part of the Jacobian at currents (N, 2), A, is positive definite."""
+    inductances = jacobian(model, gamma, i_dq)
+    l_dd, l_qq = inductances[:, 0, 0], inductances[:, 1, 1]
+    cross = 0.5 * (inductances[:, 0, 1] + inductances[:, 1, 0])
+    return np.asarray((l_dd > 0) & (l_dd * l_qq > cross**2))
+
+
+def enforce_passivity(solver: Solver, solution: FullSolution) -> FullSolution:
+    """Increase the roughness penalty tenfold until the inductance matrix is positive definite on the whole disc.
+
+    A solution that is passive already is returned unchanged. After a bounded number of rounds it is returned passive
+    or not; the review warns.
+    """
+    model = solver.model
+    axes = [np.linspace(low, high, _PASSIVE_POINTS) for low, high in zip(model.low, model.high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    i_dq = grid[np.hypot(*grid.T) <= model.i_max]
+    for _ in range(_ROUNDS):
+        if passive_points(model.flux, solution.estimate[model.map], i_dq).all():
+            break
+        solution = solver.solve(replace(solution.spec, penalty=_STIFFER * solution.spec.penalty))
+    return solution

@@ -1,7 +1,9 @@
-"""Method ``full``: penalized least squares on the accumulated windows, with every choice made on data left out.
+"""Penalized least squares on accumulated cross products, cross-validation over folds, correction for current noise.
 
-All choices are congruences of the same accumulated matrix Z'Z, ``x -> Z T x``: reciprocal or free maps, the harmonics
-in use, one inverter curve or one per phase. None needs a second pass over the samples.
+Noise n of variance sigma^2 in the currents stands in the regressors and flattens the map (regression dilution): it
+leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more
+gives the estimate at twice the noise; the step between the two is what the noise has cost already. This is
+simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation.
 """
 
 from __future__ import annotations
@@ -13,38 +15,49 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from drive_id.core.full.basis import PENALTIES, Choice, basis, delay_shares, roughness
-from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel
+from drive_id.core.full.model import (
+    PENALTIES,
+    RESISTANCE,
+    SHIFT,
+    VOLTAGE,
+    FullModel,
+    ModelSpec,
+    basis,
+    delay_shares,
+    roughness,
+)
 from drive_id.core.full.windows import SHIFTS
 from drive_id.core.numerics.normal_equations import congruent, factorize, penalized, times
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _UNPREDICTABLE = 4.0
+_THINNED = 1000
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
 class FullSolution:
-    """Estimate of all unknowns.
+    """Solution of one variant of the model.
 
     Parameters
     ----------
-    choice : Choice
-    residual : (size,) float
-        r with ``Z r`` the residuals, Vs: the estimate in the columns of its unknowns, -1 and the delay's shares in
-        those of the voltage.
+    spec : ModelSpec
+    estimate : (size,) float
+        Estimate in the columns of the unknowns, -1 and the shares of the delay in those of the voltage, so that
+        ``Z estimate`` are the residuals, Vs.
     basis : (size, M) sparse
         T, from unknowns to columns.
     factor : (M, M) float
-        Lower triangular, of the penalized normal matrix divided by ``scale`` on both sides.
+        Lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides.
     scale : (M,) float
     sum_of_squares : float
         Of the residuals, (Vs)^2.
     rows : float
     """
 
-    choice: Choice
-    residual: FloatArray
+    spec: ModelSpec
+    estimate: FloatArray
     basis: sparse.csr_array
     factor: FloatArray
     scale: FloatArray
@@ -59,38 +72,38 @@ class FullSolution:
     @property
     def resistance(self) -> float:
         """Ohm."""
-        return float(self.residual[RESISTANCE])
+        return float(self.estimate[RESISTANCE])
 
     def gain(self, scores: FloatArray) -> FloatArray:
-        """Return what scores (M, K), gradients of the sum of squares, change in the unknowns, (M, K)."""
+        """Return the change of the unknowns (M, K) for scores (M, K), gradients of half the sum of squares."""
         scaled = scores / self.scale[:, None]
         return np.asarray(linalg.cho_solve((self.factor, True), scaled, check_finite=False) / self.scale[:, None])
 
-    def moved(self, pull: FloatArray) -> FloatArray:
-        """Return what a gradient (size,) of half the sum of squares changes in the estimate, (size,)."""
-        return np.asarray(self.basis @ self.gain(np.asarray(self.basis.T @ pull)[:, None])[:, 0])
+    def response(self, gradient: FloatArray) -> FloatArray:
+        """Return the change of the estimate (size,) for a gradient (size,) of half the sum of squares."""
+        return np.asarray(self.basis @ self.gain(np.asarray(self.basis.T @ gradient)[:, None])[:, 0])
 
-    def half_gain(self, queries: FloatArray) -> FloatArray:
-        """Return Q (M, K) with Q'Q the covariance of ``queries' x``, (M, K) linear forms, for white unit residuals."""
-        scaled = queries / self.scale[:, None]
+    def half_gain(self, forms: FloatArray) -> FloatArray:
+        """Return Q (M, K), Q'Q being the covariance of ``forms' x``, (M, K), for white residuals of unit variance."""
+        scaled = forms / self.scale[:, None]
         return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
 
     @cached_property
     def white_covariance(self) -> FloatArray:
-        """Covariance (M, M) of the unknowns for white unit residuals."""
+        """Covariance (M, M) of the unknowns for white residuals of unit variance."""
         return self.gain(np.eye(len(self.scale)))
 
 
 class Solver:
-    """Solves for any choice, on all folds or with one left out.
+    """Solves any variant of the model, on all folds or with one left out.
 
     Parameters
     ----------
     model : FullModel
     folds : (F, size, size) float
-        Z'Z of each.
+        Z'Z of each fold.
     counts : (F,) float
-        Rows of each.
+        Rows of each fold.
     """
 
     def __init__(self, model: FullModel, folds: FloatArray, counts: FloatArray) -> None:
@@ -98,48 +111,48 @@ class Solver:
         self.folds = folds
         self.counts = counts
         self.total = folds.sum(axis=0)
-        self._normals: dict[Choice, tuple[sparse.csr_array, FloatArray]] = {}
+        self._normals: dict[ModelSpec, tuple[sparse.csr_array, FloatArray]] = {}
 
     @property
     def total_voltage(self) -> float:
         """Mean square of the integrated voltages, (Vs)^2."""
         return float(self.total[VOLTAGE, VOLTAGE] / max(float(self.counts.sum()), 1.0))
 
-    def solve(self, choice: Choice, noise: sparse.csr_array | None = None) -> FullSolution:
-        """Fit to all folds, or to what further noise (P, P) would make of them, see ``noise_correction``."""
-        t, normal = self._normal(choice)
-        voltage = self._voltage(choice)
+    def solve(self, spec: ModelSpec, noise: sparse.csr_array | None = None) -> FullSolution:
+        """Fit a variant to all folds, with the products (P, P) of additional noise if given."""
+        t, normal = self._normal(spec)
+        voltage = self._voltage(spec)
         if noise is not None:
-            normal = normal + self._further(t, noise)
-        factor, scale = factorize(normal + self._penalty(t, choice.penalty))
+            normal = normal + self._on_unknowns(t, noise)
+        factor, scale = factorize(normal + self._penalty(t, spec.penalty))
         moment = t.T @ times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale) / scale
-        residual = t @ x - voltage
-        squares = float(residual @ self.total @ residual)
-        return FullSolution(choice, residual, t, factor, scale, squares, float(self.counts.sum()))
+        estimate = t @ x - voltage
+        squares = float(estimate @ self.total @ estimate)
+        return FullSolution(spec, estimate, t, factor, scale, squares, float(self.counts.sum()))
 
     def shrinkage(self, solution: FullSolution) -> FloatArray:
-        """Return what the penalties change in the estimate, to first order, (size,)."""
-        return solution.moved(roughness(self.model, self.total, solution.choice.penalty) @ solution.residual)
+        """Return the bias (size,) of the estimate caused by the penalties, to first order."""
+        return solution.response(roughness(self.model, self.total, solution.spec.penalty) @ solution.estimate)
 
     def left_out(
         self,
-        choice: Choice,
+        spec: ModelSpec,
         penalties: Sequence[float] = (),
         folds: Sequence[int] | IntArray | None = None,
         noise: sparse.csr_array | None = None,
     ) -> FloatArray:
-        """Return the sum of squared residuals per row of each fold in the fit to the others, (Vs)^2.
+        """Return the mean squared residual of each fold, predicted by the fit to the others, (Vs)^2.
 
         Parameters
         ----------
-        choice : Choice
+        spec : ModelSpec
         penalties : sequence of float
-            To try in place of the choice's own.
+            Candidates instead of the penalty of ``spec``.
         folds : sequence of int
-            Those to leave out, one at a time; default: each.
+            Folds to leave out, one at a time; default: every one.
         noise : (P, P) sparse
-            As for :meth:`solve`, spread evenly over the folds.
+            As in :meth:`solve`, spread evenly over the folds.
 
         Returns
         -------
@@ -147,57 +160,57 @@ class Solver:
 
         Notes
         -----
-        The penalty is one of the map alone: all else is eliminated once per fold,
-        ``S = A_mm - A_mn A_nn^-1 A_nm``, and ``S + lambda P`` is solved for each penalty lambda.
+        The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
+        ``S + lambda P`` is solved for each penalty lambda.
         """
-        (t, normal), voltage = self._normal(choice), self._voltage(choice)
-        tried = [self._penalty(t, penalty) for penalty in penalties or (choice.penalty,)]
+        (t, normal), voltage = self._normal(spec), self._voltage(spec)
+        tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
         moment = t.T @ times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
-        further = 0.0 if noise is None else self._further(t, noise)
+        added = 0.0 if noise is None else self._on_unknowns(t, noise)
 
         def errors(number: int) -> list[float]:
             fold = self.folds[number]
-            own, product = congruent(t, fold) + further / len(self.folds), times(fold, voltage)
+            own, product = congruent(t, fold) + added / len(self.folds), times(fold, voltage)
             own_moment, square = t.T @ product, voltage @ product
-            estimates = penalized(normal + further - own, moment - own_moment, tried, in_map)
+            estimates = penalized(normal + added - own, moment - own_moment, tried, in_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
 
         return np.array(in_threads(errors, range(len(self.folds)) if folds is None else [int(k) for k in folds]))
 
-    def smoothest(self, choice: Choice) -> tuple[Choice, FloatArray]:
-        """Return the choice with the penalty that predicts the folds best, and its errors (F,), (Vs)^2."""
-        errors = self.left_out(choice, PENALTIES)
+    def best_penalty(self, spec: ModelSpec) -> tuple[ModelSpec, FloatArray]:
+        """Return ``spec`` with the penalty that predicts the folds best, and the squared errors (F,), (Vs)^2."""
+        errors = self.left_out(spec, PENALTIES)
         best = int(np.argmin(errors[predictable(errors.min(axis=1))].mean(axis=0)))
-        return replace(choice, penalty=PENALTIES[best]), errors[:, best]
+        return replace(spec, penalty=PENALTIES[best]), errors[:, best]
 
     def saving(self, solution: FullSolution, further: slice) -> float:
-        """Return the share of the sum of squared residuals that unknowns of further columns would take away."""
+        """Return by which share unknowns in further columns would reduce the sum of squared residuals."""
         left = self._left(solution, np.arange(further.start, further.stop))
-        moment = self.total[further] @ solution.residual
-        scale = np.sqrt(np.maximum(np.diag(left), np.finfo(np.float64).tiny))
+        moment = self.total[further] @ solution.estimate
+        scale = np.sqrt(np.maximum(np.diag(left), _TINY))
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
-        return float((moment / scale) @ found / max(solution.sum_of_squares, np.finfo(np.float64).tiny))
+        return float((moment / scale) @ found / max(solution.sum_of_squares, _TINY))
 
     def delay(self, solution: FullSolution) -> tuple[float, float, float]:
         """Estimate by how many samples the voltages act later than recorded.
 
-        A delay turns the flux of a constant speed by omega delta: only the reciprocity of the maps, or several speeds,
-        tell it from a flux.
+        At constant speed a delay rotates the flux by omega delta: only the reciprocity of the maps, or several speeds,
+        separate it from a flux.
 
         Parameters
         ----------
         solution : FullSolution
-            Of all else, without a delay.
+            Without a delay.
 
         Returns
         -------
         delay, sigma : float
-            The latter for white residuals, samples.
+            Samples; sigma holds for white residuals.
         squares : float
-            Sum of squares of the residuals with it, (Vs)^2.
+            Sum of squared residuals with this delay, (Vs)^2.
         """
         columns = np.r_[VOLTAGE, SHIFT]
         left = self._left(solution, columns)
@@ -214,28 +227,28 @@ class Solver:
         return best, sigma, least
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
-        """Return the cross products of columns, less what the unknowns of a solution take of them."""
+        """Return the cross products of columns after projecting out the unknowns of a solution."""
         half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
-    def _further(self, t: sparse.csr_array, noise: sparse.csr_array) -> FloatArray:
-        """Return what noise adds to T'Z'ZT."""
+    def _on_unknowns(self, t: sparse.csr_array, noise: sparse.csr_array) -> FloatArray:
+        """Return the products (P, P) of noise in the map as an addition to T'Z'ZT."""
         in_map = t[self.model.map]
         return np.asarray((in_map.T @ noise @ in_map).toarray())
 
-    def _normal(self, choice: Choice) -> tuple[sparse.csr_array, FloatArray]:
-        """Return T and T'Z'ZT, which neither the penalty nor the delay changes."""
-        key = replace(choice, penalty=0.0, delay=0.0)
+    def _normal(self, spec: ModelSpec) -> tuple[sparse.csr_array, FloatArray]:
+        """Return T and T'Z'ZT, which depend on neither penalty nor delay."""
+        key = replace(spec, penalty=0.0, delay=0.0)
         if key not in self._normals:
-            t = basis(self.model, choice)
+            t = basis(self.model, spec)
             self._normals[key] = t, congruent(t, self.total)
         return self._normals[key]
 
-    def _voltage(self, choice: Choice) -> FloatArray:
-        """Return the combination (size,) of columns that is the integral of the voltage that acted."""
+    def _voltage(self, spec: ModelSpec) -> FloatArray:
+        """Return the combination (size,) of columns that is the integral of the delayed voltage."""
         voltage = np.zeros(self.model.size)
         voltage[VOLTAGE] = 1.0
-        voltage[SHIFT] = -delay_shares(choice.delay)
+        voltage[SHIFT] = -delay_shares(spec.delay)
         return voltage
 
     def _penalty(self, t: sparse.csr_array, penalty: float) -> FloatArray:
@@ -245,6 +258,56 @@ class Solver:
 def predictable(errors: FloatArray) -> BoolArray:
     """Tell (F,) which folds the others can predict, by their squared errors (F,).
 
-    What only one fold visits, such as the way from rest to the figure, would outweigh all else in a choice.
+    A region that only one fold visits, such as the ramp from zero to the trajectory, would outweigh all else.
     """
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
+
+
+def thinned(i_dq: FloatArray) -> FloatArray:
+    """Return some 1000 of the currents (N, 2), evenly over time: enough for a mean."""
+    return i_dq[:: -(-len(i_dq) // _THINNED)]
+
+
+def noise_products(solver: Solver, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
+    """Return N (P, P) of the map's P coefficients, (Vs)^2, see the module.
+
+    Parameters
+    ----------
+    solver : Solver
+    solution : FullSolution
+        Gives the slopes dB gamma of the map.
+    i_dq : (N, 2) float
+        Some of the measured currents, evenly over time, A.
+    squares : float
+        Sum of squared residuals caused by the noise, (Vs)^2, which scales N.
+    """
+    model = solver.model
+    slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
+    products = sum(one.T @ one for one in slopes)
+    gamma = solution.estimate[model.map]
+    shown = max(float(gamma @ (products @ gamma)), _TINY)
+    return sparse.csr_array(products * (max(squares, 0.0) / shown))
+
+
+def correct_attenuation(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[FullSolution, FloatArray]:
+    """Correct the map for the attenuation by noise in the currents, ``x + (A + N)^-1 N x``.
+
+    Parameters
+    ----------
+    solver : Solver
+    solution : FullSolution
+    i_dq : (N, 2) float
+        As in :func:`noise_products`.
+
+    Returns
+    -------
+    FullSolution, (size,) float
+        The corrected estimate, and a bound on the bias that is left: the attenuation of the correction itself. It is
+        nearly as large as the correction where only noise moves the currents in some direction, as across a ring.
+    """
+    noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
+    twice = solver.solve(solution.spec, noise)
+    correction = solution.estimate - twice.estimate
+    gradient = np.zeros(solver.model.size)
+    gradient[solver.model.map] = noise @ correction[solver.model.map]
+    return replace(solution, estimate=solution.estimate + correction), twice.response(gradient)

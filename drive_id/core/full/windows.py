@@ -1,11 +1,11 @@
-"""The voltage balance over windows, in the stator frame: exact for any speed, with the basis at two instants only.
+"""Voltage balance over windows in the stator frame: exact at any speed, with the flux at two instants only.
 
 With psi_s = e^{j theta} f(i, theta), integrating u_s = R i_s + drop_s + d psi_s / dt from t_0 to t_1 gives
 
     e^{j theta_1} f(i_1, theta_1) - e^{j theta_0} f(i_0, theta_0) = int u_s - R int i_s - int drop_s.
 
-No speed stands in it and nothing is differenced, so the noise of the currents enters at the ends only. A window turns
-the rotor by about 60 degrees electrical, never by a whole period, over which a constant flux would drop out.
+It contains neither speed nor derivatives, so current noise enters at the ends only. During a window the rotor turns by
+about 60 degrees electrical, never by a whole period, over which a constant flux would cancel.
 """
 
 from __future__ import annotations
@@ -19,25 +19,24 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
-from drive_id.types import FloatArray, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE = np.deg2rad(60.0)
 LONGEST_WINDOW = 0.1
-"""s; at low speed, where 60 degrees would take longer."""
+"""Limit at low speed, where 60 degrees would take longer, s."""
 STRIDE = 0.8e-3
-"""Mean distance of the starts of windows, s."""
+"""Mean distance between the starts of windows, s."""
 SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
-"""The voltage is kept at these samples beside both ends, to be shifted in time later on."""
-
+"""Samples beside both ends at which the voltage is kept, so that it can be shifted in time later."""
 MOST_DELAY = float(-SHIFTS[0])
-"""Samples; of the voltage, either way."""
+"""Largest delay of the voltage in either direction, samples."""
 
 _REACH = 4
 _ROUNDING = 1e-9  # s
 _FEWEST = 4096
-"""Samples to wait for before a stream is cut, so that the overlap with what was cut before costs little."""
+"""Samples to collect before windows are cut, so that overlaps cost little."""
 _FINEST = 1e-4
-"""Windows start and end at every sample, or where these are finer, about every so many seconds."""
+"""Grid of the ends of windows where samples are closer, s."""
 _SPEED_SPAN = 5e-3
 _GOLDEN = 0.6180339887498949
 
@@ -49,7 +48,7 @@ class Windows:
     Parameters
     ----------
     time : (N,) float
-        Time of data before the start, gaps left out, s.
+        Time of the start, gaps not counted, s.
     i_dq : (N, 2, 2) float
         Measured currents at [start, end], A.
     angle : (N, 2) float
@@ -61,16 +60,16 @@ class Windows:
     duration : (N,) float
         s.
     shifted : (N, len(SHIFTS)) complex
-        T (u_s[end + shift] - u_s[start + shift]): what a shift of the voltage by one sample changes, Vs.
+        T (u_s[end + shift] - u_s[start + shift]): change of the integral per sample of delay, Vs.
     shape : (N, S, 3) float
         Integrals of the inverter's shapes of each phase's current, s.
     lag : (N, L) complex
-        What the integrals of coarse shapes, s, exceed those of the currents i_dq of one sample before, turned with the
-        rotor: these a drive compensates the drop with.
+        Integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by which
+        a drive compensates the drop, s.
     heating : (N,) float
-        Temperature above that at which resistance and flux map are wanted, K.
+        Temperature above the reference temperature of resistance and flux map, K.
     drop_scale : (N,) float
-        DC-link voltage over that at which the inverter's curve is wanted.
+        DC-link voltage over the reference voltage of the inverter's curve.
     """
 
     time: FloatArray
@@ -89,33 +88,34 @@ class Windows:
         return len(self.time)
 
     def interval(self, length: float) -> IntArray:
-        """Return in which interval of a length, s, each window (N,) starts; rounding of the times must not matter."""
+        """Return the number (N,) of the interval of ``length`` seconds in which each window starts."""
         return np.asarray((self.time + _ROUNDING) / length).astype(np.int64)
 
-    def part(self, chosen: slice | IntArray) -> Windows:
+    def part(self, selected: slice | IntArray) -> Windows:
         """Return some of the windows."""
-        return Windows(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Windows(*(getattr(self, field.name)[selected] for field in fields(self)))
 
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
-        """Put windows one after the other."""
+        """Concatenate windows."""
         return Windows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Windows)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Samples without a gap, bare."""
+    """Samples without a gap."""
 
     i_abc: FloatArray
     u_abc: FloatArray
     angle: FloatArray
     speed: FloatArray
+    idle: BoolArray
 
     def __len__(self) -> int:
         return len(self.angle)
 
-    def part(self, chosen: slice) -> _Stretch:
-        return _Stretch(self.i_abc[chosen], self.u_abc[chosen], self.angle[chosen], self.speed[chosen])
+    def part(self, selected: slice) -> _Stretch:
+        return _Stretch(*(getattr(self, field.name)[selected] for field in fields(self)))
 
     def followed_by(self, other: _Stretch) -> _Stretch:
         pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)]
@@ -123,7 +123,7 @@ class _Stretch:
 
 
 class WindowCutter:
-    """Cuts samples into windows as they come; how they are divided into pieces does not matter.
+    """Cuts a stream of samples into windows; the result does not depend on how the stream is divided.
 
     Parameters
     ----------
@@ -136,32 +136,35 @@ class WindowCutter:
         self._heating, self._drop_scale = 0.0, 1.0
         self._rest: _Stretch | None = None  # samples that later windows need
         self._period = 0.0
-        self._origin = 0  # number of the rest's first sample within its run
-        self._number = 0  # of windows cut from the run
+        self._origin = 0  # index of the rest's first sample within its run
+        self._number = 0  # windows placed in the run
         self._time = 0.0  # of data before the rest, s
 
     def copy(self) -> WindowCutter:
-        """Return a cutter that goes its own way from here."""
+        """Return an independent copy."""
         return copy.copy(self)
 
     def set_conditions(self, heating: float, drop_scale: float) -> None:
-        """Tell how hot the machine is, K, and how high the DC link, relative to the reference, in what comes now."""
+        """Set temperature rise, K, and relative DC-link voltage of the samples to come, see :class:`Windows`."""
         self._heating, self._drop_scale = heating, drop_scale
 
     def restart(self, time: float) -> None:
-        """Count from another time on, s, after :meth:`finish`."""
+        """Continue at another time, s, after :meth:`finish`."""
         self._time = time
 
-    def cut(self, samples: Samples, *, continues: bool = False) -> Iterator[Windows]:
-        """Yield windows of further samples, some of them not before :meth:`finish`.
+    def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
+        """Yield the windows of further samples; the last ones follow with :meth:`finish`.
 
         Parameters
         ----------
         samples : Samples
+        idle : (N,) bool, optional
+            Samples at rest: windows that begin and end at one are left out.
         continues : bool
-            They begin with the last sample of those before.
+            The first of these samples is the last one of the samples before.
         """
-        whole = _Stretch(samples.i_abc, samples.u_abc, samples.angle, samples.speed)
+        idle = np.zeros(len(samples), np.bool_) if idle is None else idle
+        whole = _Stretch(samples.i_abc, samples.u_abc, samples.angle, samples.speed, idle)
         fewest = max(_FEWEST, int(2 * LONGEST_WINDOW / samples.sample_period))
         for number, run in enumerate(samples.runs()):
             if continues and number == 0 and self._rest is not None:
@@ -183,13 +186,15 @@ class WindowCutter:
             self._rest = None
 
     def _cut(self, stretch: _Stretch) -> Iterator[Windows]:
-        """Yield the windows that end within the beginning of the rest, and forget what none needs any more."""
+        """Yield the windows that end within ``stretch``, the beginning of the rest; drop samples no longer needed."""
         assert self._rest is not None  # for the type checker
         begin, length = self._places(stretch)
         complete = begin + length + _REACH < len(stretch)
         count = len(begin) if complete.all() else int(complete.argmin())
-        if count:
-            yield self._windows(stretch, begin[:count], begin[:count] + length[:count])
+        begin_used, end_used = begin[:count], begin[:count] + length[:count]
+        moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
+        if moving.any():
+            yield self._windows(stretch, begin_used[moving], end_used[moving])
         self._number += count
         grain = _grain(self._period)
         past = max(0, int(begin[count]) - grain * -(-_REACH // grain)) if count < len(begin) else 0
@@ -197,10 +202,10 @@ class WindowCutter:
         self._time += past * self._period
 
     def _places(self, stretch: _Stretch) -> tuple[IntArray, IntArray]:
-        """Return where the next windows start, within the stretch, and how many samples long they are.
+        """Return the starts of the next windows within the stretch and their lengths in samples.
 
-        Equally spaced starts would see a rotor-position harmonic at the same phase for ever where the speed has an
-        unlucky ratio to them; a golden-section jitter spreads them evenly over all phases.
+        Equally spaced starts can lock to the phase of a rotor-position harmonic at certain speeds; a golden-section
+        jitter spreads them evenly over all phases.
         """
         grain = _grain(self._period)
         stride = max(1.0, STRIDE / self._period / grain)

@@ -1,1 +1,1 @@
-"""What flux maps and inverter curves are made of: splines of flux and co-energy, coverage, continuation."""
+"""Flux maps and inverter curves: tensor and co-energy splines, shapes of the drop, coverage."""

@@ -1,10 +1,9 @@
-"""Splines of a co-energy and of its gradient: flux maps that are reciprocal by construction, or free, in one space.
+"""Co-energy splines and their gradients: reciprocal and free flux maps in one space.
 
 The co-energy W(i_d, i_q) is a tensor-product B-spline of degree p on both axes. Its derivative by i_d has degree p - 1
-along i_d and p along i_q, its derivative by i_q the reverse. A flux map with coefficients of its own in these two
+along i_d and p along i_q, its derivative by i_q the reverse. A flux map with independent coefficients in these two
 spaces is *free*; ``gamma = G w`` makes it the gradient of a co-energy with coefficients w, hence reciprocal,
-``d psi_d / d i_q = d psi_q / d i_d``. What has been accumulated for the free map is a congruence away from that of the
-reciprocal one, ``G' N G``.
+``L_dq = L_qd``. A normal matrix N accumulated for the free map serves the reciprocal one as ``G' N G``.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ import numpy as np
 from scipy import sparse
 
 from drive_id.core.maps.flux_models import BasisRows
-from drive_id.core.numerics.spline_kernels import spline_values, tensor_products
+from drive_id.core.numerics.bspline import spline_values, tensor_products
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _BEND = 2.0
-"""Cells are ``cosh(_BEND)`` (about 3.8) times narrower at zero current than at the rim: iron bridges saturate early."""
+"""Cells at zero current are ``cosh(_BEND)``, about 3.8, times narrower than at the rim: iron bridges saturate early."""
 
 
 def bent_edges(low: float, high: float, cells: int) -> FloatArray:
-    """Return cells + 1 edges over [low, high], A, ``I sinh(bend z) / sinh(bend)`` of equally spaced z."""
+    """Return cells + 1 edges over [low, high], A: ``I sinh(bend z) / sinh(bend)`` of equally spaced z."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high and cells >= 1):
         raise ConfigurationError(f"{cells} cells from {low} A to {high} A: give low < high and at least one cell.")
     largest = max(abs(low), abs(high))
@@ -37,7 +36,7 @@ def bent_edges(low: float, high: float, cells: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """B-splines of one degree on cells of any width, clamped at the ends.
+    """B-splines on cells of any width, clamped at the ends.
 
     Parameters
     ----------
@@ -66,19 +65,19 @@ class SplineBasis:
         Parameters
         ----------
         x : (N,) float
-            A; beyond the ends, as on them.
+            A; values beyond the ends are moved to them.
 
         Returns
         -------
         (N,) int, (N, degree + 1) float
-            First function that is not zero, and the values of it and its successors.
+            First non-zero function, and the values of it and its successors.
         """
         cell, w = np.empty(len(x), np.int64), np.empty((len(x), self.degree + 1))
         spline_values(np.ascontiguousarray(x), self.knots, self.degree, cell, w)
         return cell, w
 
     def slopes(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Evaluate the derivatives by x, 1/A: as :meth:`values`."""
+        """Evaluate the derivatives, 1/A, as :meth:`values`."""
         cell, lower = SplineBasis(self.edges, self.degree - 1).values(x)
         knot = cell + self.degree
         share = (
@@ -92,7 +91,7 @@ class SplineBasis:
         return cell, w
 
     def derivative(self) -> sparse.csr_array:
-        """Return the matrix (count - 1, count) from coefficients to those of the derivative, of one degree less."""
+        """Return the matrix (count - 1, count) from coefficients to those of the derivative, one degree lower."""
         width = self.knots[self.degree + 1 : self.degree + self.count] - self.knots[1 : self.count]
         step = sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(self.count - 1, self.count))
         return sparse.csr_array(sparse.diags_array(self.degree / width) @ step)
@@ -103,9 +102,9 @@ class SplineBasis:
 
 @dataclass(frozen=True, eq=False)
 class GradientSpline:
-    """Flux maps in the space of the gradients of a co-energy spline: a :class:`~.flux_models.FluxModel`.
+    """Flux maps in the space of gradients of a co-energy spline: a :class:`~.flux_models.FluxModel`.
 
-    The parameters are those of psi_d, row-major in [i_d, i_q], before those of psi_q.
+    The parameters of psi_d, row-major in [i_d, i_q], come before those of psi_q.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ class GradientSpline:
 
     @classmethod
     def within(cls, low: FloatArray, high: FloatArray, cells: int, degree: int) -> GradientSpline:
-        """Divide a rectangle from ``low`` (2,) to ``high`` (2,), A, into cells that are finer at zero current."""
+        """Divide the rectangle from ``low`` (2,) to ``high`` (2,), A, into cells that are finer at zero current."""
         return cls(bent_edges(low[0], high[0], cells), bent_edges(low[1], high[1], cells), degree)
 
     @property
@@ -154,7 +153,7 @@ class GradientSpline:
         return SplineBasis(self.q, self.degree)
 
     def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A; currents outside the range count as on its edge."""
+        """Return B at currents (N, 2), A; currents outside the range are moved to its edge."""
         i_d, i_q = i_dq[:, 0], i_dq[:, 1]
         return self._joined(
             self._low_d.values(i_d), self._high_q.values(i_q), self._high_d.values(i_d), self._low_q.values(i_q)
@@ -163,13 +162,13 @@ class GradientSpline:
     def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
         """Return dB/di_d and dB/di_q at currents (N, 2), A."""
         i_d, i_q = i_dq[:, 0], i_dq[:, 1]
-        by_d = self._joined(
+        slopes_d = self._joined(
             self._low_d.slopes(i_d), self._high_q.values(i_q), self._high_d.slopes(i_d), self._low_q.values(i_q)
         )
-        by_q = self._joined(
+        slopes_q = self._joined(
             self._low_d.values(i_d), self._high_q.slopes(i_q), self._high_d.values(i_d), self._low_q.slopes(i_q)
         )
-        return by_d, by_q
+        return slopes_d, slopes_q
 
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) which of the currents (N, 2), A, lie in the rectangle of the cells."""
@@ -179,13 +178,13 @@ class GradientSpline:
     @cached_property
     def gradient(self) -> sparse.csr_array:
         """G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
-        by_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
-        by_q = sparse.kron(sparse.eye_array(self._high_d.count), self._high_q.derivative())
-        return sparse.csr_array(sparse.vstack([by_d, by_q]))
+        psi_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
+        psi_q = sparse.kron(sparse.eye_array(self._high_d.count), self._high_q.derivative())
+        return sparse.csr_array(sparse.vstack([psi_d, psi_q]))
 
     @cached_property
     def roughness(self) -> sparse.csr_array:
-        """P (parameters, parameters): ``gamma' P gamma`` sums squared second differences of the coefficients."""
+        """P (parameters, parameters): ``gamma' P gamma`` sums the squared second differences of the coefficients."""
         d = _differences(self._low_d.count, self._high_q.count)
         q = _differences(self._high_d.count, self._low_q.count)
         return sparse.csr_array(sparse.block_diag([d, q]))

@@ -1,4 +1,4 @@
-"""Where in the current plane there are data: the mask of a map, and how much of the disc it covers."""
+"""Coverage of the current plane: counts per grid node, the mask of a map, and the share of the disc."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.numerics.running_sums import State, exactly
+from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1
 
 
 class Visits:
-    """Counts of samples at the nodes of the grid on which the maps are given.
+    """Counts of samples at the nodes of a map's grid.
 
     Parameters
     ----------
@@ -29,15 +29,15 @@ class Visits:
         self.count: IntArray = np.zeros((len(i_d), len(i_q)), np.int64)
 
     def add(self, i_dq: FloatArray) -> None:
-        """Count samples (N, 2), A, each at its nearest node; those off the grid are left out."""
-        # Without numba: the trajectory publisher counts its set-points by this, and loads no compiled kernel.
+        """Count samples (N, 2), A, at their nearest nodes; those off the grid are left out."""
+        # Not compiled: the trajectory publisher calls this at its first start and must not wait for numba.
         d, on_d = _cells(i_dq[:, 0], _edges(self.i_d))
         q, on_q = _cells(i_dq[:, 1], _edges(self.i_q))
         cell = (d * len(self.i_q) + q)[on_d & on_q]
         self.count += np.bincount(cell, minlength=self.count.size).reshape(self.count.shape)
 
     def copy(self) -> Visits:
-        """Return counts that go their own way from here."""
+        """Return an independent copy."""
         other = Visits(self.i_d, self.i_q)
         other.count = self.count.copy()
         return other
@@ -46,12 +46,12 @@ class Visits:
         """Add the counts of other samples on the same grid."""
         self.count += other.count
 
-    def state(self) -> State:
-        """Return the counts."""
+    def state(self) -> SavedSums:
+        """Return the counts as arrays."""
         return {"count": self.count.copy()}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         self.count = exactly(state["count"], self.count)
 
     def grid(self) -> FloatArray:
@@ -59,13 +59,12 @@ class Visits:
         return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
 
     def inside(self, hole_d: float, hole_q: float) -> BoolArray:
-        """Tell (D, Q) where data support the map: visited nodes, and holes between them.
+        """Tell (D, Q) where data support the map: visited nodes and small holes between them.
 
         Parameters
         ----------
         hole_d, hole_q : float
-            Largest hole that counts as covered, A: what a model of that resolution bridges. Nothing is added
-            outside of the visited region.
+            Largest hole that a model of this resolution bridges, A. Nothing is added outside the visited region.
         """
         radius_d = max(1.0, hole_d / 2 / (self.i_d[1] - self.i_d[0]))
         radius_q = max(1.0, hole_q / 2 / (self.i_q[1] - self.i_q[0]))
@@ -73,14 +72,14 @@ class Visits:
         grid = np.ogrid[-reach_d : reach_d + 1, -reach_q : reach_q + 1]
         ball = (grid[0] / radius_d) ** 2 + (grid[1] / radius_q) ** 2 <= 1.0
         typical = float(np.median(self.count[self.count > 0])) if self.count.any() else 0.0
-        visited = self.count > _STRAY_SHARE * typical  # a few stray samples of noise beyond the rim are no support
+        visited = self.count > _STRAY_SHARE * typical  # stray samples beyond the rim do not count
         padded = np.pad(visited, ((reach_d, reach_d), (reach_q, reach_q)))
         closed = ~_dilated(~_dilated(padded, ball), ball)
         return closed[reach_d:-reach_d, reach_q:-reach_q]
 
 
 def _dilated(mask: BoolArray, ball: BoolArray) -> BoolArray:
-    """Tell where a ball, symmetric and convex, meets the mask (D, Q), beyond whose edges there is nothing."""
+    """Dilate the mask (D, Q), empty beyond its edges, by a symmetric convex ball."""
     reach, count = len(ball) // 2, len(mask)
     steps = np.arange(mask.shape[1])
     sums = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
@@ -98,14 +97,14 @@ def _edges(axis: FloatArray) -> FloatArray:
 
 
 def _cells(x: FloatArray, edges: FloatArray) -> tuple[IntArray, BoolArray]:
-    """Return for each value (N,) its cell between the edges (C + 1,), and whether it lies within them, both (N,)."""
+    """Return for each value (N,) its cell between the edges (C + 1,) and whether it lies within them."""
     cell = np.searchsorted(edges, x, side="right") - 1
     cell = np.where(x == edges[-1], len(edges) - 2, cell)
     return cell, (cell >= 0) & (cell < len(edges) - 1)
 
 
 def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> float:
-    """Return the share (0 to 1) of the disc of radius ``i_max``, A, in which the mask (D, Q) holds."""
+    """Return the share (0 to 1) of the disc of radius ``i_max``, A, that the mask (D, Q) covers."""
     fine = np.linspace(-i_max, i_max, 201)
     node_d = np.rint(np.interp(fine, i_d, np.arange(len(i_d)), left=-1, right=-1)).astype(np.int64)
     node_q = np.rint(np.interp(fine, i_q, np.arange(len(i_q)), left=-1, right=-1)).astype(np.int64)

@@ -1,7 +1,7 @@
-"""Flux models that are linear in their parameters, ``f(i) = B(i) gamma`` (``eq:splines``).
+"""Flux models linear in their parameters, ``f(i) = B(i) gamma`` (``eq:splines``): tensor splines and polynomials.
 
-The regression asks a model only for the rows of B; the paper's remark on other linear-in-the-parameters models is the
-:class:`FluxModel` protocol. Rows are sparse: per sample and per axis (d, q), ``width`` columns and their values.
+The regression needs only the rows of B, see the :class:`FluxModel` protocol. Rows are sparse: per sample and axis
+(d, q), K columns and their values.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
 
@@ -31,9 +32,9 @@ class BasisRows:
     Parameters
     ----------
     column : (N, 2, K) int32
-        Parameters that act on psi_d and psi_q; a column may stand twice, its values add.
+        Parameters that act on psi_d and psi_q; the values of a repeated column add up.
     value : (N, 2, K) float
-        Their basis functions' values (unit: Wb per unit of the parameter).
+        Values of their basis functions, Wb per unit of the parameter.
     """
 
     column: ColumnArray
@@ -46,15 +47,15 @@ class BasisRows:
         return np.asarray((self.sparse(len(gamma)) @ gamma).reshape(*self.column.shape[:2], -1))
 
     def sparse(self, parameters: int) -> sparse.csr_array:
-        """Return the matrices as a sparse one, (2 N, parameters), rows of one current next to each other."""
-        from scipy import sparse  # noqa: PLC0415  # takes longer to load than a fit without it
+        """Return B as one sparse matrix (2 N, parameters), both rows of a current adjacent."""
+        from scipy import sparse  # noqa: PLC0415  # methods psm and joint do without scipy
 
         ends = np.arange(0, self.column.size + 1, self.column.shape[2])
         shape = (len(ends) - 1, parameters)
         return sparse.csr_array((self.value.ravel(), self.column.ravel(), ends), shape=shape)
 
     def dense(self, parameters: int) -> FloatArray:
-        """Return the matrices as (N, 2, parameters)."""
+        """Return B as (N, 2, parameters)."""
         out = np.zeros((*self.column.shape[:2], parameters))
         n, axis = np.indices(self.column.shape)[:2]
         np.add.at(out, (n, axis, self.column), self.value)
@@ -62,7 +63,7 @@ class BasisRows:
 
 
 class FluxModel(Protocol):
-    """Flux linkages as a function of i_dq that is linear in ``parameters`` coefficients."""
+    """Flux linkages psi_dq(i_dq), linear in ``parameters`` coefficients."""
 
     @property
     def parameters(self) -> int:
@@ -72,15 +73,20 @@ class FluxModel(Protocol):
         """Return B at currents (N, 2), A."""
 
     def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
-        """Return dB/di_d and dB/di_q at currents (N, 2), A: with gamma, the columns of the Jacobian D_f."""
+        """Return dB/di_d and dB/di_q at currents (N, 2), A, see :func:`jacobian`."""
 
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) which of the currents (N, 2), A, lie where the model is defined."""
 
 
+def jacobian(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> FloatArray:
+    """Return the incremental inductances [[L_dd, L_dq], [L_qd, L_qq]] at currents (N, 2), A, as (N, 2, 2), H."""
+    return np.stack([rows.dot(gamma) for rows in model.slope_rows(i_dq)], axis=-1)
+
+
 @dataclass(frozen=True)
 class TensorSpline:
-    """Tensor-product cubic B-splines (the paper's model), gamma_d before gamma_q, each row-major in [i_d, i_q].
+    """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q].
 
     Parameters
     ----------
@@ -97,7 +103,7 @@ class TensorSpline:
         return 2 * self.d.count * self.q.count
 
     def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A; currents outside the range count as on its edge."""
+        """Return B at currents (N, 2), A; currents outside the range are moved to its edge."""
         return self._rows(i_dq, 0, 0)
 
     def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
@@ -153,16 +159,16 @@ def _tensor_rows(
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, for psi_d and psi_q each.
+    """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, one for psi_d and one for psi_q.
 
-    Degree 1 is the classical linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees saturate.
+    Degree 1 is the linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees add saturation.
 
     Parameters
     ----------
     degree : int
         1 to 12.
     scale : float
-        Current that becomes 1, A; keeps the powers well conditioned.
+        Current mapped to 1, A, which keeps the powers well conditioned.
 
     Raises
     ------
@@ -214,7 +220,7 @@ class Polynomial:
 
 
 def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> tuple[TensorSpline, FloatArray]:
-    """Return the same map as splines: itself if it is one, otherwise interpolated on the axes.
+    """Return a map as tensor splines: unchanged if it is one, otherwise interpolated.
 
     Parameters
     ----------
@@ -222,7 +228,7 @@ def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> t
     gamma : (P,) float
         Its parameters, Wb.
     d, q : Axis
-        Where to interpolate a model of another kind.
+        Axes for the interpolation.
 
     Returns
     -------
@@ -236,16 +242,58 @@ def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> t
 
 
 def sites(d: Axis, q: Axis, density: int = 1) -> FloatArray:
-    """Return currents, A, equally spaced over both axes, ``density`` for each function: (density d.count, ..., 2)."""
+    """Return equally spaced currents, ``density`` per spline along each axis: (density d.count, ..., 2), A."""
     points = [np.linspace(axis.low, axis.high, density * axis.count) for axis in (d, q)]
     return np.stack(np.meshgrid(*points, indexing="ij"), axis=-1)
 
 
+@one_blas_thread(with_scipy=False)
 def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
-    """Return the parameters (2 * d.count * q.count,) of the tensor spline nearest to psi_dq (..., 2), Wb, at sites."""
+    """Return the parameters (2 * d.count * q.count,) of the least-squares tensor spline through psi_dq at sites, Wb."""
     matrices = [
         axis.collocation(np.linspace(axis.low, axis.high, count))
         for axis, count in zip((d, q), psi.shape[:2], strict=True)
     ]
     inverse_d, inverse_q = (np.linalg.pinv(matrix) for matrix in matrices)
     return np.asarray(np.einsum("ax,xyk,by->kab", inverse_d, psi, inverse_q, optimize=True).ravel())
+
+
+@one_blas_thread(with_scipy=False)
+def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances: tuple[float, float]) -> FloatArray:
+    """Replace coefficients that the data do not determine by a continuation with given slopes.
+
+    Functions that only noise at the rim reached have coefficients of many times the flux. They hardly matter within the
+    data, but a simulation whose current leaves the disc for a moment would meet them.
+
+    Parameters
+    ----------
+    model : TensorSpline
+    gamma : (P,) float
+        Coefficients, Wb.
+    weak : (P,) bool
+        Coefficients that the data do not determine.
+    inductances : (float, float)
+        Slopes of psi_d over i_d and of psi_q over i_q, H; the cross slopes are zero.
+
+    Returns
+    -------
+    (P,) float
+        Coefficients, Wb; the steps between neighbours fit the slopes by least squares.
+    """
+    steps_d = np.kron(_steps(model.d.count), np.eye(model.q.count))
+    steps_q = np.kron(np.eye(model.d.count), _steps(model.q.count))
+    steps = np.concatenate([steps_d, steps_q])
+    slope_d, slope_q = inductances[0] * model.d.width, inductances[1] * model.q.width
+    wanted_d = np.repeat([slope_d, 0.0], [len(steps_d), len(steps_q)])
+    wanted_q = np.repeat([0.0, slope_q], [len(steps_d), len(steps_q)])
+    out: FloatArray = gamma.copy()
+    for flux, wanted in zip(np.split(np.arange(len(gamma)), 2), (wanted_d, wanted_q), strict=True):
+        free, fixed = weak[flux], ~weak[flux]
+        if free.any() and fixed.any():
+            target = wanted - steps[:, fixed] @ gamma[flux[fixed]]
+            out[flux[free]] = np.linalg.lstsq(steps[:, free], target, rcond=None)[0]
+    return out
+
+
+def _steps(count: int) -> FloatArray:
+    return np.eye(count)[1:] - np.eye(count)[:-1]

@@ -1,4 +1,4 @@
-"""Shape of the inverter's voltage drop over the phase current."""
+"""Shapes of the inverter's voltage drop over the phase current."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from drive_id.types import FloatArray
 class TanhShape:
     """The paper's one-parameter shape, ``drop = u_e tanh(i / i_s)`` per phase (``eq:voltage_disturbance``).
 
-    The paper prints tanh of amperes, which is a scale of 1 A, and the opposite sign: its disturbance is added to the
-    commanded voltage, ours is the drop that the inverter takes away, positive for positive current.
+    The paper prints tanh of amperes, a scale of 1 A, with the opposite sign: its disturbance is added to the commanded
+    voltage; our drop is subtracted from it, positive for positive current.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class TanhShape:
 
 @dataclass(frozen=True, eq=False)
 class CapacitiveShapes:
-    """A dictionary of odd saturating curves, method ``full``: sums of them take the form of any real inverter's drop.
+    """Odd saturating curves whose sums fit the drop of real inverters, method ``full``.
 
-    With x = i / scale each is x/2 for |x| < 1 and sign(x) (1 - 1/(2|x|)) beyond, the law of a dead time during which
-    the current charges the capacitances of the legs. All tend to 1: a part that is linear over the whole range is none
-    of them, and counts as resistance.
+    With x = i / scale each is x/2 for |x| < 1 and sign(x) (1 - 1/(2|x|)) beyond: the law of a dead time during which
+    the current charges the capacitances of the legs. All tend to 1; a drop that is linear over the whole range counts
+    as resistance.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ class CapacitiveShapes:
 
     @classmethod
     def up_to(cls, i_max: float) -> CapacitiveShapes:
-        """Take scales from an 800th to a 6th of the largest current, A, each twice the one before."""
+        """Return eight curves with scales from i_max / 800 to about i_max / 6, A, each twice the previous."""
         return cls(i_max / 800 * 2.0 ** np.arange(8, dtype=np.float64))
 
     @property
     def coarse(self) -> CapacitiveShapes:
-        """Every second curve: enough for what is small beside the drop itself."""
+        """Every second curve: enough for effects that are small beside the drop."""
         return CapacitiveShapes(self.scales[::2])
 
     def __call__(self, i: FloatArray) -> FloatArray:
@@ -83,7 +83,7 @@ class CapacitiveShapes:
         Returns
         -------
         (N, S, 3) float
-            From the first sample to each, s.
+            Integrals from the first sample on, s.
         """
         out = np.zeros((len(i_abc), len(self.scales), 3))
         step = np.diff(i_abc, axis=0)
@@ -91,7 +91,7 @@ class CapacitiveShapes:
             x = np.abs(i_abc) / scale
             beyond = np.maximum(x, 1.0)
             primitive = scale * (np.minimum(x, 1.0) ** 2 / 4 + (beyond - 1) - 0.5 * np.log(beyond))
-            flat = np.abs(step) < 1e-5 * scale  # where the difference quotient loses its digits
+            flat = np.abs(step) < 1e-5 * scale  # where the difference quotient cancels
             middle = CapacitiveShapes(self.scales[number : number + 1])(i_abc[:-1] + step / 2)[..., 0]
             mean = np.where(flat, middle, np.diff(primitive, axis=0) / np.where(flat, 1.0, step))
             np.cumsum(period * mean, axis=0, out=out[1:, number])

@@ -1,1 +1,1 @@
-"""Splines, kernels, threads, normal equations and running sums: no drive in here yet."""
+"""Numerics without drives: B-splines, compilation, normal equations, running sums, threads."""

@@ -1,7 +1,8 @@
-"""Uniform cubic B-splines: weights of the four functions that live in a cell, and their slopes.
+"""B-splines: uniform cubic ones of the paper, and any degree on any knots.
 
-``n`` functions on ``[low, high]`` have ``n - 3`` cells of equal width and equally spaced knots also beyond the ends
-(the P-spline convention, Fahrmeir et al. 2013, section 8.1); in cell ``c`` functions ``c ... c + 3`` are non-zero.
+``n`` uniform cubic functions on ``[low, high]`` have ``n - 3`` cells of equal width and equally spaced knots, also
+beyond the ends (the P-spline convention, Fahrmeir et al. 2013, section 8.1); in cell ``c`` functions ``c ... c + 3``
+are non-zero.
 """
 
 from __future__ import annotations
@@ -9,22 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core.numerics.compiled import compiled
 from drive_id.errors import ConfigurationError
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, IntArray
 
-_SIXTH = 1 / 6  # a division takes longer than all the rest of the weights
+_SIXTH = 1 / 6  # divisions are slow
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of one current, A, divided for ``count`` cubic B-splines.
+    """Range of one current, A, with ``count`` cubic B-splines.
 
     Raises
     ------
     ConfigurationError
-        When the range is empty or fewer than four functions are asked for.
+        When the range is empty or ``count`` is below four.
     """
 
     low: float
@@ -43,7 +45,7 @@ class Axis:
         return (self.high - self.low) / (self.count - 3)
 
     def sites(self) -> FloatArray:
-        """Return ``count`` equally spaced points over the range, ends included, at which interpolation is unique."""
+        """Return ``count`` equally spaced points over the range, ends included: interpolation there is unique."""
         return np.linspace(self.low, self.high, self.count)
 
     def collocation(self, points: FloatArray) -> FloatArray:
@@ -54,7 +56,7 @@ class Axis:
 
 @compiled
 def locate(x: float, low: float, width: float, cells: int) -> tuple[int, float]:
-    """Return the cell that holds ``x`` and the position in it; beyond the ends, the end cell and its edge."""
+    """Return the cell of ``x`` and the position in it, 0 to 1; beyond the ends, the end cell and its edge."""
     position = (x - low) / width
     if not position > 0.0:
         return 0, 0.0
@@ -91,7 +93,7 @@ def basis_matrix(points: FloatArray, knots: FloatArray) -> FloatArray:
     ----------
     points : (N,) float
     knots : (n + 4,) float
-        Not falling.
+        In ascending order.
 
     Returns
     -------
@@ -113,12 +115,12 @@ def basis_matrix(points: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 def interpolation_matrix(nodes: FloatArray, points: FloatArray) -> FloatArray:
-    """Return what the values at the nodes weigh in the not-a-knot cubic spline through them at the points.
+    """Return the weights of the values at the nodes in the not-a-knot cubic spline through them.
 
     Parameters
     ----------
     nodes : (n,) float
-        Rising, at least 4.
+        Increasing, at least 4.
     points : (N,) float
         Within the nodes.
 
@@ -129,3 +131,76 @@ def interpolation_matrix(nodes: FloatArray, points: FloatArray) -> FloatArray:
     knots = np.concatenate([np.repeat(nodes[0], 4), nodes[2:-2], np.repeat(nodes[-1], 4)])
     weights = np.linalg.solve(basis_matrix(nodes, knots).T, basis_matrix(points, knots).T)
     return np.asarray(weights.T)
+
+
+@compiled
+def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
+    """Evaluate B-splines by the Cox-de Boor recursion.
+
+    Parameters
+    ----------
+    x : (N,) float
+        Points; those beyond the ends are moved to them.
+    knots : (C + 1 + 2 degree,) float
+        Clamped.
+    degree : int
+    cell : (N,) int
+        Output: first non-zero function.
+    w : (N, degree + 1) float
+        Output: values of that function and its successors.
+    """
+    cells = len(knots) - 1 - 2 * degree
+    for n in range(len(x)):
+        at = min(max(x[n], knots[degree]), knots[degree + cells])
+        low, high = 0, cells
+        while high - low > 1:
+            middle = (low + high) // 2
+            if at >= knots[degree + middle]:
+                low = middle
+            else:
+                high = middle
+        knot = low + degree
+        cell[n] = low
+        w[n, 0] = 1.0
+        for order in range(1, degree + 1):
+            carried = 0.0
+            for k in range(order):
+                left, right = knots[knot + 1 - order + k], knots[knot + 1 + k]
+                share = w[n, k] / (right - left)
+                w[n, k] = carried + (right - at) * share
+                carried = (at - left) * share
+            w[n, order] = carried
+
+
+@compiled
+def tensor_products(
+    cell_d: IntArray,
+    w_d: FloatArray,
+    cell_q: IntArray,
+    w_q: FloatArray,
+    count_q: int,
+    offset: int,
+    column: NDArray[np.int32],
+    value: FloatArray,
+) -> None:
+    """Multiply the splines of two axes.
+
+    Parameters
+    ----------
+    cell_d, w_d, cell_q, w_q
+        Per axis, see :func:`spline_values`.
+    count_q : int
+        Functions along the second axis.
+    offset : int
+        Column of the first product.
+    column, value : (N, K)
+        Output.
+    """
+    for n in range(len(cell_d)):
+        k = 0
+        for a in range(w_d.shape[1]):
+            first = offset + (cell_d[n] + a) * count_q + cell_q[n]
+            for b in range(w_q.shape[1]):
+                column[n, k] = first + b
+                value[n, k] = w_d[n, a] * w_q[n, b]
+                k += 1

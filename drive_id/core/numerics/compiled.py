@@ -1,4 +1,4 @@
-"""The one place that meets numba, so that typing, caching and flags are the same for every kernel."""
+"""Compilation by numba, with the same typing, caching and flags for every kernel."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile ``kernel`` at its first call, keep the machine code on disk, and release the GIL while it runs.
+    """Compile ``kernel`` at its first call, cache the machine code on disk, and release the GIL while it runs.
 
-    No fast-math: results must not depend on the order in which a compiler likes to sum.
+    Without fast-math, so that results do not depend on the compiler's order of summation.
     """
     return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(kernel))
 
 
 def inlined(kernel: Kernel) -> Kernel:
-    """Compile ``kernel`` as a part of each kernel that calls it, so that calling it costs nothing."""
+    """Inline ``kernel`` into each kernel that calls it."""
     return cast(Kernel, numba.njit(inline="always", nogil=True, error_model="numpy")(kernel))

@@ -1,4 +1,4 @@
-"""The largest values of a stream of any length, and what accompanies them: exact quantiles near the top."""
+"""The largest values of a stream of any length with companion values: exact quantiles near the top."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
 KEPT = 1 << 17
-"""Values kept: the quantile of 99.9 % is exact up to 1000 times as many values."""
+"""Values kept: the 99.9 % quantile is exact for up to 1000 times as many."""
 
 
 class Largest:
-    """Keeps the largest of many values with their companions, and the ranges of the companions of all others.
+    """Keeps the largest values of a stream with their companions, and the range of all other companions.
 
     Parameters
     ----------
     companions : int
-        Numbers that accompany each value.
+        Number of companions of each value.
     kept : int
     """
 
     def __init__(self, companions: int, kept: int = KEPT) -> None:
         self.count = 0
         self.low: FloatArray = np.full(companions, np.inf)
-        """Least companions of the values that are not kept."""
+        """Smallest companions of the values not kept."""
         self.high: FloatArray = np.full(companions, -np.inf)
         self._kept = kept
         self._rows: FloatArray = np.empty((0, 1 + companions))
         self._waiting: list[FloatArray] = []
         self._waiting_count = 0
-        self._floor = -np.inf  # a value below is not among the largest
+        self._floor = -np.inf  # smaller values are not among the largest
 
     def add(self, rows: FloatArray) -> None:
-        """Take further values, (N, 1 + companions) with the value first."""
+        """Add values, (N, 1 + companions) with the value first."""
         self.count += len(rows)
         candidates = np.empty_like(rows)
         found = _divide(rows, self._floor, candidates, self.low, self.high)
@@ -85,7 +85,7 @@ def top_quantile(largest: FloatArray, count: int, share: float) -> float:
 
 @compiled
 def _divide(rows: FloatArray, floor: float, candidates: FloatArray, low: FloatArray, high: FloatArray) -> int:
-    """Copy the rows (N, C) whose value reaches the floor, and widen the range of the companions by the others."""
+    """Copy the rows (N, C) whose value reaches the floor, and extend the range of the companions by the others."""
     found = 0
     for k in range(len(rows)):
         if rows[k, 0] >= floor:

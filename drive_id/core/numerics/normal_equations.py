@@ -1,4 +1,4 @@
-"""Penalized normal equations: congruences of cross products, and their solution for one penalty or several."""
+"""Penalized normal equations: change of unknowns, Cholesky factors, solutions for one penalty or several."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
 
 
 def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
-    """Return A v of a v with few entries."""
+    """Return A v for a v with few non-zero entries."""
     entries = np.flatnonzero(voltage)
     return np.asarray(matrix[:, entries] @ voltage[entries])
 
@@ -27,7 +27,7 @@ def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
 def penalized(
     normal: FloatArray, moment: FloatArray, penalties: Sequence[FloatArray], in_map: BoolArray
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ in the map's unknowns only."""
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in the unknowns of the map."""
     inner, outer = np.flatnonzero(in_map), np.flatnonzero(~in_map)
     factor, scale = factorize((normal + penalties[0])[np.ix_(outer, outer)])
 
@@ -48,7 +48,7 @@ def penalized(
 
 
 def factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the Cholesky factor of the matrix scaled to a diagonal of ones, and the scale."""
+    """Return the lower Cholesky factor of the matrix scaled to a unit diagonal, and the scale."""
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
     scaled = normal / scale[:, None]

@@ -1,4 +1,4 @@
-"""Passes over whole arrays without temporary arrays of their size: order, shifts, rests, second differences."""
+"""Single passes over long arrays without temporaries: order, shifts, rests, second differences."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 def all_finite(values: FloatArray) -> bool:
     """Tell whether all values are finite."""
     with np.errstate(over="ignore", invalid="ignore"):
-        total = values.sum()  # of finite values it is finite, unless they are absurd
+        total = values.sum()  # finite for finite values, unless they overflow
     return bool(np.isfinite(total) or np.isfinite(values).all())
 
 
 @compiled
 def rising(stamp: IntArray) -> bool:
-    """Tell whether each stamp (N,) exceeds the one before."""
+    """Tell whether the stamps (N,) are strictly increasing."""
     falls = 0
     for k in range(1, len(stamp)):
         falls += stamp[k] <= stamp[k - 1]
@@ -28,7 +28,7 @@ def rising(stamp: IntArray) -> bool:
 
 @compiled
 def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
-    """Tell whether the first stamps (M,) lie ``shift`` behind the entries of the clock (N,), one by one."""
+    """Tell whether the first N of the stamps (M,) exceed the entries of the clock (N,) by exactly ``shift``."""
     others = 0
     for k in range(len(clock)):
         others += stamp[k] - clock[k] != shift
@@ -37,18 +37,18 @@ def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
 
 @compiled
 def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
-    """Mark in ``idle`` (N,) the samples that come after a longer rest than allowed.
+    """Mark in ``idle`` (N,) the samples after longer rests at zero current than allowed.
 
     Parameters
     ----------
     i_dq : (N, 2) float
-        Of one run, A.
+        Currents of one run, A.
     least : float
-        Amplitude below which the current rests, A.
+        Amplitude below which the current counts as zero, A.
     period, longest : float
-        Sample period, and how long a rest may last, s.
+        Sample period and longest rest allowed, s.
     rest : int
-        Samples of rest before these.
+        Preceding samples of rest.
     idle : (N,) bool
 
     Returns

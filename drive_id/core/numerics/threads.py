@@ -1,14 +1,16 @@
-"""Work on several things at once, in threads: what numpy and the kernels do for long lets others go on meanwhile."""
+"""Threads: several pieces of work at once, and one thread of BLAS for each."""
 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -17,7 +19,7 @@ _MOST = 4
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return what ``work`` makes of each item, in their order: the same whatever the number of threads is."""
+    """Return ``work(item)`` of each item in order, computed in up to four threads."""
     threads = min(_MOST, os.cpu_count() or 1, len(items))
     if threads < 2:
         return [work(item) for item in items]
@@ -25,16 +27,33 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
         return list(pool.map(work, items))
 
 
+_limit = threading.Lock()  # held by whoever limits BLAS: only the thread that set a limit can restore it
+
+
+@cache
+def _controller(with_scipy: bool) -> ThreadpoolController:
+    """Return the BLAS libraries of numpy, and of scipy if wanted; the search takes milliseconds."""
+    if with_scipy:
+        import scipy.linalg  # noqa: F401, PLC0415  # loads a BLAS of its own, slowly
+    return ThreadpoolController()
+
+
 @contextmanager
 def one_blas_thread(*, with_scipy: bool) -> Iterator[None]:
-    """Keep BLAS to one thread: our matrices are small, more threads only wait, and results depend on their number.
+    """Limit BLAS to one thread: our matrices are small, more threads only wait, and results depend on their number.
+
+    The limit holds for the process. Inside another such body, of this thread or another one, nothing is changed.
 
     Parameters
     ----------
     with_scipy : bool
-        Whether the body will call scipy.linalg, which brings a BLAS of its own: it must be loaded to be limited.
+        Whether the body calls scipy.linalg.
     """
-    if with_scipy:
-        import scipy.linalg  # noqa: F401, PLC0415  # slow to load
-    with threadpool_limits(1, user_api="blas"):
+    if not _limit.acquire(blocking=False):
         yield
+        return
+    try:
+        with _controller(with_scipy).limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _limit.release()

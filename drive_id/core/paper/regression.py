@@ -1,8 +1,8 @@
-"""The paper's regression ``eq:ls_regression``: its rows, and their information accumulated without stacking them.
+"""The paper's regression ``eq:ls_regression``, accumulated as cross products per block of time.
 
-For each pair of neighbouring samples ``eq:single_row`` gives two rows, ``v = R q_1 + (Q_2 + Q_3) gamma + u_e q_4``.
-Only their cross products are kept, Z'Z with Z = [q_1, q_4, v, Q_2 + Q_3], per block of time: sums of blocks merge by
-addition, and leaving one block out at a time gives the uncertainty.
+Each pair of consecutive samples gives two rows by ``eq:single_row``, ``v = R q_1 + (Q_2 + Q_3) gamma + u_e q_4``. Only
+Z'Z with Z = [q_1, q_4, v, Q_2 + Q_3] is kept, per block of time: recordings merge by addition, and leaving out one
+block at a time gives the uncertainty.
 """
 
 from __future__ import annotations
@@ -16,35 +16,33 @@ from numpy.typing import NDArray
 
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
-from drive_id.core.numerics.running_sums import State
-from drive_id.core.numerics.time_blocks import TimeBlocks
-from drive_id.core.paper.row_products import add_rows
-from drive_id.core.paper.sample_integrals import FLUX, SampleIntegrals, sample_integrals
+from drive_id.core.numerics.running_sums import SavedSums, TimeBlocks
+from drive_id.core.paper.rows import FLUX, SampleIntegrals, sample_integrals
 from drive_id.core.paper.spline_rows import add_spline_rows
 from drive_id.types import BoolArray, FloatArray, Samples
 
 CHUNK = 8192
-"""Samples worked on at a time: bounds the memory whatever the length of the recording."""
+"""Samples processed at a time, which bounds the memory for recordings of any length."""
 
 _BLOCK_MEMORY = 2e8
 
 
-class Information:
-    """What a recording says about the parameters: Z'Z per block of time, independent of the recording's length.
+class RegressionSums:
+    """Z'Z per block of time, in memory that does not grow with the recording.
 
     Parameters
     ----------
     model : FluxModel
     shape : TanhShape
     block_duration : float
-        Initial length of a block, s; doubled by merging neighbours whenever there are more than ``max_blocks``.
+        Initial duration of a block, s; doubled by merging neighbours when there are more than ``max_blocks``.
     max_blocks : int, optional
         Even, at least 4. Default: 128, or fewer where the model is large.
 
     Notes
     -----
-    Samples may arrive in pieces of any size. A row needs two neighbours: a piece that continues another one begins
-    with the last sample of that one.
+    Samples may arrive in portions of any size. A row needs two consecutive samples: a portion that continues another
+    one begins with its last sample.
     """
 
     def __init__(
@@ -59,8 +57,8 @@ class Information:
         affordable = int(_BLOCK_MEMORY / (8 * self._size**2)) // 2 * 2
         self.max_blocks = max_blocks or min(max(affordable, 8), 128)
         self._blocks: list[FloatArray] = []
-        self._starts: list[int] = []  # first block of each of several recordings that were merged
-        self._filled = np.inf  # time in the last block, s; infinite: a new recording begins
+        self._starts: list[int] = []  # first block of each merged recording
+        self._filled = np.inf  # time in the last block, s; infinite before a new recording
 
     @property
     def blocks(self) -> FloatArray:
@@ -75,8 +73,8 @@ class Information:
             total += block
         return total
 
-    def copy(self) -> Information:
-        """Return information that goes its own way from here; only the last block of time is still growing."""
+    def copy(self) -> RegressionSums:
+        """Return an independent copy; complete blocks are shared."""
         other = copy.copy(self)
         growing = [block.copy() for block in self._blocks[-1:]]
         other._blocks = [*self._blocks[:-1], *growing]  # noqa: SLF001  # of its own class
@@ -84,23 +82,23 @@ class Information:
         return other
 
     def next_recording(self) -> None:
-        """Put what comes now into blocks of its own, as merging does."""
+        """Begin new blocks for another recording, as merging does."""
         self._filled = np.inf
 
-    def merge(self, other: Information) -> None:
-        """Add what is known of other recordings, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+    def merge(self, other: RegressionSums) -> None:
+        """Add the sums over other recordings, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         self.rows += other.rows
         self.outside += other.outside
         self._take(self._time_blocks().joined(other.copy()._time_blocks(), self.max_blocks))  # noqa: SLF001
         self.next_recording()
 
-    def state(self) -> State:
-        """Return all that was gathered."""
+    def state(self) -> SavedSums:
+        """Return the state as arrays."""
         counts = {"rows": np.array(self.rows), "outside": np.array(self.outside), "filled": np.array(self._filled)}
         return self._time_blocks().state() | counts
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         self._take(TimeBlocks.of_state(state, self._size).within(self.max_blocks))
         self.rows, self.outside, self._filled = int(state["rows"]), int(state["outside"]), float(state["filled"])
 
@@ -123,35 +121,35 @@ class Information:
         ----------
         samples : Samples
         done : callable, optional
-            Told after each part how many of them are done.
+            Called with the number of samples done so far.
         left_out : (N,) bool, optional
-            Samples of which nothing is to be used.
+            Samples to leave out.
         rotation : (N,) float, (N,) float, optional
-            Cosine and sine of the angle, where they are known already.
+            Cosine and sine of the angle, if known already.
         """
         left_out = np.zeros(len(samples), np.bool_) if left_out is None else left_out
         for run in samples.runs():
-            for part in _parts(run):
+            for chunk in _chunks(run):
                 if isinstance(self.model, TensorSpline):
-                    turned = rotation and (rotation[0][part], rotation[1][part])
-                    self._accumulate_splines(self.model, samples, part, left_out[part], turned)
+                    turned = rotation and (rotation[0][chunk], rotation[1][chunk])
+                    self._accumulate_splines(self.model, samples, chunk, left_out[chunk], turned)
                 else:
-                    integrals = sample_integrals(samples, part, self.model, self.shape, left_out)
+                    integrals = sample_integrals(samples, chunk, self.model, self.shape, left_out)
                     self._accumulate(integrals, samples.sample_period)
                 if done:
-                    done(part.stop)
+                    done(chunk.stop)
 
     def _accumulate_splines(
         self,
         model: TensorSpline,
         samples: Samples,
-        part: slice,
+        chunk: slice,
         left_out: BoolArray,
         rotation: tuple[FloatArray, FloatArray] | None,
     ) -> None:
-        """Accumulate what :func:`sample_integrals` gives, in one pass that forms no rows."""
+        """Accumulate the products of :func:`sample_integrals` in one pass that forms no rows."""
         i_abc, u_abc, angle, speed = (
-            array[part] for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)
+            array[chunk] for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)
         )
         cosine, sine = rotation or (np.cos(angle), np.sin(angle))
         drop = self.shape(i_abc)
@@ -178,20 +176,13 @@ class Information:
     def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
         self.rows += 2 * int(integrals.valid.sum())
         self.outside += int((~integrals.inside).sum())
-        known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
-        for pairs in self._spans(len(integrals.v), period):
-            own = slice(pairs.start, pairs.stop + 1)
-            add_rows(
-                known[pairs],
-                integrals.half_turn[pairs],
-                integrals.valid[pairs],
-                integrals.rows.column[own],
-                integrals.rows.value[own],
-                self._blocks[-1],
-            )
+        rows = integrals.dense(self.model.parameters)
+        for pairs in self._spans(len(rows), period):
+            z = rows[pairs][integrals.valid[pairs]].reshape(-1, self._size)
+            self._blocks[-1] += z.T @ z
 
     def _spans(self, count: int, period: float) -> Iterator[slice]:
-        """Divide so many pairs of samples into those of the last block of time, and those of further ones."""
+        """Divide ``count`` pairs of samples among the last block of time and further ones."""
         start = 0
         while start < count:
             if self._filled >= self.block_duration - period / 2:
@@ -216,6 +207,6 @@ class Information:
         self._filled = 0.0
 
 
-def _parts(run: slice) -> Iterator[slice]:
+def _chunks(run: slice) -> Iterator[slice]:
     for start in range(run.start, run.stop - 1, CHUNK):
         yield slice(start, min(start + CHUNK + 1, run.stop))

@@ -1,4 +1,4 @@
-"""Solution of the accumulated normal equations: scaled, rank-revealing, with its uncertainty."""
+"""Solution of the paper's normal equations: scaled, rank-revealing, with jackknife standard errors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.paper.sample_integrals import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.paper.rows import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
 from drive_id.types import FloatArray, IntArray
 
 RANK_TOLERANCE = 1e-6
@@ -26,15 +27,15 @@ class Solution:
     voltage_error : float
         u_e in the drop convention, V; 0 for a method without it.
     gamma : (P,) float
-        Flux parameters, Wb; 0 for functions that never saw data.
+        Flux parameters, Wb; 0 for functions without data.
     rank : int
-        Unknowns that the data determine.
+        Number of unknowns that the data determine.
     condition : float
         Of the column-scaled rows, within the rank.
     residual_rms : float
         Of the rows, Vs.
     columns : (C,) int
-        Columns of Z that were unknowns.
+        Columns of Z that are unknowns.
     factor : (C, rank) float
         W with W'NW = 1 on the determined part of the normal matrix N: WW' is its pseudo-inverse.
     """
@@ -49,34 +50,35 @@ class Solution:
     factor: FloatArray
 
 
+@one_blas_thread(with_scipy=False)
 def solve(total: FloatArray, rows: int, with_inverter: bool) -> Solution:
     """Solve ``eq:ls_regression`` from the cross products of its rows.
 
     Parameters
     ----------
     total : (3 + P, 3 + P) float
-        Z'Z, see :class:`~drive_id.core.paper.regression.Information`.
+        Z'Z, see :class:`~drive_id.core.paper.regression.RegressionSums`.
     rows : int
-        Number of rows accumulated.
+        Accumulated rows.
     with_inverter : bool
         Estimate the voltage error (method ``joint``) or leave its column out (``psm``).
 
     Returns
     -------
     Solution
-        Of least norm in the scaled unknowns where the data leave freedom, as functions without data do.
+        Of minimum norm in the scaled unknowns where the data do not determine them.
     """
     size = len(total)
     columns = np.array([RESISTANCE, *([VOLTAGE_ERROR] if with_inverter else []), *range(FLUX, size)], dtype=np.int64)
     factor, condition = _whitening(total[np.ix_(columns, columns)])
-    residual = np.zeros(size)
-    residual[VOLTAGE] = -1.0
-    residual[columns] = factor @ (factor.T @ total[columns, VOLTAGE])
-    square_sum = max(float(residual @ total @ residual), 0.0)
+    estimate = np.zeros(size)
+    estimate[VOLTAGE] = -1.0
+    estimate[columns] = factor @ (factor.T @ total[columns, VOLTAGE])
+    square_sum = max(float(estimate @ total @ estimate), 0.0)
     return Solution(
-        resistance=float(residual[RESISTANCE]),
-        voltage_error=float(residual[VOLTAGE_ERROR]),
-        gamma=residual[FLUX:],
+        resistance=float(estimate[RESISTANCE]),
+        voltage_error=float(estimate[VOLTAGE_ERROR]),
+        gamma=estimate[FLUX:],
         rank=factor.shape[1],
         condition=condition,
         residual_rms=float(np.sqrt(square_sum / max(rows, 1))),
@@ -97,10 +99,10 @@ def _whitening(normal: FloatArray) -> tuple[FloatArray, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Deviations:
-    """Uncertainty of the estimate as what each block of time would change: the delete-a-block jackknife.
+class Jackknife:
+    """Changes of the estimate when each block of time is left out (delete-a-block jackknife).
 
-    The variance of a linear function of the unknowns is the sum over blocks of its squared values here.
+    The variance of a linear function of the unknowns is the sum of its squared changes, see :func:`sigma`.
 
     Parameters
     ----------
@@ -116,16 +118,17 @@ class Deviations:
 
     @property
     def known(self) -> bool:
-        """Whether there were blocks enough to say; otherwise all of them are infinite."""
+        """Whether there were enough blocks; otherwise all changes are infinite."""
         return len(self.gamma) > 1
 
 
-def deviations(blocks: FloatArray, solution: Solution) -> Deviations:
+@one_blas_thread(with_scipy=False)
+def jackknife(blocks: FloatArray, solution: Solution) -> Jackknife:
     """Leave out each block of time in turn.
 
-    Blocks of many samples take the correlation of the residuals along, and the leverage of a block that alone saw a
-    region is not hidden as it would be by a sandwich estimate. With noise in the regressors, which biases the paper's
-    estimate by another amount in each block, the result is wider than the scatter of repeated experiments.
+    Blocks of many samples preserve the correlation of the residuals, and the leverage of a block that alone visits a
+    region counts, which a sandwich estimate would hide. Noise in the regressors biases the paper's estimate differently
+    in each block, so the result exceeds the scatter of repeated experiments.
 
     Parameters
     ----------
@@ -136,26 +139,26 @@ def deviations(blocks: FloatArray, solution: Solution) -> Deviations:
 
     Returns
     -------
-    Deviations
-        Infinite when there are fewer than two blocks.
+    Jackknife
+        Infinite with fewer than two blocks.
     """
     count, size = blocks.shape[:2]
     columns, factor = solution.columns, solution.factor
-    residual = np.zeros(size)
-    residual[[RESISTANCE, VOLTAGE_ERROR, VOLTAGE]] = solution.resistance, solution.voltage_error, -1.0
-    residual[FLUX:] = solution.gamma
+    estimate = np.zeros(size)
+    estimate[[RESISTANCE, VOLTAGE_ERROR, VOLTAGE]] = solution.resistance, solution.voltage_error, -1.0
+    estimate[FLUX:] = solution.gamma
     identity = (1 + _LEVERAGE_FLOOR) * np.eye(factor.shape[1])
     changes = np.zeros((count, size))
     for change, block in zip(changes, blocks, strict=True):
         leverage = factor.T @ block[np.ix_(columns, columns)] @ factor
-        change[columns] = factor @ np.linalg.solve(identity - leverage, factor.T @ (block[columns] @ residual))
+        change[columns] = factor @ np.linalg.solve(identity - leverage, factor.T @ (block[columns] @ estimate))
     if count < 2:
         changes[:, columns] = np.inf
     else:
         changes *= np.sqrt((count - 1) / count)
-    return Deviations(changes[:, RESISTANCE], changes[:, VOLTAGE_ERROR], changes[:, FLUX:])
+    return Jackknife(changes[:, RESISTANCE], changes[:, VOLTAGE_ERROR], changes[:, FLUX:])
 
 
 def sigma(changes: FloatArray) -> float:
-    """Return the standard deviation of a quantity from its changes (B,), see :class:`Deviations`."""
+    """Return the standard error of a quantity from its changes (B,), see :class:`Jackknife`."""
     return float(np.sqrt(np.sum(changes**2)))

@@ -1,24 +1,28 @@
-"""The regression's rows for tensor-product splines, accumulated in one pass over the samples without forming them.
+"""Cross products of the regression's rows for tensor splines, in one compiled pass that forms no rows.
 
-With D = w^{k+1} - w^k and S = omega T / 2 (w^{k+1} + w^k), w being the 16 values of the splines that are not zero, the
-rows of ``eq:single_row`` hold [D, -S] and [S, D] in the columns of gamma_d and gamma_q. Their cross products are
+The same result as :mod:`drive_id.core.paper.rows`, faster. With D = w^{k+1} - w^k and S = omega T / 2 (w^{k+1} + w^k),
+w being the 16 non-zero spline values, the rows of ``eq:single_row`` hold [D, -S] and [S, D] in the columns of gamma_d
+and gamma_q. Their cross products are
 
     D D' + S S'   for gamma_d and for gamma_q alike,        S D' - D S'   for gamma_d with gamma_q:
 
-the symmetric and the antisymmetric part of (D + S) D' + (S - D) S', so that one matrix of 16 x 16 is all to be summed.
+the symmetric and the antisymmetric part of (D + S) D' + (S - D) S': a single 16 x 16 matrix has to be summed.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.compiled import compiled, inlined
-from drive_id.core.paper.pair_integrals import rotate, write_known
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _PAIRS = 4
 """Pairs of samples whose products are added at once."""
+_SERIES_BELOW = 0.1
+_THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 
 
 @compiled
@@ -35,7 +39,7 @@ def add_spline_rows(
     counts: IntArray,
     gram: FloatArray,
 ) -> tuple[int, int]:
-    """Add the cross products Z'Z of the rows of N - 1 pairs of neighbouring samples to ``gram``.
+    """Add the cross products Z'Z of the rows of N - 1 pairs of consecutive samples to ``gram``.
 
     Parameters
     ----------
@@ -48,7 +52,7 @@ def add_spline_rows(
     speed : (N,) float
         Electrical, rad/s.
     left_out : (N,) bool
-        Samples of which nothing is to be used.
+        Samples to leave out.
     period : float
         s.
     axes : (2, 3) float
@@ -56,15 +60,15 @@ def add_spline_rows(
     counts : (2,) int
         Splines along i_d and i_q.
     gram : (3 + P, 3 + P) float
-        See :class:`~drive_id.core.paper.regression.Information`.
+        See :class:`~drive_id.core.paper.regression.RegressionSums`.
 
     Returns
     -------
     rows, outside : int
-        Rows that were added, and pairs beyond the range of the splines.
+        Rows added, and pairs outside the range of the splines.
     """
     functions = counts[0] * counts[1]
-    weights, column = np.zeros((2, 16)), np.zeros((2, 16), np.int64)  # of this sample and the one before, in turn
+    weights, column = np.zeros((2, 16)), np.zeros((2, 16), np.int64)  # of this sample and the previous one, alternating
     vectors, known, w_d, w_q = np.zeros((2, 4)), np.empty((2, 3)), np.empty(4), np.empty(4)
     left, right, terms = np.zeros((2 * _PAIRS, 16)), np.zeros((2 * _PAIRS, 16)), np.zeros((2 * _PAIRS, 6))
     square, mixed, scalar = np.zeros((16, 16)), np.zeros((6, 16)), np.zeros((3, 3))
@@ -72,7 +76,7 @@ def add_spline_rows(
     last_cell, was_valid, was_inside = -1, False, True
     for k in range(len(i_abc)):
         now, last = k % 2, 1 - k % 2
-        i_d, i_q = rotate(i_abc, drop, k, cosine[k], sine[k], vectors, now)
+        i_d, i_q = _rotate(i_abc, drop, k, cosine[k], sine[k], vectors, now)
         inside = axes[0, 0] <= i_d <= axes[0, 1] and axes[1, 0] <= i_q <= axes[1, 1]
         valid = inside and not left_out[k]
         cell = _write_weights(i_d, i_q, axes, counts, w_d, w_q, weights, now)
@@ -90,7 +94,7 @@ def add_spline_rows(
         if valid and was_valid:
             rows += 2
             half = speed[k - 1] * (0.5 * period)
-            write_known(u_abc, k - 1, cosine[k - 1], sine[k - 1], half, period, vectors, known)
+            _write_known(u_abc, k - 1, cosine[k - 1], sine[k - 1], half, period, vectors, known)
             _add_known(known, scalar)
             if cell == last_cell:
                 _write_pair(weights, now, half, known, left, right, terms, waiting)
@@ -111,6 +115,71 @@ def add_spline_rows(
 
 
 @inlined
+def _rotate(
+    i_abc: FloatArray, drop: FloatArray, k: int, c: float, s: float, vectors: FloatArray, now: int
+) -> tuple[float, float]:
+    """Write the current in the stator frame and the drop in the rotor frame; return the current in the rotor frame."""
+    re, im = _vector(i_abc, k)
+    x, y = _vector(drop, k)
+    vectors[now, 0], vectors[now, 1] = re, im
+    vectors[now, 2], vectors[now, 3] = x * c + y * s, y * c - x * s
+    return re * c + im * s, im * c - re * s
+
+
+@inlined
+def _vector(x_abc: FloatArray, k: int) -> tuple[float, float]:
+    """Return the stator-frame space vector, see :func:`drive_id.core.frames.space_vector`."""
+    a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
+    return (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+
+
+@inlined
+def _write_known(
+    u_abc: FloatArray,
+    k: int,
+    c: float,
+    s: float,
+    half: float,
+    period: float,
+    vectors: FloatArray,
+    known: FloatArray,
+) -> None:
+    """Write q_1, q_4 and v of a pair of samples, d in the first row and q in the second; see :func:`_rotate`."""
+    zeroth_re, zeroth_im, first_re, first_im = _moments(half)
+    first, last = k % 2, 1 - k % 2
+    x, y = _vector(u_abc, k)
+    x, y = zeroth_re * x - zeroth_im * y, zeroth_re * y + zeroth_im * x
+    known[0, 2], known[1, 2] = period * (x * c + y * s), period * (y * c - x * s)
+    re, im = vectors[first, 0], vectors[first, 1]
+    step_re, step_im = vectors[last, 0] - re, vectors[last, 1] - im
+    x = zeroth_re * re - zeroth_im * im + first_re * step_re - first_im * step_im
+    y = zeroth_re * im + zeroth_im * re + first_re * step_im + first_im * step_re
+    known[0, 0], known[1, 0] = period * (x * c + y * s), period * (y * c - x * s)
+    known[0, 1] = 0.5 * period * (vectors[0, 2] + vectors[1, 2])
+    known[1, 1] = 0.5 * period * (vectors[0, 3] + vectors[1, 3])
+
+
+@inlined
+def _moments(half: float) -> tuple[float, float, float, float]:
+    """Return both complex ``frames.rotation_integrals`` of twice the angle ``half``, rad."""
+    x = half * half
+    if abs(half) < _SERIES_BELOW:
+        odd = half * _series(x, 1 / 6, 1 / 10, 1 / 28, 1 / 54, 1 / 88)
+        sinc = 1.0 - x * _series(x, 1 / 6, 1 / 20, 1 / 42, 1 / 72, 1 / 110)
+        s, c = half * sinc, 1.0 - x * _series(x, 1 / 2, 1 / 12, 1 / 30, 1 / 56, 1 / 90)
+    else:
+        c, s = math.cos(half), math.sin(half)
+        odd, sinc = (s - half * c) / (2.0 * x), s / half
+    return c * sinc, -s * sinc, 0.5 * c * sinc - s * odd, -0.5 * s * sinc - c * odd
+
+
+@inlined
+def _series(x: float, a: float, b: float, c: float, d: float, e: float) -> float:
+    """Return a (1 - b x (1 - c x (1 - d x (1 - e x)))); factors, because divisions are slow."""
+    return a * (1.0 - b * x * (1.0 - c * x * (1.0 - d * x * (1.0 - e * x))))
+
+
+@inlined
 def _write_weights(
     i_d: float,
     i_q: float,
@@ -121,7 +190,7 @@ def _write_weights(
     weights: FloatArray,
     now: int,
 ) -> int:
-    """Write the 16 splines that are not zero at a current, and return the first of them."""
+    """Write the 16 non-zero splines at a current and return the index of the first."""
     cell_d, t_d = bspline.locate(i_d, axes[0, 0], axes[0, 2], counts[0] - 3)
     cell_q, t_q = bspline.locate(i_q, axes[1, 0], axes[1, 2], counts[1] - 3)
     bspline.weights(t_d, w_d)
@@ -144,7 +213,7 @@ def _write_pair(
     terms: FloatArray,
     pair: int,
 ) -> None:
-    """Write D + S and S - D on the left, D and S on the right, and beside them what is known, of a pair in one cell."""
+    """Write D + S and S - D on the left, D and S on the right, and the known terms, of a pair in one cell."""
     for j in range(16):
         change = weights[now, j] - weights[1 - now, j]
         total = half * (weights[now, j] + weights[1 - now, j])
@@ -155,7 +224,7 @@ def _write_pair(
 
 @inlined
 def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
-    """Write what stands beside D, and below it what beside S, in the products with q_1, q_4 and v."""
+    """Write the factors of D and, below, those of S in the products with q_1, q_4 and v."""
     for a in range(3):
         terms[row, a], terms[row, 3 + a] = known[0, a], known[1, a]
         terms[row + 1, a], terms[row + 1, 3 + a] = known[1, a], -known[0, a]
@@ -203,7 +272,7 @@ def _add_products(
 ) -> None:
     """Add the products left' right to ``square`` and terms' right to ``mixed``, of the first ``pairs`` of four pairs.
 
-    Written out, because compilers keep the sums in registers then: three times as fast as the loop.
+    Unrolled by hand so that the sums stay in registers: three times as fast as the loop.
     """
     left[2 * pairs :], right[2 * pairs :], terms[2 * pairs :] = 0.0, 0.0, 0.0
     r0, r1, r2, r3, r4, r5, r6, r7 = right[0], right[1], right[2], right[3], right[4], right[5], right[6], right[7]

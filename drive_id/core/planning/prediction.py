@@ -15,8 +15,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.experiment.trajectories import Trajectory
-from drive_id.core.full.basis import Choice, roughness
-from drive_id.core.full.model import FLUX_DEGREE, RESISTANCE, FullModel
+from drive_id.core.full.model import FLUX_DEGREE, RESISTANCE, FullModel, ModelSpec, roughness
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.windows import WINDOW_ANGLE, WindowCutter, Windows
 from drive_id.core.maps.coenergy import GradientSpline
@@ -183,8 +182,8 @@ def predict(
     noise = np.sum([variance * part.normal for variance, part in zip(variances, parts, strict=True)], axis=0)
     noise += np.average(variances, weights=[part.rows for part in parts]) * roughness(model, total, PENALTY)
     resistance_form, ohm = np.eye(1, model.size, RESISTANCE), 1.0 / max(machine.resistance, 1e-12)
-    free = _standard_errors(solver.solve(Choice(False, model.all_orders, penalty=PENALTY)), noise, resistance_form)
-    reciprocal = solver.solve(Choice(True, model.all_orders, penalty=PENALTY))
+    free = _standard_errors(solver.solve(ModelSpec(False, model.all_orders, penalty=PENALTY)), noise, resistance_form)
+    reciprocal = solver.solve(ModelSpec(True, model.all_orders, penalty=PENALTY))
     flux = _standard_errors(reciprocal, noise, _flux_forms(model)).reshape(-1, 2)
     flux_d, flux_q = np.sqrt((flux**2).mean(axis=0)) / machine.largest_flux
     curve = np.sqrt((_standard_errors(reciprocal, noise, _curve_forms(model)) ** 2).mean()) / (

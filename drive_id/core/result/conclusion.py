@@ -10,11 +10,10 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import check_radius
-from drive_id.core.maps.continuation import extend
-from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline
+from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline, extend
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.sample_integrals import VOLTAGE
-from drive_id.core.paper.solver import Deviations, Solution, deviations, sigma, solve
+from drive_id.core.paper.rows import VOLTAGE
+from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
 from drive_id.core.result.identification import FitReport, FluxMap, Identification
 from drive_id.core.result.warnings import review
 from drive_id.core.validation.current_simulation import simulate_current, typical_inductances
@@ -66,7 +65,7 @@ def conclude(
     solution = solve(total, information.rows, with_inverter=evidence.settings.method == "joint")
     first = _first_map(evidence, solution, inside)
     on_map(first)
-    spread = deviations(information.blocks, solution)
+    spread = jackknife(information.blocks, solution)
     extended = _extended(evidence, solution, spread, inside)
     flux_map = _flux_map(first, evidence, spread, extended)
     mad = _mad(validation, extended, solution, evidence.settings.inverter_current_scale)
@@ -103,7 +102,7 @@ def conclude(
 
 
 def _extended(
-    evidence: Evidence, solution: Solution, spread: Deviations, inside: BoolArray
+    evidence: Evidence, solution: Solution, spread: Jackknife, inside: BoolArray
 ) -> tuple[TensorSpline, FloatArray]:
     """Return the map as splines with sane values beyond the data."""
     model, gamma = evidence.model, solution.gamma
@@ -129,7 +128,7 @@ def _first_map(evidence: Evidence, solution: Solution, inside: BoolArray) -> Flu
 
 
 def _flux_map(
-    first: FluxMap, evidence: Evidence, spread: Deviations, extended: tuple[TensorSpline, FloatArray]
+    first: FluxMap, evidence: Evidence, spread: Jackknife, extended: tuple[TensorSpline, FloatArray]
 ) -> FluxMap:
     """Return the map with sane values beyond the data, and with deviations where there are data."""
     grid, inside = first.grid(), first.inside
@@ -140,7 +139,7 @@ def _flux_map(
     return replace(first, psi_d=psi[..., 0], psi_q=psi[..., 1], sigma_d=deviation[..., 0], sigma_q=deviation[..., 1])
 
 
-def _deviation(model: FluxModel, spread: Deviations, i_dq: FloatArray) -> FloatArray:
+def _deviation(model: FluxModel, spread: Jackknife, i_dq: FloatArray) -> FloatArray:
     """Return the deviations of both fluxes (N, 2), Wb, at currents (N, 2), A; infinite where they are not known."""
     out = np.full(i_dq.shape, np.inf)
     if not spread.known:

@@ -11,9 +11,8 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.fit import FullFit, fit_full, spread
+from drive_id.core.full.fit import FullFit, fit_full, sigma
 from drive_id.core.full.model import MAGNET, SENSOR_ORDERS
-from drive_id.core.full.symmetry import calibrate_angle
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
 from drive_id.core.numerics.bspline import Axis
@@ -26,9 +25,6 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
 _CURVE_POINTS = 201
-_LEAST_MIRRORED = 0.3
-_MIRRORED = 1500
-"""Points to find the resolver's offset with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +44,13 @@ class TrueFrame:
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_dq (N, 2), Wb, averaged over the rotor position, at currents (N, 2), A."""
         rows = self.fit.model.flux.rows(rotated(i_dq, -self.angle))
-        return rotated(rows.dot(self.fit.solution.residual[self.fit.model.map]), self.angle)
+        return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle)
 
     def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the amplitudes of cos(h theta) and sin(h theta), (N, 2) each, Wb, theta being the true angle."""
         model = self.fit.model
         rows = model.space(order).rows(rotated(i_dq, -self.angle))
-        halves = np.split(self.fit.solution.residual[model.harmonics[order]], 2)
+        halves = np.split(self.fit.solution.estimate[model.harmonics[order]], 2)
         a, b = (rotated(rows.dot(half), self.angle) for half in halves)
         cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
         return a * cosine + b * sine, b * cosine - a * sine
@@ -63,7 +59,7 @@ class TrueFrame:
         """Return the deviations of psi_dq (N, 2), Wb: consistent with the residuals' behaviour, and for white ones."""
         model = self.fit.model
         rows = model.flux.rows(rotated(i_dq, -self.angle))
-        return spread(rows.dot(self.fit.changes[model.map])), self.fit.white(rows)
+        return sigma(rows.dot(self.fit.changes[model.map])), self.fit.white_sigma(rows)
 
 
 def conclude_full(
@@ -112,7 +108,9 @@ def conclude_full(
     warnings = review_full(evidence, coverage, fit, flux_map, found, mad if validation else (0.0, 0.0))
     report = FitReport(
         samples_read=evidence.samples,
-        samples_used=round(evidence.samples * information.windows / (information.windows + information.outside)),
+        samples_used=round(
+            (evidence.samples - evidence.idle) * information.windows / (information.windows + information.outside)
+        ),
         gaps=evidence.gaps,
         rows=2 * information.windows,
         parameters=fit.solution.basis.shape[1],
@@ -140,7 +138,7 @@ def conclude_full(
         flux_map=flux_map,
         report=report,
         inverter_deviation=deviation,
-        phase_voltages=drops if fit.choice.per_phase else None,
+        phase_voltages=drops if fit.spec.per_phase else None,
         harmonics=tuple(_harmonic_map(frame, order, points, grid.shape[:2]) for order in _orders(fit)),
         calibrations=tuple(found),
         magnet_coefficient=_magnet_coefficient(fit),
@@ -149,15 +147,15 @@ def conclude_full(
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
-    if not fit.choice.magnet:
+    if not fit.spec.magnet:
         return None
     form = np.zeros(fit.model.size)
     form[MAGNET] = 1.0
-    return float(fit.solution.residual[MAGNET]), fit.deviation(form)
+    return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
 
 
 def _orders(fit: FullFit) -> list[int]:
-    return [order for order in fit.choice.orders if order not in SENSOR_ORDERS]
+    return [order for order in fit.spec.orders if order not in SENSOR_ORDERS]
 
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
@@ -166,13 +164,10 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     i_dq = grid[disc]
     if settings.calibrate_angle:
-        axis = evidence.visits.i_q
-        mirror = np.abs(axis[:, None] + axis).argmin(axis=0)
-        mirrored = grid[disc & disc[:, mirror]]
-        reached = min(evidence.i_max, evidence.reached or evidence.i_max)
-        if np.abs(mirrored[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * reached:
-            mirrored = mirrored[:0]  # i_q of one sign only, but for the fringe at zero
-        found.append(calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
+        mirrored = calibration.mirrored_points(
+            evidence.visits.i_d, evidence.visits.i_q, disc, min(evidence.i_max, evidence.reached or evidence.i_max)
+        )
+        found.append(calibration.calibrate_angle(fit, mirrored))
     if settings.calibrate_currents:
         found += calibration.calibrate_currents(fit, i_dq, evidence.i_max)
     return found
@@ -220,13 +215,13 @@ def _splines(
 def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the drop of each phase (C, 3), V, and the deviation of their mean (C,), V."""
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
-    drops = shapes @ fit.solution.residual[columns]
-    if not fit.choice.inverter:
+    drops = shapes @ fit.solution.estimate[columns]
+    if not fit.spec.inverter:
         return drops, np.zeros(len(current))
     forms = np.zeros((fit.model.size, len(current)))
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
-    return drops, spread(forms.T @ fit.changes)
+    return drops, sigma(forms.T @ fit.changes)
 
 
 def _mad(

@@ -14,7 +14,7 @@ from drive_id.core.result.warnings import on_data
 from drive_id.types import FloatArray
 
 _WEAK_FIT = 0.05
-_OUTLYING_BATCH, _LEAST_OUTLYING = 30.0, 0.01
+_OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
 _LEAST_TURN = np.deg2rad(45.0)
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01
@@ -37,10 +37,11 @@ def review_full(
     warnings = [*on_data(evidence, coverage), *_on_fit(fit), *_on_map(evidence, fit, flux_map)]
     asymmetric = [c for c in calibrations if c.name == "resolver_offset" and not c.applied]
     warnings += [c.sentence for c in asymmetric]
-    if not fit.choice.reciprocal and evidence.settings.maps == "auto":
+    if not fit.spec.reciprocal and evidence.settings.maps == "auto":
+        better = 100 * fit.selection.advantage
         warnings.append(
-            f"The maps are not reciprocal: free ones predict data left out {100 * fit.advantage:.0f} % better, so they "
-            "were taken; at one speed, resistance and delay of the voltages are open then."
+            f"The maps are not reciprocal: free ones predict data left out {better:.0f} % better, so they were used; "
+            "at one speed, this leaves resistance and delay of the voltages open."
         )
     warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
     for c in calibrations:
@@ -118,7 +119,7 @@ def _on_map(evidence: Evidence, fit: FullFit, flux_map: FluxMap) -> list[str]:
             f"points, on average at i_d = {d:.3g} A, i_q = {q:.3g} A: record longer, or more there."
         )
     origin = i_dq[np.hypot(*i_dq.T).argmin()]
-    psi_d = fit.model.flux.rows(origin[None]).dot(fit.solution.residual[fit.model.map])[0, 0]
+    psi_d = fit.model.flux.rows(origin[None]).dot(fit.solution.estimate[fit.model.map])[0, 0]
     if psi_d < -_REVERSED * largest:
         warnings.append(
             f"The magnet's flux is negative ({psi_d:.4g} Wb): the angle is offset by half a turn, or currents and "
@@ -137,7 +138,7 @@ def statements(
         "the different speeds"
         if several
         else "the reciprocity of the maps"
-        if fit.choice.reciprocal
+        if fit.spec.reciprocal
         else "the changes of the currents alone"
     )
     said = [
@@ -150,7 +151,7 @@ def statements(
             "curve is what is left, flat at large currents."
         ),
         "A common gain of all currents or all voltages scales the result and cannot be seen in these data.",
-        *([_COMPENSATION] if fit.choice.lag else []),
+        *([_COMPENSATION] if fit.spec.lag else []),
         *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, flux_map),
@@ -172,7 +173,7 @@ def _several_speeds(speeds: FloatArray) -> bool:
 
 
 def _on_harmonics(fit: FullFit) -> str:
-    found = [str(order) for order in fit.choice.orders if order > 2]
+    found = [str(order) for order in fit.spec.orders if order > 2]
     if not found:
         return "No harmonics of the rotor position stand out from the noise."
     return f"Harmonics of the rotor position of the orders {', '.join(found)} were identified and taken out of the map."

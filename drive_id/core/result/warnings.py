@@ -7,8 +7,8 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.maps.flux_models import FluxModel
-from drive_id.core.paper.sample_integrals import VOLTAGE
-from drive_id.core.paper.solver import Deviations, Solution, sigma
+from drive_id.core.paper.rows import VOLTAGE
+from drive_id.core.paper.solver import Jackknife, Solution, sigma
 from drive_id.core.result.identification import FluxMap
 from drive_id.types import BoolArray, FloatArray
 
@@ -25,7 +25,7 @@ def review(
     evidence: Evidence,
     coverage: float,
     solution: Solution,
-    spread: Deviations,
+    spread: Jackknife,
     flux_map: FluxMap,
     mad: tuple[float, float],
 ) -> tuple[str, ...]:
@@ -51,7 +51,7 @@ def on_data(evidence: Evidence, coverage: float) -> list[str]:
 
 
 def _on_model(
-    evidence: Evidence, solution: Solution, spread: Deviations, flux_map: FluxMap, mad: tuple[float, float]
+    evidence: Evidence, solution: Solution, spread: Jackknife, flux_map: FluxMap, mad: tuple[float, float]
 ) -> list[str]:
     warnings = [*_on_resistance(solution, spread), *_on_map(evidence, solution, flux_map)]
     rows = max(evidence.information.rows, 1)
@@ -77,7 +77,7 @@ def _on_model(
     return warnings
 
 
-def _on_resistance(solution: Solution, spread: Deviations) -> list[str]:
+def _on_resistance(solution: Solution, spread: Jackknife) -> list[str]:
     warnings = []
     uncertainty = sigma(spread.resistance)
     if not np.isfinite(uncertainty):

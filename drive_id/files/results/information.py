@@ -24,7 +24,7 @@ from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.numerics.running_sums import State, below, prefixed
+from drive_id.core.numerics.running_sums import SavedSums, below, prefixed
 from drive_id.errors import DriveIdError, InformationError, OutputError
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent
@@ -214,7 +214,7 @@ def _check_version(header: Mapping[str, Any], where: str) -> None:
         )
 
 
-def _accumulated(header: Mapping[str, Any], arrays: State, where: str) -> Accumulated:
+def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Accumulated:
     settings = from_mapping(FitSettings, header["settings"], where)
     counts = (settings.splines_d, settings.splines_q)
     d, q = (Axis(float(low), float(high), count) for (low, high), count in zip(header["ranges"], counts, strict=True))
@@ -235,6 +235,6 @@ def _accumulated(header: Mapping[str, Any], arrays: State, where: str) -> Accumu
     )
 
 
-def _piece(arrays: State, period: float) -> Samples:
+def _piece(arrays: SavedSums, period: float) -> Samples:
     signals = {name: arrays[name] for name in _SIGNALS}
     return Samples(**signals, sample_period=float(period), i_dq_reference=arrays.get("i_dq_reference"))

@@ -11,11 +11,10 @@ from synthetic import saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.basis import Choice, delay_shares
 from drive_id.core.full.calibration import Calibration, corrected, rotated
 from drive_id.core.full.fit import fit_full
-from drive_id.core.full.noise_correction import undiluted
-from drive_id.core.full.solver import Solver
+from drive_id.core.full.model import ModelSpec, delay_shares
+from drive_id.core.full.solver import Solver, correct_attenuation
 from drive_id.core.full.windows import SHIFTS
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
@@ -81,16 +80,18 @@ def test_it_finds_the_truth_and_says_how_well(result):
 def test_what_noise_takes_from_the_map_is_given_back():
     """Against the fit to the same currents without noise, in the mean over other noise."""
     clean = record(drop=even_drop, duration=4.0)
-    choice = Choice(reciprocal=True, orders=(), penalty=1e-4)
+    choice = ModelSpec(reciprocal=True, orders=(), penalty=1e-4)
     i_dq = 290 * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
 
     def with_and_without(noise):
         information = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL).windows.finished()
         solver = Solver(information.model, information.folds, information.counts)
         solution = solver.solve(choice)
-        whole, _ = undiluted(solver, solution, np.concatenate([part.i_dq[:, 0] for part in information.kept()]))
+        whole, _ = correct_attenuation(
+            solver, solution, np.concatenate([part.i_dq[:, 0] for part in information.kept()])
+        )
         rows, columns = information.model.flux.rows(i_dq), information.model.map
-        return np.array([rows.dot(each.residual[columns]) for each in (solution, whole)])
+        return np.array([rows.dot(each.estimate[columns]) for each in (solution, whole)])
 
     noise = [3.0 * np.random.default_rng(seed).standard_normal(clean.i_abc.shape) for seed in range(8)]
     diluted, whole = np.mean([with_and_without(each) for each in noise], axis=0) - with_and_without(0.0)[0]
@@ -133,9 +134,9 @@ def test_shares_shift_a_held_voltage(delay):
 def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     shifted = replace(samples, u_abc=np.roll(samples.u_abc, -late, axis=0))
     fit = fitted(shifted)
-    assert fit.choice.delay == pytest.approx(late, abs=0.05)
+    assert fit.spec.delay == pytest.approx(late, abs=0.05)
     plain = fitted(shifted, replace(FULL, calibrate_delay=False, voltage_delay=float(late)))
-    assert plain.choice.delay == late
+    assert plain.spec.delay == late
     assert abs(plain.solution.resistance - 0.02) < 1e-3
 
 
@@ -181,7 +182,7 @@ def test_a_map_that_folds_can_be_kept_from_it():
 
 def test_a_passive_map_is_left_alone(samples):
     plain, enforced = (fitted(samples, replace(FULL, passive_maps=wish)) for wish in (False, True))
-    np.testing.assert_array_equal(plain.solution.residual, enforced.solution.residual)
+    np.testing.assert_array_equal(plain.solution.estimate, enforced.solution.estimate)
 
 
 def test_correction_takes_out_what_was_put_in(samples):

@@ -10,7 +10,7 @@ import pytest
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.order_search import explained_shares, unexpected_orders
+from drive_id.core.full.selection import explained_shares, unexpected_orders
 from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
 

@@ -112,3 +112,21 @@ def test_too_few_samples_give_no_window_or_few(samples, count):
     cutter = WindowCutter(SHAPES)
     parts = list(cutter.cut(between(samples, 0, count))) + list(cutter.finish())
     assert sum(len(part) for part in parts) <= count / 8
+
+
+def test_windows_at_rest_are_left_out_whatever_the_pieces(samples):
+    idle = np.zeros(len(samples), np.bool_)
+    idle[3000:9000] = idle[15_000:] = True
+    cutter = WindowCutter(SHAPES)
+    moving = Windows.joined([*cutter.cut(samples, idle), *cutter.finish()])
+    every = cut(samples)
+    begin = np.rint(every.time / samples.sample_period).astype(int)
+    end = begin + np.rint(every.duration / samples.sample_period).astype(int)
+    used = ~(idle[begin] & idle[end])
+    assert 0.4 < used.mean() < 0.8
+    for name in NAMES:
+        np.testing.assert_array_equal(getattr(moving, name), getattr(every, name)[used])
+    cutter = WindowCutter(SHAPES)
+    pieces = [*cutter.cut(between(samples, 0, 5001), idle[:5001])]
+    pieces += [*cutter.cut(between(samples, 5000, len(samples)), idle[5000:], continues=True), *cutter.finish()]
+    np.testing.assert_allclose(Windows.joined(pieces).time, moving.time)

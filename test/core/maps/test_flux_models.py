@@ -6,8 +6,7 @@ from dense_oracle import bases
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.core.maps.continuation import extend
-from drive_id.core.maps.flux_models import Polynomial, TensorSpline, as_tensor_spline
+from drive_id.core.maps.flux_models import Polynomial, TensorSpline, as_tensor_spline, extend
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import ConfigurationError
 

@@ -7,12 +7,13 @@ import numpy_oracles as oracles
 import pytest
 from scipy import sparse
 
-from drive_id.core.full import kernels as window_kernels
+from drive_id.core.full import model as full_model
+from drive_id.core.full import window_sums
 from drive_id.core.maps import flux_models
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
-from drive_id.core.numerics import scans, spline_kernels
+from drive_id.core.numerics import bspline, scans
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper import row_products
+from drive_id.core.paper.rows import SampleIntegrals
 from drive_id.core.validation import current_simulation
 
 MODEL = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7))
@@ -42,10 +43,12 @@ def test_cross_products_of_rows(model):
     t = np.linspace(0, 20, 3001)
     rows = model.rows(np.stack([9 * np.cos(t), 8 * np.sin(1.3 * t)], axis=-1))
     known, half_turn, valid = random.normal(size=(3000, 2, 3)), random.normal(size=3000), random.random(3000) < 0.8
-    grams = [np.ones((3 + model.parameters, 3 + model.parameters)) for _ in range(2)]
-    for add, gram in zip((row_products.add_rows, oracles.add_rows), grams, strict=True):
-        add(known, half_turn, valid, rows.column, rows.value, gram)
-    np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
+    q1, q4, v = np.moveaxis(known, -1, 0)
+    z = SampleIntegrals(v, q1, q4, half_turn, rows, valid, valid).dense(model.parameters)[valid]
+    gram = np.ones((3 + model.parameters, 3 + model.parameters))
+    oracles.add_rows(known, half_turn, valid, rows.column, rows.value, gram)
+    expected = 1 + np.einsum("nai,naj->ij", z, z)
+    np.testing.assert_allclose(gram, expected, rtol=0, atol=1e-12 * np.abs(gram).max())
 
 
 @pytest.mark.parametrize("rest", [0, 3, 50])
@@ -90,7 +93,7 @@ def test_splines_on_bent_cells(degree):
     knots = np.concatenate([np.full(degree, edges[0]), edges, np.full(degree, edges[-1])])
     x = np.concatenate([np.random.default_rng(3).uniform(-4.0, 5.0, 200), edges])
     found = []
-    for evaluate in (spline_kernels.spline_values, oracles.spline_values):
+    for evaluate in (bspline.spline_values, oracles.spline_values):
         cell, w = np.empty(len(x), np.int64), np.empty((len(x), degree + 1))
         evaluate(x, knots, degree, cell, w)
         found.append((cell, w))
@@ -102,7 +105,7 @@ def test_products_and_ends_of_windows():
     rng = np.random.default_rng(4)
     cells, factors = rng.integers(0, 3, (2, 50)), rng.standard_normal((2, 50, 3))
     tables = []
-    for multiply in (spline_kernels.tensor_products, oracles.tensor_products):
+    for multiply in (bspline.tensor_products, oracles.tensor_products):
         column, value = np.empty((50, 2, 9), np.int32), np.empty((50, 2, 9))
         multiply(cells[0], factors[0], cells[1], factors[1], 6, 0, column[:, 0], value[:, 0])
         multiply(cells[1], factors[1], cells[0], factors[0], 6, 36, column[:, 1], value[:, 1])
@@ -112,12 +115,12 @@ def test_products_and_ends_of_windows():
     turn, factor = rng.standard_normal((50, 2)), rng.standard_normal((2, 50))
     before = rng.standard_normal((50, 2, 150))
     rows = [before.copy(), before.copy()]
-    for add, out in zip((window_kernels.add_end, oracles.add_end), rows, strict=True):
+    for add, out in zip((full_model.add_end, oracles.add_end), rows, strict=True):
         add(*tables[0], turn, np.array([0, 72]), factor, out)
     np.testing.assert_allclose(rows[0], rows[1], rtol=1e-13, atol=1e-14)
     t = sparse.random_array((150, 40), density=0.05, format="csr", rng=rng)
     forms = [np.zeros((50, 2, 40)) for _ in range(2)]
-    for add, out in zip((window_kernels.add_end_through, oracles.add_end_through), forms, strict=True):
+    for add, out in zip((full_model.add_end_through, oracles.add_end_through), forms, strict=True):
         add(*tables[0], turn, np.array([0, 72]), factor, t.indptr, t.indices, t.data, out)
     np.testing.assert_allclose(forms[0], (rows[0] - before) @ t.toarray(), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(forms[0], forms[1], rtol=1e-12, atol=1e-12)
@@ -126,7 +129,7 @@ def test_products_and_ends_of_windows():
 def test_blocks_of_a_triangle():
     block = np.asfortranarray(np.random.default_rng(5).standard_normal((4, 4)))
     totals = [np.zeros((9, 9), order="F") for _ in range(2)]
-    for add, total in zip((window_kernels.add_block, oracles.add_block), totals, strict=True):
+    for add, total in zip((window_sums.add_lower, oracles.add_block), totals, strict=True):
         add(block, np.array([1, 2, 5, 8]), total)
     np.testing.assert_array_equal(totals[0], totals[1])
     assert not np.triu(totals[0], 1).any()

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import threading
+import time
 
+import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  # so that its BLAS is loaded
+from threadpoolctl import threadpool_info
 
+from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics import threads
+from drive_id.core.numerics.threads import one_blas_thread
 
 
 @pytest.mark.parametrize("processors", [None, 1, 2, 64])
@@ -28,3 +34,74 @@ def test_an_error_is_not_lost():
 
     with pytest.raises(ValueError, match="0"):
         threads.in_threads(refuse, range(9))
+
+
+def blas_threads():
+    return {
+        library["filepath"]: library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
+
+
+def test_blas_has_one_thread_inside_and_as_many_as_before_outside():
+    before = blas_threads()
+    with one_blas_thread(with_scipy=True):
+        assert set(blas_threads().values()) == {1}
+        with one_blas_thread(with_scipy=False):
+            pass
+        assert set(blas_threads().values()) == {1}
+    assert blas_threads() == before
+    with pytest.raises(ZeroDivisionError), one_blas_thread(with_scipy=True):
+        raise ZeroDivisionError
+    assert blas_threads() == before
+
+
+def test_a_body_that_outlives_another_leaves_no_limit_behind():
+    before = blas_threads()
+    inside, done = threading.Event(), threading.Event()
+
+    def body():
+        with one_blas_thread(with_scipy=True):
+            inside.set()
+            assert done.wait(60.0)
+
+    other = threading.Thread(target=body)
+    with one_blas_thread(with_scipy=True):
+        other.start()
+        assert inside.wait(60.0)
+    done.set()
+    other.join()
+    assert blas_threads() == before
+
+
+def test_a_limit_costs_less_than_five_milliseconds():
+    with one_blas_thread(with_scipy=True):
+        pass
+    start = time.perf_counter()
+    for _ in range(20):
+        with one_blas_thread(with_scipy=True):
+            pass
+    assert (time.perf_counter() - start) / 20 < 5e-3
+
+
+@pytest.mark.parametrize("method", ["psm", "joint", "full"])
+def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
+    """As the live node does it, without :func:`identify`."""
+    from synthetic import record
+
+    from drive_id.core.accumulation.evidence import Evidence
+    from drive_id.core.result.conclusion import conclude
+
+    seen = []
+    for name in ("linalg.eigh", "linalg.lstsq", "linalg.pinv", "linalg.solve"):
+        original = getattr(np.linalg, name.split(".")[1])
+
+        def watched(*arguments, original=original, name=name, **options):
+            seen.append((name, set(blas_threads().values())))
+            return original(*arguments, **options)
+
+        monkeypatch.setattr(f"numpy.{name}", watched)
+    evidence = Evidence.within(FitSettings(method, i_max=300.0), 300.0)
+    evidence.add(record(duration=2.0, noise=0.3))
+    conclude(evidence, [])
+    assert seen
+    assert all(count == {1} for _, count in seen), seen

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.core.numerics.time_blocks import TimeBlocks
+from drive_id.core.numerics.running_sums import TimeBlocks
 
 
 def recording(number: int, count: int, duration: float = 0.1) -> TimeBlocks:

@@ -16,8 +16,8 @@ from drive_id.core import frames
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.regression import CHUNK, Information
-from drive_id.core.paper.sample_integrals import FLUX, sample_integrals
+from drive_id.core.paper.regression import CHUNK, RegressionSums
+from drive_id.core.paper.rows import FLUX, sample_integrals
 from drive_id.core.paper.solver import solve
 from drive_id.types import Samples
 
@@ -68,7 +68,7 @@ def test_rows_agree_with_the_dense_oracle(coarse, model, oracle):
 
 @pytest.mark.parametrize("with_inverter", [False, True])
 def test_solution_agrees_with_the_dense_oracle_inside_the_disc(coarse, model, oracle, with_inverter):
-    information = Information(model, TanhShape())
+    information = RegressionSums(model, TanhShape())
     information.add(coarse)
     solution = solve(information.total, information.rows, with_inverter)
     resistance, voltage_error, gamma = oracle.solve(with_inverter)
@@ -88,7 +88,7 @@ def gram(model, samples):
 
 
 def test_accumulated_products_are_those_of_the_rows(coarse, model):
-    information = Information(model, TanhShape())
+    information = RegressionSums(model, TanhShape())
     information.add(coarse)
     expected = gram(model, coarse)
     assert np.abs(information.total - expected).max() <= 1e-13 * np.abs(expected).max()
@@ -97,7 +97,7 @@ def test_accumulated_products_are_those_of_the_rows(coarse, model):
 
 def test_a_model_whose_columns_never_change_accumulates_the_same_way(coarse):
     model = Polynomial(3, 300.0)
-    information = Information(model, TanhShape())
+    information = RegressionSums(model, TanhShape())
     information.add(coarse)
     expected = gram(model, coarse)
     assert np.abs(information.total - expected).max() <= 1e-13 * np.abs(expected).max()
@@ -106,7 +106,7 @@ def test_a_model_whose_columns_never_change_accumulates_the_same_way(coarse):
 @hypothesis_settings(max_examples=20, deadline=None)
 @given(pieces=st.lists(st.integers(1, 1999), max_size=6, unique=True))
 def test_pieces_that_share_their_end_samples_add_up_to_the_whole(coarse, model, pieces):
-    whole, parts = Information(model, TanhShape()), Information(model, TanhShape())
+    whole, parts = RegressionSums(model, TanhShape()), RegressionSums(model, TanhShape())
     whole.add(coarse)
     edges = [0, *sorted(pieces), len(coarse) - 1]
     for start, stop in pairwise(edges):
@@ -116,7 +116,7 @@ def test_pieces_that_share_their_end_samples_add_up_to_the_whole(coarse, model, 
 
 
 def test_nothing_is_integrated_across_the_start_of_a_run(coarse, model):
-    information, split = Information(model, TanhShape()), Information(model, TanhShape())
+    information, split = RegressionSums(model, TanhShape()), RegressionSums(model, TanhShape())
     information.add(cut(coarse, slice(0, None), starts=(0, 700)))
     split.add(cut(coarse, slice(0, 700)))
     split.add(cut(coarse, slice(700, None)))
@@ -126,7 +126,7 @@ def test_nothing_is_integrated_across_the_start_of_a_run(coarse, model):
 
 def test_samples_beyond_the_model_are_left_out_and_counted(coarse):
     small = TensorSpline(Axis(-100, 100, 8), Axis(-100, 100, 8))
-    information = Information(small, TanhShape())
+    information = RegressionSums(small, TanhShape())
     information.add(coarse)
     i_dq = frames.to_dq(coarse.i_abc, coarse.angle)
     within = (np.abs(i_dq) <= 100).all(axis=1)
@@ -137,7 +137,7 @@ def test_samples_beyond_the_model_are_left_out_and_counted(coarse):
 
 
 def test_the_number_of_blocks_stays_bounded_and_their_sum_exact(coarse, model):
-    information = Information(model, TanhShape(), block_duration=0.01, max_blocks=8)
+    information = RegressionSums(model, TanhShape(), block_duration=0.01, max_blocks=8)
     information.add(coarse)
     expected = gram(model, coarse)
     assert 4 <= len(information.blocks) <= 8
@@ -148,7 +148,7 @@ def test_recordings_longer_than_a_chunk_lose_no_row():
     samples = record(duration=(2 * CHUNK + 5) * 1e-4, period=1e-4)
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     model = TensorSpline(Axis(*np.sort(i_dq[:, 0])[[0, -1]], 6), Axis(*np.sort(i_dq[:, 1])[[0, -1]], 6))
-    information = Information(model, TanhShape())
+    information = RegressionSums(model, TanhShape())
     done = []
     information.add(samples, done.append)
     assert information.rows == 2 * (len(samples) - 1)

@@ -11,8 +11,8 @@ from drive_id.core import frames
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.regression import Information
-from drive_id.core.paper.sample_integrals import FLUX, sample_integrals
+from drive_id.core.paper.regression import RegressionSums
+from drive_id.core.paper.rows import FLUX, sample_integrals
 from drive_id.types import Samples
 
 MODEL = TensorSpline(Axis(-100, 100, 7), Axis(-80, 120, 9))
@@ -50,7 +50,7 @@ def expected(samples, left_out):
 def test_the_kernel_sums_what_the_rows_give(n, seed, step, speed, leaving):
     samples = wild(n, seed, step, speed)
     left_out = np.random.default_rng(seed).random(n) < 0.2 * leaving
-    information = Information(MODEL, TanhShape())
+    information = RegressionSums(MODEL, TanhShape())
     information.add(samples, left_out=left_out)
     gram, rows, outside = expected(samples, left_out)
     scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram)))
@@ -67,7 +67,7 @@ def test_half_turns_below_and_above_the_series(turn):
     samples = Samples(
         samples.stamp, samples.i_abc, samples.u_abc, samples.angle, np.full(40, 2 * turn / 1e-4), samples.sample_period
     )
-    information = Information(MODEL, TanhShape())
+    information = RegressionSums(MODEL, TanhShape())
     information.add(samples)
     gram, *_ = expected(samples, np.zeros(40, bool))
     scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram))) + 1e-300
@@ -76,7 +76,7 @@ def test_half_turns_below_and_above_the_series(turn):
 
 def test_a_rotation_that_is_known_already_changes_nothing():
     samples = wild(200, 2, 1.0, 100.0)
-    one, other = Information(MODEL, TanhShape()), Information(MODEL, TanhShape())
+    one, other = RegressionSums(MODEL, TanhShape()), RegressionSums(MODEL, TanhShape())
     one.add(samples)
     other.add(samples, rotation=(np.cos(samples.angle), np.sin(samples.angle)))
     np.testing.assert_array_equal(one.total, other.total)

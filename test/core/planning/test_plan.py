@@ -13,8 +13,7 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.basis import Choice
-from drive_id.core.full.model import RESISTANCE
+from drive_id.core.full.model import RESISTANCE, ModelSpec
 from drive_id.core.full.solver import Solver
 from drive_id.core.planning import planner as plan_module
 from drive_id.core.planning import prediction as prediction_module
@@ -61,9 +60,9 @@ def test_synthesized_samples_obey_the_voltage_balance():
     model = RoughModel.over(20.0, 8)
     information = fisher_information(model, samples, 10_000)
     solution = Solver(model, information.normal[None], np.array([information.rows])).solve(
-        Choice(True, model.all_orders, penalty=1e-9)
+        ModelSpec(True, model.all_orders, penalty=1e-9)
     )
-    assert solution.residual[RESISTANCE] == pytest.approx(0.35, rel=0.02)
+    assert solution.estimate[RESISTANCE] == pytest.approx(0.35, rel=0.02)
     (voltage,) = needed_voltages(MACHINE, Candidate(trajectory, (-600.0,), 1.0), 1e-4)
     slope = trajectory.slope * MACHINE.inductance_q
     assert MACHINE.steady_voltage(600.0) * 0.9 < voltage < MACHINE.steady_voltage(600.0) + slope + 3.25 + 1.0
@@ -188,9 +187,9 @@ def test_predictions_come_true(monkeypatch):
         noisy = replace(clean, i_abc=clean.i_abc + noise * 20.0 * rng.standard_normal(clean.i_abc.shape))
         information = fisher_information(wide, noisy, 10_000)
         solver = Solver(wide, information.normal[None], np.array([information.rows]))
-        solution = solver.solve(Choice(True, wide.all_orders, penalty=prediction_module.PENALTY))
-        flux = wide.flux.rows(points).dot(solution.residual[wide.map])
-        found.append([solution.residual[RESISTANCE] / machine.resistance, *(flux / machine.largest_flux).ravel()])
+        solution = solver.solve(ModelSpec(True, wide.all_orders, penalty=prediction_module.PENALTY))
+        flux = wide.flux.rows(points).dot(solution.estimate[wide.map])
+        found.append([solution.estimate[RESISTANCE] / machine.resistance, *(flux / machine.largest_flux).ravel()])
     scatter = np.std(found, axis=0)
     assert 0.65 < scatter[0] / expected.resistance < 1.5
     flux_d, flux_q = np.sqrt((scatter[1:].reshape(-1, 2) ** 2).mean(axis=0))

@@ -11,7 +11,7 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.choice import distinct_orders
+from drive_id.core.full.selection import distinct_orders
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 
@@ -106,7 +106,7 @@ def test_delays_of_several_samples_are_taken_out(logged, late):
 def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
     found = fitted(logged_late(good.samples, 7))
     assert delay_of(found).doubtful
-    assert any("at the end of what can be taken out" in warning for warning in found.report.warnings)
+    assert any("at the limit of what can be corrected" in warning for warning in found.report.warnings)
 
 
 def test_a_slow_rotor_is_told():

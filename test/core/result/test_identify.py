@@ -13,7 +13,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.flux_models import Polynomial, as_tensor_spline
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.solver import deviations, solve
+from drive_id.core.paper.solver import jackknife, solve
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import identify
 from drive_id.core.validation.current_simulation import simulate_current
@@ -139,7 +139,7 @@ def test_leaving_a_block_out_is_what_the_deviations_say(clean):
     evidence.add(clean)
     blocks = evidence.information.blocks
     whole = solve(blocks.sum(axis=0), evidence.information.rows, with_inverter=True)
-    spread = deviations(blocks, whole)
+    spread = jackknife(blocks, whole)
     factor = np.sqrt((len(blocks) - 1) / len(blocks))
     for k in (0, len(blocks) // 2):
         without = solve(blocks.sum(axis=0) - blocks[k], evidence.information.rows, with_inverter=True)

@@ -1,4 +1,4 @@
-"""The rows of the paper's regression: the voltage balance from sample to sample, ``eq:single_row``."""
+"""Rows of the paper's regression for any flux model: the voltage balance per sample, ``eq:single_row``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.types import BoolArray, FloatArray, Samples
 
 RESISTANCE, VOLTAGE_ERROR, VOLTAGE, FLUX = 0, 1, 2, 3
-"""Columns of Z; the flux parameters stand from FLUX on."""
+"""Columns of Z; those of the flux parameters begin at FLUX."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleIntegrals:
-    """The terms of ``eq:single_row`` for M pairs of neighbouring samples.
+    """Terms of ``eq:single_row`` for M pairs of consecutive samples.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class SampleIntegrals:
     q1 : (M, 2) float
         Integral of the current, As.
     q4 : (M, 2) float
-        Integral of the inverter's shape, in the drop convention (the paper's with the opposite sign), s.
+        Integral of the inverter's shape as a drop (the paper's with opposite sign), s.
     half_turn : (M,) float
         omega T / 2, rad.
     rows : BasisRows
@@ -34,7 +34,7 @@ class SampleIntegrals:
     inside : (M,) bool
         Both samples lie where the flux model is defined.
     valid : (M,) bool
-        They do, and are not to be left out.
+        The same, and neither is left out.
     """
 
     v: FloatArray
@@ -46,7 +46,7 @@ class SampleIntegrals:
     valid: BoolArray
 
     def dense(self, parameters: int) -> FloatArray:
-        """Return Z as (M, 2, 3 + parameters): for inspection and tests, not for long recordings."""
+        """Return Z as (M, 2, 3 + parameters), for a bounded number of samples."""
         basis = self.rows.dense(parameters)
         total = self.half_turn[:, None, None] * (basis[1:] + basis[:-1])
         flux = basis[1:] - basis[:-1] + np.stack([-total[:, 1], total[:, 0]], axis=1)
@@ -56,7 +56,7 @@ class SampleIntegrals:
 def sample_integrals(
     samples: Samples, part: slice, model: FluxModel, shape: TanhShape, left_out: BoolArray | None = None
 ) -> SampleIntegrals:
-    """Integrate all terms over each sample of a gap-free part of a recording.
+    """Integrate all terms over each sample within a run.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def sample_integrals(
     model : FluxModel
     shape : TanhShape
     left_out : (N,) bool, optional
-        Samples of which nothing is to be used.
+        Samples to leave out.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What windows say about the unknowns of method ``full``: cross products per fold of time, and some of the windows."""
+"""Cross products Z'Z of all windows, per fold of time, and a sample of the windows themselves."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
 
-from drive_id.core.full.kernels import add_products
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.windows import WindowCutter, Windows
-from drive_id.core.numerics.running_sums import State
-from drive_id.core.numerics.threads import in_threads
-from drive_id.types import FloatArray, Samples
+from drive_id.core.numerics.compiled import compiled
+from drive_id.core.numerics.running_sums import SavedSums
+from drive_id.core.numerics.threads import in_threads, one_blas_thread
+from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 FOLDS = 5
 SEGMENT = 0.25
-"""s of data in a row that go to the same fold."""
+"""Duration of data that go to the same fold, s."""
 MOST_KEPT = 24_000
-"""Windows that are kept themselves, in whole segments evenly over time, to study the residuals."""
+"""Windows that are kept, in whole segments evenly over time, to examine the residuals."""
 
-_BLOCK = 256
+_TILE = 256
 _CHUNK = 64
-"""Windows whose products are formed at a time: the fewer, the fewer columns they touch."""
+"""Windows whose products are formed at once: fewer windows touch fewer columns."""
 
 
-class WindowInformation:
-    """Z'Z over windows, per fold; its size does not grow with the recording.
+class WindowSums:
+    """Z'Z over windows, per fold, in memory that does not grow with the recording.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ class WindowInformation:
 
     Notes
     -----
-    Segments of time take turns in the folds: leaving one out tests a fit on data that it has not seen.
+    Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.
     """
 
     def __init__(self, model: FullModel) -> None:
@@ -47,57 +48,57 @@ class WindowInformation:
         self.outside = 0
         self._cutter = WindowCutter(model.shapes)
         self._folds: list[FloatArray] = []
-        self._shared: set[int] = set()  # folds that another one holds, too
+        self._shared: set[int] = set()  # folds that a copy holds, too
         self._counts = np.zeros(FOLDS, np.int64)
         self._pending: list[Windows] = []
-        self._segment = 0  # of the windows that are pending
-        self._last = -1  # segment that has windows
+        self._segment = 0  # of the pending windows
+        self._last = -1  # last segment with windows
         self._kept: dict[int, Windows] = {}
         self._every = 1
 
     def next_recording(self, heating: float = 0.0, drop_scale: float = 1.0) -> None:
-        """Tell that another recording begins, and under which conditions, see :class:`Windows`."""
+        """Begin another recording, under its own conditions, see :class:`Windows`."""
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
         self._cutter.restart(SEGMENT * self._next_start())
         self._cutter.set_conditions(heating, drop_scale)
 
-    def add(self, samples: Samples, *, continues: bool = False) -> None:
+    def add(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> None:
         """Accumulate further samples, see :meth:`WindowCutter.cut`."""
-        for windows in self._cutter.cut(samples, continues=continues):
+        for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
 
-    def finished(self) -> WindowInformation:
-        """Return the information with the samples that still wait for more; this one goes on without it."""
+    def finished(self) -> WindowSums:
+        """Return a copy that includes the samples still waiting for more; this one goes on without them."""
         other = self.copy()
         for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
             other._take(windows)  # noqa: SLF001
         other._flush()  # noqa: SLF001
         return other
 
-    def copy(self) -> WindowInformation:
-        """Return information that goes its own way from here."""
+    def copy(self) -> WindowSums:
+        """Return an independent copy; folds are shared until one of the two changes them."""
         other = copy.copy(self)
         other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
         other._folds, other._shared = list(self._folds), set(range(len(self._folds)))  # noqa: SLF001
-        self._shared = set(other._shared)  # noqa: SLF001  # whoever adds to a fold first copies it
+        self._shared = set(other._shared)  # noqa: SLF001  # copied before the first change
         other._counts = self._counts.copy()  # noqa: SLF001
         other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
         return other
 
-    def with_orders(self, orders: tuple[int, ...]) -> WindowInformation:
-        """Return the information of the windows that were kept about a model with other harmonics."""
+    def with_orders(self, orders: tuple[int, ...]) -> WindowSums:
+        """Return the sums over the kept windows for a model with other harmonics."""
         model = self.model
-        other = WindowInformation(FullModel(model.low, model.high, model.i_max, orders))
+        other = WindowSums(FullModel(model.low, model.high, model.i_max, orders))
         for number in sorted(self._kept):
             other._segment, other._pending = number, [self._kept[number]]  # of its own class
             other._flush()
         other.outside = self.outside
         return other
 
-    def merge(self, other: WindowInformation) -> None:
-        """Add what another one of equal model has gathered of other recordings; that one stays as it is."""
+    def merge(self, other: WindowSums) -> None:
+        """Add the sums over other recordings, of an equal model; ``other`` stays unchanged."""
         theirs = other.finished()
         for windows in self._cutter.finish():
             self._take(windows)
@@ -115,10 +116,10 @@ class WindowInformation:
         self.outside += theirs.outside
         self._thin()
 
-    def state(self) -> State:
-        """Return all that was gathered: the windows alone, while they are few enough to be kept all."""
+    def state(self) -> SavedSums:
+        """Return the state as arrays: only the windows, as long as all of them are kept."""
         done = self.finished()
-        out: State = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
+        out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
         kept = done.kept()
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
@@ -132,8 +133,8 @@ class WindowInformation:
         return out
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
-        self.__dict__.update(WindowInformation(self.model).__dict__)
+        """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        self.__dict__.update(WindowSums(self.model).__dict__)
         ends = np.cumsum(state["length"])
         together = Windows(*(state[f"windows.{field.name}"] for field in fields(Windows))) if len(ends) else None
         for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
@@ -155,7 +156,7 @@ class WindowInformation:
         out, matrices = np.empty((FOLDS, self.model.size, self.model.size)), self._matrices()
 
         def fill(number: int) -> None:
-            out[number] = matrices[number].T  # rows of C's order are columns of Fortran's: the upper triangle
+            out[number] = matrices[number].T  # C rows are Fortran columns: the upper triangle
             mirror_upper(out[number])
 
         in_threads(fill, range(FOLDS))
@@ -167,11 +168,11 @@ class WindowInformation:
         return np.asarray(2.0 * self._counts)
 
     def kept(self) -> list[Windows]:
-        """Return the segments that were kept, in order of time."""
+        """Return the kept segments in order of time."""
         return [self._kept[number] for number in sorted(self._kept)]
 
     def _next_start(self) -> int:
-        """Return the segment in which another recording begins: whether it is merged or added makes no difference."""
+        """Return the segment in which the next recording begins, the same for merging and adding."""
         return -(-(self._last + 1) // self._every) * self._every
 
     def _matrices(self) -> list[FloatArray]:
@@ -180,7 +181,7 @@ class WindowInformation:
         return self._folds
 
     def _own(self, fold: int) -> FloatArray:
-        """Return a fold that may be written to."""
+        """Return a fold that no copy shares."""
         matrices = self._matrices()
         if fold in self._shared:
             matrices[fold] = matrices[fold].copy(order="F")
@@ -206,9 +207,10 @@ class WindowInformation:
             return
         fold = self._segment % FOLDS
         matrix = self._own(fold)
-        for start in range(0, len(windows), _CHUNK):
-            part = windows.part(slice(start, start + _CHUNK))
-            add_products(self.model.design(part).reshape(-1, self.model.size), matrix)
+        with one_blas_thread(with_scipy=True):
+            for start in range(0, len(windows), _CHUNK):
+                few = windows.part(slice(start, start + _CHUNK))
+                add_products(self.model.design(few).reshape(-1, self.model.size), matrix)
         self._counts[fold] += len(windows)
         self.windows += len(windows)
         self._last = self._segment
@@ -224,10 +226,31 @@ class WindowInformation:
 
 
 def mirror_upper(matrix: FloatArray) -> None:
-    """Make a matrix symmetric by its upper triangle; by blocks, as a transposed copy would miss the cache."""
-    edges = [*range(0, len(matrix), _BLOCK), len(matrix)]
+    """Copy the upper triangle of a matrix to the lower one, tile by tile to stay in the cache."""
+    edges = [*range(0, len(matrix), _TILE), len(matrix)]
     for k, (start, end) in enumerate(pairwise(edges)):
         corner = matrix[start:end, start:end]
         corner[...] = np.triu(corner) + np.triu(corner, 1).T
         for left, right in pairwise(edges[: k + 1]):
             matrix[start:end, left:right] = matrix[left:right, start:end].T
+
+
+@compiled
+def add_lower(block: FloatArray, columns: IntArray, total: FloatArray) -> None:
+    """Add the lower triangle of a matrix (K, K) to the rows and columns ``columns`` (K,), increasing, of ``total``."""
+    for column in range(len(columns)):
+        for row in range(column, len(columns)):
+            total[columns[row], columns[column]] += block[row, column]
+
+
+def add_products(rows: FloatArray, total: FloatArray) -> None:
+    """Add the lower triangle of rows' rows to ``total``, skipping columns that are zero.
+
+    Parameters
+    ----------
+    rows : (N, size) float
+        Neighbours in time, whose currents meet few of the basis functions.
+    total : (size, size) float, in Fortran order
+    """
+    columns = np.flatnonzero(rows.any(axis=0))
+    add_lower(dsyrk(1.0, rows[:, columns].T, lower=1), columns, total)

@@ -9,10 +9,9 @@ import pytest
 from scipy.interpolate import BSpline
 from synthetic import record
 
-from drive_id.core.full import information as window_information
-from drive_id.core.full.basis import Choice, basis
-from drive_id.core.full.information import WindowInformation
-from drive_id.core.full.model import MAGNET, SHIFT, VOLTAGE, FullModel
+from drive_id.core.full import window_sums
+from drive_id.core.full.model import MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec, basis
+from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.types import Samples
 
@@ -30,7 +29,7 @@ def samples():
 
 
 def gathered(model, *recordings):
-    information = WindowInformation(model)
+    information = WindowSums(model)
     for samples in recordings:
         information.next_recording()
         information.add(samples)
@@ -58,15 +57,15 @@ def flux_by_scipy(space, gamma, i_dq):
 
 
 @pytest.mark.parametrize("reciprocal", [True, False])
-def test_forms_are_the_rows_times_the_basis(model, samples, reciprocal):
+def test_design_times_is_the_design_times_a_matrix(model, samples, reciprocal):
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()]).part(np.arange(0, 1500, 47))
     windows = dataclasses.replace(windows, heating=np.linspace(-1.0, 40.0, len(windows)))
     for orders in ((), (1, 2), (1, 2, 6)):
-        t = basis(model, Choice(reciprocal, orders, per_phase=True, magnet=True, lag=True))
+        t = basis(model, ModelSpec(reciprocal, orders, per_phase=True, magnet=True, lag=True))
         expected = model.design(windows) @ t.toarray()
         scale = np.abs(expected).max(axis=(0, 1)) + 1e-300
-        assert np.abs((model.forms(windows, t, orders) - expected) / scale).max() < 1e-12
+        assert np.abs((model.design_times(windows, t, orders) - expected) / scale).max() < 1e-12
 
 
 def test_rows_say_what_the_balance_says(model, samples):
@@ -102,7 +101,7 @@ def test_folds_hold_the_cross_products(model, samples):
 
 
 def test_pieces_make_no_difference(model, samples):
-    information = WindowInformation(model)
+    information = WindowSums(model)
     for start in range(0, len(samples) - 1, 3001):
         piece = between(samples, max(start - 1, 0), start + 3001)
         information.add(piece, continues=start > 0)
@@ -111,7 +110,7 @@ def test_pieces_make_no_difference(model, samples):
 
 
 def test_a_snapshot_leaves_the_stream_alone(model, samples):
-    information = WindowInformation(model)
+    information = WindowSums(model)
     information.add(between(samples, 0, 8000))
     before = information.finished()
     folds = before.folds
@@ -136,11 +135,11 @@ def test_merging_is_accumulating_together(model, samples):
         np.testing.assert_array_equal(one.i_dq, two.i_dq)
 
 
-@pytest.mark.parametrize("most", [window_information.MOST_KEPT, 700])
+@pytest.mark.parametrize("most", [window_sums.MOST_KEPT, 700])
 def test_a_state_restores_all_of_it(model, samples, monkeypatch, most):
-    monkeypatch.setattr(window_information, "MOST_KEPT", most)
+    monkeypatch.setattr(window_sums, "MOST_KEPT", most)
     information = gathered(model, samples)
-    restored = WindowInformation(model)
+    restored = WindowSums(model)
     restored.restore(information.state())
     np.testing.assert_allclose(restored.folds, information.folds, rtol=1e-12, atol=1e-12)
     assert (restored.windows, restored.outside) == (information.windows, information.outside)
@@ -153,7 +152,7 @@ def test_a_state_restores_all_of_it(model, samples, monkeypatch, most):
 
 
 def test_few_windows_are_kept_of_a_long_recording(model, samples, monkeypatch):
-    monkeypatch.setattr(window_information, "MOST_KEPT", 700)
+    monkeypatch.setattr(window_sums, "MOST_KEPT", 700)
     information = gathered(model, samples)
     assert sum(len(kept) for kept in information.kept()) <= 700
     times = [kept.time[0] for kept in information.kept()]
@@ -168,13 +167,13 @@ def test_windows_beyond_the_range_are_counted_and_left_out(samples):
 
 
 def test_a_basis_selects_the_unknowns(model):
-    from drive_id.core.full.basis import Choice
+    from drive_id.core.full.model import ModelSpec
 
-    everything = Choice(reciprocal=False, orders=model.all_orders, per_phase=True)
+    everything = ModelSpec(reciprocal=False, orders=model.all_orders, per_phase=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))
     assert set(range(model.size)) - set(columns) == {
         VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET, *range(model.lags.start, model.lags.stop)
     }  # fmt: skip
-    one = basis(model, Choice(reciprocal=True, orders=()))
+    one = basis(model, ModelSpec(reciprocal=True, orders=()))
     assert one.shape[1] == 1 + 2 + len(model.shapes.scales) + model.flux.gradient.shape[1] - 1
     assert dataclasses.replace(everything, orders=()).orders == ()

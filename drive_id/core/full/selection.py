@@ -1,0 +1,291 @@
+"""Model selection of method ``full``: delay, harmonics, smoothness, and whether the maps are reciprocal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
+from drive_id.core.full.model import PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
+from drive_id.core.full.solver import FullSolution, Solver, noise_products, predictable, thinned
+from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import MOST_DELAY, Windows
+from drive_id.types import FloatArray
+
+HIGHEST_ORDER = 48
+
+_CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
+_LEAST_SAVED = 3e-4
+"""Of the voltage, rms. For a reciprocal machine the misfit of splines and inverter curves is at most half of it, and
+free maps absorb that. A machine for which free maps save no more loses 0.03 % of its flux when taken as reciprocal."""
+_LEAST_COMPENSATED, _CURVE_POINTS = 0.2, 201
+_DELAY_SIGNIFICANCE = 2.0
+_LEAST_DELAY_ANGLE = 2e-3
+_ORDER_SIGNIFICANCE = 2.0
+_LEAST_HARMONIC = 1e-4
+_COINCIDENCE = 0.1
+_DELAY_BIAS = 0.01
+"""Samples; largest bias of an estimated delay seen in simulations."""
+_NOISE_SHARE = 0.02
+"""Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
+_USUAL_DELAY, _MOST_LEFT = 2.0, 0.7
+_SMOOTHING_BOUND = 2.0
+"""Uncertainty of a delay, in units of its change with ten times the penalty: on a ring the penalty decides it."""
+_LEAST_HEATING = 5.0
+"""K between recordings from which on the magnet's temperature coefficient is estimated."""
+_SEARCHES = 2
+_MOST_WINDOWS = 1500
+_LEAST_SHARE = 0.03
+_ABOVE_OTHERS = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The selected variant, fitted, and how it was found.
+
+    Parameters
+    ----------
+    solver : Solver
+    solution : FullSolution
+    delay, sigma_delay : float
+        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
+    advantage : float
+        Share by which free maps reduce the squared error on data left out; negative when they increase it.
+    """
+
+    solver: Solver
+    solution: FullSolution
+    delay: float
+    sigma_delay: float
+    advantage: float
+
+
+def select(sums: WindowSums, settings: FitSettings, turn: float) -> tuple[WindowSums, Selection]:
+    """Select and fit a variant of the model, see :func:`~drive_id.core.full.fit.fit_full`.
+
+    Returns
+    -------
+    WindowSums, Selection
+        The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
+    """
+    selection = _select(sums, settings, turn)
+    known = sums.model.all_orders
+    for _ in range(_SEARCHES if settings.search_orders else 0):
+        new = unexpected_orders(sums.model, selection.solution.estimate, sums.kept(), known, HIGHEST_ORDER)
+        new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
+        if not new:
+            break
+        kept = tuple(order for order in selection.solution.spec.orders if order not in SENSOR_ORDERS)
+        sums = sums.with_orders((*kept, *new)[:MOST_ORDERS])
+        known = (*known, *new)
+        selection = _select(sums, settings, turn)
+    return sums, selection
+
+
+def _select(sums: WindowSums, settings: FitSettings, turn: float) -> Selection:
+    """Select among the harmonics that the sums cover."""
+    model = sums.model
+    solver = Solver(model, sums.folds, sums.counts)
+    distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
+    orders = tuple(order for order in model.all_orders if order in distinct)
+    kept = sums.kept()
+    heating = np.concatenate([windows.heating for windows in kept])
+    i_dq = thinned(np.concatenate([windows.i_dq[:, 0] for windows in kept]))
+    spec = ModelSpec(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
+    spec = replace(spec, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
+    if not settings.calibrate_delay:
+        spec = replace(spec, delay=settings.voltage_delay)
+    first = _first_candidate(solver, spec, i_dq, settings, turn)
+    spec, advantage = first.spec, np.nan
+    if settings.maps == "auto":
+        free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
+        advantage, clearly = _advantage(solver, free, first.error)
+        if clearly and _advantage_beyond_noise(solver, first, free, i_dq) > _CLEAR_GAIN:
+            everything = solver.solve(replace(free, orders=orders))
+            significant = _significant_orders(model, everything, i_dq)
+            spec = solver.best_penalty(replace(free, orders=significant))[0]
+    return Selection(solver, solver.solve(spec), first.delay, first.sigma_delay, advantage)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A variant with delay, orders and penalty, and its mean squared error (F,) on each fold left out, (Vs)^2."""
+
+    spec: ModelSpec
+    error: FloatArray
+    delay: float
+    sigma_delay: float
+
+
+def _first_candidate(
+    solver: Solver, spec: ModelSpec, i_dq: FloatArray, settings: FitSettings, turn: float
+) -> _Candidate:
+    """Detect an inverter compensation, then estimate the delay, then the harmonics, then the penalty."""
+    delay, sigma_delay = np.nan, np.nan
+    solution = solver.solve(spec)
+    if solver.saving(solution, solver.model.lags) > _CLEAR_GAIN:
+        lagged = solver.solve(replace(spec, lag=True))
+        if compensates(solver.model, lagged):
+            spec, solution = lagged.spec, lagged
+    if settings.calibrate_delay and spec.reciprocal:
+        delay, sigma_delay = _delay(solver, solution, i_dq)
+        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
+            solution = solver.solve(replace(spec, delay=delay))
+    significant = _significant_orders(solver.model, solution, i_dq)
+    return _Candidate(*solver.best_penalty(replace(solution.spec, orders=significant)), delay, sigma_delay)
+
+
+def compensates(model: FullModel, solution: FullSolution) -> bool:
+    """Tell whether the lag columns describe an inverter compensation rather than noise near zero current.
+
+    A drive that compensates the share k of a drop D by the currents one sample earlier leaves the drop (1 - k) D and
+    the lag k D, positive like the drop. Both are compared as means over positive currents.
+    """
+    current = model.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS)
+    lag = (model.shapes.coarse(current) @ solution.estimate[model.lags]).mean()
+    drop = (model.shapes(current) @ solution.estimate[model.phase_columns()]).mean()
+    return bool(lag > _LEAST_COMPENSATED * (lag + abs(drop)))
+
+
+def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[float, float]:
+    """Return the delay of the voltages, corrected for noise in the currents, and its standard error, samples.
+
+    A controller answers noise with voltage, later. The standard error includes the correction, what may be left of the
+    bias where the data hardly determine a delay, and the effect of smoothing. A delay of more samples than usual must
+    explain a good part of the residuals to count.
+    """
+    found, sigma, squares = solver.delay(solution)
+    smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]
+    noise = noise_products(solver, solution, i_dq, squares)
+    by_noise = solver.delay(solver.solve(solution.spec, noise))[0] - found
+    left = _NOISE_SHARE * sigma**2 * solution.rows
+    bounds = [sigma, _DELAY_BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
+    if abs(found) > _USUAL_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
+        bounds.append(MOST_DELAY)
+    return float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(bounds))
+
+
+def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[float, bool]:
+    """Return by which share a variant reduces the squared errors (F,) on data left out, and whether clearly.
+
+    Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage. Stops early when the
+    first two folds show no gain.
+    """
+    folds = np.flatnonzero(predictable(error))
+    first, rest = folds[:2], folds[2:]
+    other = solver.left_out(spec, folds=first)[:, 0]
+    if np.all(other > (1 - _SOME_GAIN) * error[first]):
+        return 1.0 - float(other.sum() / error[first].sum()), False
+    other = np.append(other, solver.left_out(spec, folds=rest)[:, 0])
+    saved = 1.0 - float(other.sum() / error[folds].sum())
+    enough = (error[folds] - other).mean() > _LEAST_SAVED**2 * solver.total_voltage
+    return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
+
+
+def _advantage_beyond_noise(solver: Solver, first: _Candidate, other: ModelSpec, i_dq: FloatArray) -> float:
+    """Return by which share another variant reduces the squared error on data left out, apart from its gain on noise.
+
+    Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. The gain on noise
+    doubles with the noise; the gain on a model error does not.
+    """
+    error, solution = first.error, solver.solve(first.spec)
+    noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
+    by_other = solver.left_out(other)[:, 0]
+    noisy, noisy_by_other = (solver.left_out(each, noise=noise)[:, 0] for each in (first.spec, other))
+    saved = 2 * (error - by_other) - (noisy - noisy_by_other)
+    folds = predictable(error)
+    return float(saved[folds].sum() / error[folds].sum())
+
+
+def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:
+    """Return the harmonics whose amplitudes differ from zero by more than the noise explains.
+
+    The mean square of the estimated amplitudes over their variances is 1 for an absent harmonic. Without any noise, an
+    inverter curve that the shapes do not fit exactly looks like a harmonic of less than 1e-4 of the flux.
+    """
+    significant, largest = [], float(np.abs(model.flux.rows(i_dq).dot(solution.estimate[model.map])).max())
+    for order in solution.spec.orders:
+        columns = np.arange(model.harmonics[order].start, model.harmonics[order].stop)
+        halves = [model.space(order).rows(i_dq).dot(half) for half in np.split(solution.estimate[columns], 2)]
+        if np.sqrt(np.mean(np.square(halves))) < _LEAST_HARMONIC * largest:
+            continue
+        unknowns = np.flatnonzero(np.asarray(abs(solution.basis[columns]).sum(axis=0)).ravel())
+        forms = np.zeros((solution.basis.shape[1], len(unknowns)))
+        forms[unknowns, np.arange(len(unknowns))] = 1.0
+        half = solution.half_gain(forms)
+        covariance = solution.residual_rms**2 * (half.T @ half)
+        estimate = np.linalg.lstsq(solution.basis[columns][:, unknowns].toarray(), solution.estimate[columns])[0]
+        scale = np.sqrt(np.diag(covariance))
+        values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+        usable = values > 1e-9 * values[-1]
+        square = (vectors[:, usable].T @ (estimate / scale)) ** 2 / values[usable]
+        if np.mean(square) > _ORDER_SIGNIFICANCE:
+            significant.append(order)
+    return tuple(significant)
+
+
+def distinct_orders(orders: Iterable[int], turn: float) -> tuple[int, ...]:
+    """Return the harmonics that samples ``turn`` rad apart (rms) can separate from lower ones and from the map.
+
+    The angles are known, so only an exact coincidence confounds two orders: with N samples per turn, h and k look the
+    same where h + k or h - k is a multiple of N.
+    """
+    samples_per_turn = 2 * np.pi / max(turn, 1e-6)
+    distinct: list[int] = []
+    for order in sorted(orders):
+        sums = np.array([order + sign * lower for lower in (0, *distinct) for sign in (-1, 1)]) / samples_per_turn
+        multiple = np.rint(sums)
+        if not np.any((multiple >= 1) & (np.abs(sums - multiple) * samples_per_turn < _COINCIDENCE)):
+            distinct.append(order)
+    return tuple(distinct)
+
+
+def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Windows], highest: int) -> FloatArray:
+    """Return which share of the squared residuals a harmonic of each order 1 to ``highest`` would explain.
+
+    The complex amplitudes are linear in the current, ``A + B i_d + C i_q`` for ``e^{+j h theta}`` and
+    ``e^{-j h theta}`` each.
+
+    Parameters
+    ----------
+    model : FullModel
+    estimate : (size,) float
+        See :class:`~drive_id.core.full.solver.FullSolution`.
+    kept : sequence of Windows
+    highest : int
+
+    Returns
+    -------
+    (highest,) float
+    """
+    windows = Windows.joined(list(kept))
+    windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
+    left = model.design(windows) @ estimate
+    error = left[:, 0] + 1j * left[:, 1]
+    currents = np.concatenate([np.ones((len(windows), 2, 1)), windows.i_dq / model.i_max], axis=2)
+    turned = np.exp(1j * windows.angle)[..., None] * currents  # (N, end, 3)
+    step, phase = np.exp(1j * windows.angle), np.ones((len(windows), 2), np.complex128)
+    shares = np.empty(highest)
+    for order in range(highest):
+        phase = phase * step
+        both = np.concatenate([turned * phase[..., None], turned * phase.conj()[..., None]], axis=2)
+        regressors = both[:, 1] - both[:, 0]
+        moment, gram = regressors.conj().T @ error, regressors.conj().T @ regressors
+        found = np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
+        shares[order] = float((moment.conj() @ found).real)
+    return np.asarray(shares / max(float(np.sum(np.abs(error) ** 2)), np.finfo(np.float64).tiny))
+
+
+def unexpected_orders(
+    model: FullModel, estimate: FloatArray, kept: Sequence[Windows], known: Sequence[int], highest: int
+) -> tuple[int, ...]:
+    """Return orders up to ``highest``, not in ``known``, that explain clearly more than noise does, strongest first.
+
+    The other arguments are those of :func:`explained_shares`.
+    """
+    shares = explained_shares(model, estimate, kept, highest)
+    least = max(_LEAST_SHARE, _ABOVE_OTHERS * float(np.median(shares)))
+    strongest = 1 + np.argsort(shares)[::-1]
+    return tuple(int(order) for order in strongest if shares[order - 1] > least and order not in known)

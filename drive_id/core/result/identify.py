@@ -11,6 +11,7 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks import samples as checks
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
@@ -45,7 +46,7 @@ def identify(
         When no trustworthy map can come of these samples.
     """
     settings = settings or FitSettings()
-    with one_blas_thread(with_scipy=settings.method == "full"):
+    with one_blas_thread(with_scipy=method_named(settings.method).windows):
         evidence = gather(recordings, settings, tell)
         tell("Solving and validating", 1.0)
         return conclude(evidence, recordings)

@@ -31,6 +31,7 @@ def warm_up(settings: FitSettings) -> None:
     stamp = np.rint(t * 1e9).astype(np.int64)
     position = np.stack([np.angle(np.exp(1j * angle)), np.full(_COUNT, _SPEED)], axis=-1)
     live = LiveEvidence(replace(settings, splines_d=8, splines_q=8, grid_points=33, i_max=1.0), 1.0)
-    for section, values in enumerate((frames.to_abc(i_dq, angle), u_abc, position)):
+    # contiguous, as decoded messages are: a kernel is compiled for each layout
+    for section, values in enumerate(map(np.ascontiguousarray, (frames.to_abc(i_dq, angle), u_abc, position))):
         live.add(section, Signal(f"warm-up {section}", stamp, values, _PERIOD, np.zeros(1, np.int64)))
     live.snapshot().identify()

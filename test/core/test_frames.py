@@ -16,9 +16,9 @@ amperes = st.floats(-1e3, 1e3)
 
 
 def clarke_park(angle):
-    """Return the paper's matrix K(phi), (2, 3)."""
-    axes = angle - np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
-    return 2 / 3 * np.stack([np.cos(axes), -np.sin(axes)])
+    """Return the paper's matrix K(phi), (..., 2, 3)."""
+    axes = np.asarray(angle)[..., None] - np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
+    return 2 / 3 * np.stack([np.cos(axes), -np.sin(axes)], axis=-2)
 
 
 @given(angle=angles, d=amperes, q=amperes)

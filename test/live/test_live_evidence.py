@@ -266,10 +266,10 @@ def test_live_samples_are_the_first_recording_of_the_conditions(samples):
 
 @pytest.mark.parametrize("model", ["spline", "polynomial", "linear"])
 def test_warming_up_leaves_nothing_to_compile(model):
-    from drive_id.core.paper import row_products, spline_rows
+    from drive_id.core.paper import rows, spline_rows
     from drive_id.core.validation import current_simulation
 
-    add_rows = spline_rows.add_spline_rows if model == "spline" else row_products.add_rows
+    add_rows = spline_rows.add_spline_rows if model == "spline" else rows.add_rows
     warm_up(FitSettings("joint", flux_model=model))
     before = len(add_rows.signatures), len(current_simulation._simulate.signatures)
     assert min(before) >= 1

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.running_sums import SavedSums, TimeBlocks
-from drive_id.core.paper.rows import FLUX, SampleIntegrals, sample_integrals
+from drive_id.core.paper.rows import FLUX, SampleIntegrals, add_rows, sample_integrals
 from drive_id.core.paper.spline_rows import add_spline_rows
 from drive_id.types import BoolArray, FloatArray, Samples
 
@@ -176,10 +176,17 @@ class RegressionSums:
     def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
         self.rows += 2 * int(integrals.valid.sum())
         self.outside += int((~integrals.inside).sum())
-        rows = integrals.dense(self.model.parameters)
-        for pairs in self._spans(len(rows), period):
-            z = rows[pairs][integrals.valid[pairs]].reshape(-1, self._size)
-            self._blocks[-1] += z.T @ z
+        known = np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1)
+        for pairs in self._spans(len(integrals.v), period):
+            own = slice(pairs.start, pairs.stop + 1)
+            add_rows(
+                known[pairs],
+                integrals.half_turn[pairs],
+                integrals.valid[pairs],
+                integrals.rows.column[own],
+                integrals.rows.value[own],
+                self._blocks[-1],
+            )
 
     def _spans(self, count: int, period: float) -> Iterator[slice]:
         """Divide ``count`` pairs of samples among the last block of time and further ones."""

@@ -13,7 +13,7 @@ from drive_id.core.maps import flux_models
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
 from drive_id.core.numerics import bspline, scans
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.rows import SampleIntegrals
+from drive_id.core.paper import rows as paper_rows
 from drive_id.core.validation import current_simulation
 
 MODEL = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7))
@@ -43,12 +43,10 @@ def test_cross_products_of_rows(model):
     t = np.linspace(0, 20, 3001)
     rows = model.rows(np.stack([9 * np.cos(t), 8 * np.sin(1.3 * t)], axis=-1))
     known, half_turn, valid = random.normal(size=(3000, 2, 3)), random.normal(size=3000), random.random(3000) < 0.8
-    q1, q4, v = np.moveaxis(known, -1, 0)
-    z = SampleIntegrals(v, q1, q4, half_turn, rows, valid, valid).dense(model.parameters)[valid]
-    gram = np.ones((3 + model.parameters, 3 + model.parameters))
-    oracles.add_rows(known, half_turn, valid, rows.column, rows.value, gram)
-    expected = 1 + np.einsum("nai,naj->ij", z, z)
-    np.testing.assert_allclose(gram, expected, rtol=0, atol=1e-12 * np.abs(gram).max())
+    grams = [np.ones((3 + model.parameters, 3 + model.parameters)) for _ in range(2)]
+    for add, gram in zip((paper_rows.add_rows, oracles.add_rows), grams, strict=True):
+        add(known, half_turn, valid, rows.column, rows.value, gram)
+    np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
 
 
 @pytest.mark.parametrize("rest", [0, 3, 50])

@@ -246,7 +246,7 @@ def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
     assert not impossible.met
     assert impossible.experiment.duration == 60.0
     (warning,) = impossible.warnings()
-    assert "not to the wanted 0.001 %" in warning
+    assert "not the wanted 0.001 %" in warning
 
 
 @pytest.mark.usefixtures("coarse_plans")

@@ -16,7 +16,7 @@ from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.validation.harmonic_simulation import simulate_harmonic_current
+from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.types import FloatArray, IntArray
 
 _LONGEST_LAG = 40  # samples
@@ -107,6 +107,6 @@ def _simulated(data: Accumulation, estimate: FloatArray, choice: Choice) -> Floa
     current = np.linspace(-1.2 * evidence.i_max, 1.2 * evidence.i_max, 1001)
     drop = (model.shapes(current) @ estimate[model.phase_columns()]).mean(axis=1)
     samples, gamma = data.simulation.samples, spline(model.flux, estimate[model.map])
-    return simulate_harmonic_current(
+    return simulate_current(
         samples, TensorSpline(d, q), gamma, harmonics, float(estimate[RESISTANCE]), (current, drop)
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import Identification
@@ -117,7 +118,7 @@ def _fit(
 ) -> Fit:
     if not any(is_information(bag) for bag in bags):  # these know their own
         settings.check_recordings(len(bags))
-    with one_blas_thread(with_scipy=settings.method == "full"):
+    with one_blas_thread(with_scipy=method_named(settings.method).windows):
         recording = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
         tell("Solving", None)
         identification = conclude(recording.evidence, recording.validation)
@@ -158,7 +159,7 @@ def accumulate_bags(
     """
     check_information_output(output)
     gather = _gatherer(bags, cluster, skip_bad=skip_bad, apart=True)
-    with one_blas_thread(with_scipy=settings.method == "full"):
+    with one_blas_thread(with_scipy=method_named(settings.method).windows):
         accumulated = gather(bags, settings, signals=signals, namespace=namespace, tell=tell)
     tell("Writing", None)
     write_information(output, accumulated)

@@ -1,4 +1,4 @@
-"""Compiling, or loading from the disk, all that a fit needs, before anybody waits for it."""
+"""Compile the kernels of a fit, or load them from the disk, before the first request."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAGNET = 0.1  # Wb
 
 
 def warm_up(settings: FitSettings) -> None:
-    """Fit two seconds of a linear machine, as live samples are."""
+    """Fit two seconds of a linear machine on the path of live samples."""
     t = _PERIOD * np.arange(_COUNT, dtype=np.float64)
     i_d = np.cos(2 * np.pi * 1.1 * t) * np.sin(2 * np.pi * 3.7 * t)
     i_dq = np.stack([i_d, np.sin(2 * np.pi * 1.1 * t)], axis=-1)

@@ -1,4 +1,4 @@
-"""All that is kept of recordings for a fit, and how that of several becomes one."""
+"""What is kept of recordings for a fit: evidence, excerpts for the MAD and provenance, and how to merge it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from drive_id.errors import ConfigurationError
 from drive_id.types import GroundTruth, Samples
 
 VALIDATION_SECONDS = 2.0
-"""How much of a recording is kept for the MAD where it travels or is stored, s."""
+"""Length of the excerpt of a recording that is sent or stored for the MAD, s."""
 
 VALIDATION_PIECES = 10
-"""Of how many recordings such a piece is kept."""
+"""Largest number of recordings with such an excerpt."""
 
 
 @dataclass(frozen=True, eq=False)
 class Accumulated:
-    """What was accumulated of one bag or of several.
+    """What is kept of one bag or of several.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Accumulated:
     last_stamp: int
 
     def merged(self, other: Accumulated) -> Accumulated:
-        """Return what was accumulated of both.
+        """Return what is kept of both.
 
         Raises
         ------
         ConfigurationError
-            When they hold the same recording, or were accumulated differently.
+            When they contain the same recording, or were accumulated with different settings.
         """
         known = {digest: file for file, digest in self.digests.items()}
         for file, digest in other.digests.items():
@@ -73,16 +73,15 @@ class Accumulated:
 
 
 def _unused(file: str, names: Collection[str]) -> str:
-    """Return a name for a file, for two machines may have recorded two bags under the same."""
+    """Return a free name for a file: two machines may have recorded two bags under the same name."""
     candidates = (file if number == 1 else f"{file} ({number})" for number in count(1))
     return next(name for name in candidates if name not in names)
 
 
 def bounded(pieces: Sequence[Samples]) -> tuple[Samples, ...]:
-    """Return the beginnings of recordings, and of many recordings a few.
+    """Return the beginnings of recordings, of a bounded number of them.
 
-    Which few is decided by a hash of their currents: a choice like one by lot, but the same whatever the order in which
-    they come, one by one or in groups.
+    A hash of their currents selects them: the same ones in whatever order the recordings come, one by one or in groups.
     """
     cut = [beginning(piece, VALIDATION_SECONDS) for piece in pieces]
     if len(cut) <= VALIDATION_PIECES:

@@ -1,10 +1,10 @@
-"""All that a fit needs to know of the samples, accumulated as they come: its size does not grow with them."""
+"""Sufficient statistics of a fit: sums and counts over all samples, of a size that does not depend on their number."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits, disc_coverage
-from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
-from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.maps.flux_models import FluxModel
+from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, State, below, exactly, prefixed
 from drive_id.core.numerics.scans import bend_square, mark_rests
-from drive_id.core.paper.regression import Information
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, Samples
-
-if TYPE_CHECKING:
-    from drive_id.core.full.information import WindowInformation
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
@@ -38,7 +34,7 @@ _SUMS = ("_time", "_zero_sequence_square", "_bend_square", "_turn_square")
 
 
 class Evidence:
-    """The regression's information, the visited currents and the counts of a growing set of samples.
+    """Sums of the fit's method, counts of visited currents and noise statistics of the samples so far.
 
     Parameters
     ----------
@@ -54,11 +50,10 @@ class Evidence:
         self.d = d
         self.q = q
         self.i_max = i_max
-        self.information = Information(_model(settings, d, q, i_max), TanhShape(settings.inverter_current_scale))
+        self.information, self.windows = method_named(settings.method).accumulator(settings, d, q, i_max)
         self.visits = Visits(
             np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
         )
-        self.windows = _windows(settings, d, q, i_max) if settings.method == "full" else None
         self._recordings = 0
         self.reached = 0.0
         """Radius of the disc that the prescan found, whatever i_max is set to, A; 0 where it is not known."""
@@ -87,7 +82,7 @@ class Evidence:
         done : callable, optional
             Told after each part how many of them are done.
         continues : bool
-            They continue the piece before and begin with its last sample, which counts once.
+            They continue the previous piece and begin with its last sample, which counts once.
         """
         new = slice(1, None) if continues else slice(None)
         rotation = np.cos(samples.angle), np.sin(samples.angle)
@@ -109,7 +104,7 @@ class Evidence:
             self._bends += 2 * max(run.stop - run.start - 2, 0)
 
     def next_recording(self) -> None:
-        """Tell that what comes now is of another recording, so that adding it is merging it.
+        """Begin another recording: adding its samples then equals merging it.
 
         Raises
         ------
@@ -125,7 +120,7 @@ class Evidence:
         self._recordings += 1
 
     def _idle(self, samples: Samples, i_dq: FloatArray, *, continues: bool) -> BoolArray:
-        """Tell (N,) which samples come after a longer rest near zero current than the settings allow."""
+        """Tell (N,) which samples follow a rest near zero current longer than the settings allow."""
         idle = np.zeros(len(samples), np.bool_)
         least, period, longest = _IDLE_CURRENT * self.i_max, samples.sample_period, self.settings.longest_rest
         for run in samples.runs():
@@ -134,29 +129,33 @@ class Evidence:
         return idle
 
     def copy(self, settings: FitSettings | None = None) -> Evidence:
-        """Return evidence that goes its own way from here; cheap, for what is complete is shared.
+        """Return an independent copy; finished blocks are shared.
 
         Parameters
         ----------
         settings : FitSettings, optional
-            Another method; what else they say must be the same.
+            Another method; all other settings that shape the sums must be equal.
+
+        Raises
+        ------
+        ConfigurationError
+            When the other method needs sums that were not accumulated.
         """
         other = copy.copy(self)
         other.settings = settings or self.settings
-        if other.settings.method == "full" and self.windows is None:
+        over_windows = method_named(other.settings.method).windows
+        if over_windows and self.windows is None:
             raise ConfigurationError(
-                f"The samples were accumulated for method {self.settings.method}, which is not enough for method full: "
-                "accumulate them with method full, which serves all methods."
+                f"The samples were accumulated for method {self.settings.method}, which is not enough for method "
+                f"{other.settings.method}: accumulate them with that method, which serves all methods."
             )
         other.information = self.information.copy()
         other.visits = self.visits.copy()
-        other.windows = None
-        if self.windows is not None and other.settings.method == "full":
-            other.windows = self.windows.copy()
+        other.windows = self.windows.copy() if over_windows and self.windows is not None else None
         return other
 
     def merged(self, other: Evidence) -> Evidence:
-        """Return the evidence of both, as if the other's recordings had been added, too; both stay as they are.
+        """Return the evidence of all recordings of both; neither changes.
 
         Raises
         ------
@@ -168,7 +167,7 @@ class Evidence:
         return both
 
     def merge(self, other: Evidence) -> None:
-        """Add what is known of other recordings, see :meth:`merged`."""
+        """Add the evidence of other recordings, see :meth:`merged`."""
         if difference := self.difference(other):
             raise ConfigurationError(
                 f"Two recordings were accumulated differently ({difference}) and cannot be merged: accumulate both "
@@ -184,13 +183,13 @@ class Evidence:
         self._quiet = 0
 
     def suits(self, settings: FitSettings) -> bool:
-        """Tell whether what was gathered is what these settings would have gathered."""
+        """Tell whether a fit with these settings can use this evidence."""
         shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
         same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
-        return same and (settings.method != "full" or self.windows is not None)
+        return same and (self.windows is not None or not method_named(settings.method).windows)
 
     def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
-        """Tell in what this evidence and that one differ that keeps them from being merged; empty if they can be."""
+        """Return what keeps this evidence and the other from being merged; empty if nothing does."""
         for name in _SHAPING:
             mine, theirs = (getattr(settings, name) for settings in (self.settings, other.settings))
             if mine != theirs:
@@ -204,14 +203,14 @@ class Evidence:
         return ""
 
     def state(self) -> State:
-        """Return all that was gathered; settings, ranges and radius are not part of it."""
+        """Return sums and counts, without settings, ranges and radius."""
         own: State = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
         for name, accumulator in self.accumulators().items():
             own |= prefixed(name, accumulator.state())
         return own
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Take over a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
+        """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
         self.reached = exactly(state.get("reached", np.array(0.0)), np.array(0.0)).item()  # older files lack it
@@ -219,13 +218,13 @@ class Evidence:
             accumulator.restore(below(name, state))
 
     def accumulators(self) -> dict[str, Accumulator]:
-        """Return the parts that gather for themselves, by name."""
+        """Return the accumulators it consists of, by name."""
         parts: dict[str, Accumulator] = {"information": self.information, "visits": self.visits}
         return parts if self.windows is None else parts | {"windows": self.windows}
 
     @property
     def model(self) -> FluxModel:
-        """The flux model whose parameters the information is about."""
+        """Flux model of the paper's regression."""
         return self.information.model
 
     @property
@@ -247,34 +246,16 @@ class Evidence:
     def noise_share(self) -> float:
         """Energy that noise adds to the differences of a basis function, per energy of its rotation.
 
-        Noise of deviation sigma in i_dq, estimated from second differences, changes a function by about sigma / h from
-        sample to sample, h being the width of a cell; the voltage tells of the function itself by omega T.
+        Noise of standard deviation sigma in i_dq, estimated from second differences, changes a function by about
+        sigma / h from sample to sample, h being the width of a cell; rotation contributes omega T times the function.
         """
         variance = self._bend_square / max(self._bends, 1) / 6
         return float(2 * variance / max(self.turn * min(self.d.width, self.q.width), np.finfo(np.float64).tiny) ** 2)
 
     def inside(self) -> BoolArray:
         """Tell where on the grid of the visits data support a map of this resolution."""
-        if self.settings.method == "full":
-            from drive_id.core.full.model import FLUX_CELLS  # noqa: PLC0415  # see below
-
-            return self.visits.inside((self.d.high - self.d.low) / FLUX_CELLS, (self.q.high - self.q.low) / FLUX_CELLS)
-        return self.visits.inside(self.d.width, self.q.width)
+        return self.visits.inside(*method_named(self.settings.method).resolution(self.d, self.q))
 
     def coverage(self) -> float:
         """Return the share of the current disc with data, 0 to 1."""
         return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
-
-
-def _windows(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> WindowInformation:
-    from drive_id.core.full.information import WindowInformation  # noqa: PLC0415
-    from drive_id.core.full.model import FullModel  # noqa: PLC0415  # scipy takes longer to load than a fit without it
-
-    low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-    return WindowInformation(FullModel(low, high, i_max, settings.harmonic_orders))
-
-
-def _model(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> FluxModel:
-    if settings.flux_model == "spline":
-        return TensorSpline(d, q)
-    return Polynomial(settings.polynomial_degree if settings.flux_model == "polynomial" else 1, i_max)

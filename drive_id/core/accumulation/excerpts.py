@@ -1,4 +1,4 @@
-"""Parts of a recording of any length, evenly spread over it, in bounded memory: to simulate and to draw."""
+"""Excerpts of a recording of any length, evenly spread over it, in bounded memory: for the MAD and for pictures."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from drive_id.core.signals.join import Piece, joined
 from drive_id.types import Samples
 
 SPAN = 1 << 14
-"""Samples of one part."""
+"""Samples of one span."""
 SPANS = 8
-"""Most parts: a recording of up to ``SPAN x SPANS`` samples is kept whole."""
+"""Largest number of spans: a recording of up to ``SPAN x SPANS`` samples is kept whole."""
 
 
 class Spans:
-    """Keeps every sample of a short recording, and every second, fourth, ... part of a longer one.
+    """Keeps every sample of a short recording, and every second, fourth, ... span of a longer one.
 
     Parameters
     ----------
     span : int
-        Samples of a part.
+        Samples of a span.
     most : int
-        Parts to keep; even.
+        Spans to keep; even.
     """
 
     def __init__(self, span: int = SPAN, most: int = SPANS) -> None:
@@ -56,7 +56,7 @@ class Spans:
             start = stop
 
     def samples(self) -> tuple[Samples, ...]:
-        """Return what was kept, parts without a gap between them put together."""
+        """Return the excerpts as one recording; spans without a gap between them are joined."""
         pieces = [piece for number in sorted(self._parts) for piece in self._parts[number]]
         return (joined(pieces),) if pieces else ()
 

@@ -1,37 +1,27 @@
-"""From accumulated evidence to an identified drive."""
+"""From accumulated samples to an identified drive: what all methods share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import check_radius
-from drive_id.core.maps.continuation import extend
-from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline
-from drive_id.core.numerics.bspline import Axis
+from drive_id.core.methods.method import Estimate
+from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.sample_integrals import VOLTAGE
-from drive_id.core.paper.solver import Deviations, Solution, deviations, sigma, solve
-from drive_id.core.result.identification import FitReport, FluxMap, Identification
+from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, Identification
 from drive_id.core.result.warnings import review
-from drive_id.core.validation.current_simulation import simulate_current, typical_inductances
+from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.errors import DataError
-from drive_id.types import BoolArray, FloatArray, Samples
-
-_CURVE_POINTS = 201
-_WEAK_COEFFICIENT = 0.1
-_FINE_COUNT = 24
-_AT_A_TIME = 512
+from drive_id.types import Samples
 
 
-def conclude(
-    evidence: Evidence, validation: Sequence[Samples], on_map: Callable[[FluxMap], None] = lambda _: None
-) -> Identification:
-    """Solve for the parameters, draw up the maps and judge them.
+def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identification:
+    """Estimate by the method of the settings, simulate the currents, and judge the result.
 
     Parameters
     ----------
@@ -39,8 +29,6 @@ def conclude(
         Of all samples.
     validation : sequence of Samples
         Samples whose currents are simulated for the MAD; NaN without any.
-    on_map : callable, optional
-        Told of the flux map as soon as there is one, its deviations still NaN: what comes then takes its time.
 
     Returns
     -------
@@ -49,114 +37,77 @@ def conclude(
     Raises
     ------
     CoverageError, DataError
-        When no trustworthy map can come of this evidence.
+        When these samples cannot give a trustworthy map.
     """
-    information, inside, coverage = evidence.information, evidence.inside(), evidence.coverage()
+    inside, coverage = evidence.inside(), evidence.coverage()
     check_radius(evidence, coverage)
-    total = information.total
+    total = evidence.information.total
     if not (np.isfinite(total).all() and total[VOLTAGE, VOLTAGE] > 0):
         raise DataError(
-            "The commanded voltages are zero or equal in all phases, or voltages or currents are beyond all measure: "
+            "The commanded voltages are zero or equal in all phases, or voltages or currents are out of all range: "
             "check their fields and scales."
         )
-    if evidence.settings.method == "full":
-        from drive_id.core.result.full_conclusion import conclude_full  # noqa: PLC0415  # scipy takes longer than other methods
-
-        return conclude_full(evidence, validation, inside, coverage, on_map)
-    solution = solve(total, information.rows, with_inverter=evidence.settings.method == "joint")
-    first = _first_map(evidence, solution, inside)
-    on_map(first)
-    spread = deviations(information.blocks, solution)
-    extended = _extended(evidence, solution, spread, inside)
-    flux_map = _flux_map(first, evidence, spread, extended)
-    mad = _mad(validation, extended, solution, evidence.settings.inverter_current_scale)
-    curve = np.linspace(-evidence.i_max, evidence.i_max, _CURVE_POINTS)
+    estimate = method_named(evidence.settings.method).conclude(evidence, inside)
+    flux_map = FluxMap(
+        i_d=evidence.visits.i_d,
+        i_q=evidence.visits.i_q,
+        psi_d=estimate.psi[..., 0],
+        psi_q=estimate.psi[..., 1],
+        sigma_d=estimate.sigma[..., 0],
+        sigma_q=estimate.sigma[..., 1],
+        inside=inside,
+    )
+    mad = _mad(validation, estimate)
     report = FitReport(
         samples_read=evidence.samples,
-        samples_used=information.rows // 2,
+        samples_used=estimate.samples_used,
         gaps=evidence.gaps,
-        rows=information.rows,
-        parameters=len(solution.columns),
-        rank=solution.rank,
-        unseen=int((np.diag(total)[-evidence.model.parameters :] == 0).sum()),
-        condition=solution.condition,
-        residual_rms=solution.residual_rms / evidence.sample_period,
+        rows=estimate.rows,
+        parameters=estimate.parameters,
+        rank=estimate.rank,
+        unseen=estimate.unseen,
+        condition=estimate.condition,
+        residual_rms=estimate.residual_rms / evidence.sample_period,
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, solution, spread, flux_map, mad if validation else (0.0, 0.0)),
+        warnings=review(evidence, coverage, estimate, flux_map, mad if validation else (0.0, 0.0)),
     )
     return Identification(
         method=evidence.settings.method,
         i_max=evidence.i_max,
-        resistance=solution.resistance,
-        sigma_resistance=sigma(spread.resistance),
-        voltage_error=solution.voltage_error,
-        sigma_voltage_error=sigma(spread.voltage_error),
-        inverter_current=curve,
-        inverter_voltage=solution.voltage_error * information.shape(curve),
-        model=evidence.model,
-        gamma=solution.gamma,
+        resistance=estimate.resistance,
+        sigma_resistance=estimate.sigma_resistance,
+        voltage_error=estimate.voltage_error,
+        sigma_voltage_error=estimate.sigma_voltage_error,
+        inverter_current=estimate.inverter_current,
+        inverter_voltage=estimate.inverter_voltage,
+        model=estimate.model,
+        gamma=estimate.gamma,
         flux_map=flux_map,
         report=report,
+        inverter_deviation=estimate.inverter_deviation,
+        phase_voltages=estimate.phase_voltages,
+        harmonics=tuple(HarmonicMap(h, a[..., 0], b[..., 0], a[..., 1], b[..., 1]) for h, a, b in estimate.harmonics),
+        calibrations=estimate.calibrations,
+        magnet_coefficient=estimate.magnet_coefficient,
+        statements=estimate.statements,
     )
 
 
-def _extended(
-    evidence: Evidence, solution: Solution, spread: Deviations, inside: BoolArray
-) -> tuple[TensorSpline, FloatArray]:
-    """Return the map as splines with sane values beyond the data."""
-    model, gamma = evidence.model, solution.gamma
-    i_dq = evidence.visits.grid()[inside]
-    if not isinstance(model, TensorSpline):
-        finer = (Axis(axis.low, axis.high, max(axis.count, _FINE_COUNT)) for axis in (evidence.d, evidence.q))
-        spline, coefficients = as_tensor_spline(model, gamma, *finer)
-        weak = np.ones(len(coefficients), np.bool_)
-        weak[spline.rows(i_dq).column] = False
-        return spline, extend(spline, coefficients, weak, typical_inductances(spline, coefficients, i_dq))
-    largest = np.abs(model.rows(i_dq).dot(gamma)).max()
-    uncertain = np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest
-    weak = (gamma == 0) | (uncertain if spread.known else False)
-    return model, extend(model, gamma, weak, typical_inductances(model, gamma, i_dq))
-
-
-def _first_map(evidence: Evidence, solution: Solution, inside: BoolArray) -> FluxMap:
-    """Return the map as it was fitted, without deviations."""
-    grid = evidence.visits.grid()
-    psi = evidence.model.rows(grid.reshape(-1, 2)).dot(solution.gamma).reshape(grid.shape)
-    unknown = np.full(inside.shape, np.nan)
-    return FluxMap(evidence.visits.i_d, evidence.visits.i_q, psi[..., 0], psi[..., 1], unknown, unknown, inside)
-
-
-def _flux_map(
-    first: FluxMap, evidence: Evidence, spread: Deviations, extended: tuple[TensorSpline, FloatArray]
-) -> FluxMap:
-    """Return the map with sane values beyond the data, and with deviations where there are data."""
-    grid, inside = first.grid(), first.inside
-    psi = np.stack([first.psi_d, first.psi_q], axis=-1)
-    psi[~inside] = extended[0].rows(grid[~inside]).dot(extended[1])
-    deviation = np.full(grid.shape, np.nan)
-    deviation[inside] = _deviation(evidence.model, spread, grid[inside])
-    return replace(first, psi_d=psi[..., 0], psi_q=psi[..., 1], sigma_d=deviation[..., 0], sigma_q=deviation[..., 1])
-
-
-def _deviation(model: FluxModel, spread: Deviations, i_dq: FloatArray) -> FloatArray:
-    """Return the deviations of both fluxes (N, 2), Wb, at currents (N, 2), A; infinite where they are not known."""
-    out = np.full(i_dq.shape, np.inf)
-    if not spread.known:
-        return out
-    for start in range(0, len(i_dq), _AT_A_TIME):
-        part = slice(start, start + _AT_A_TIME)
-        out[part] = np.linalg.norm(model.rows(i_dq[part]).dense(model.parameters) @ spread.gamma.T, axis=-1)
-    return out
-
-
-def _mad(
-    validation: Sequence[Samples], flux: tuple[TensorSpline, FloatArray], solution: Solution, current_scale: float
-) -> tuple[float, float]:
+def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[float, float]:
+    """Return the MAD of i_d and i_q, A, over samples corrected for the sensor faults that were found."""
     if not validation:
         return float("nan"), float("nan")
-    drop = (solution.voltage_error, current_scale)
-    simulated = [simulate_current(samples, *flux, solution.resistance, *drop) for samples in validation]
-    measured = [frames.to_dq(samples.i_abc, samples.angle) for samples in validation]
+    pieces = validation
+    if estimate.calibrations:
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+        pieces = [corrected(samples, estimate.calibrations) for samples in validation]
+    known = estimate.simulation
+    simulated = [
+        simulate_current(piece, known.model, known.gamma, known.harmonics, estimate.resistance, known.drop)
+        for piece in pieces
+    ]
+    measured = [frames.to_dq(piece.i_abc, piece.angle) for piece in pieces]
     return mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured))

@@ -1,9 +1,19 @@
-"""Open-loop simulation of the current from an identified model, for the paper's second metric."""
+"""Open-loop simulation of the current from an identified model, for the paper's second metric, the MAD.
+
+The state is the flux linkage in the stator frame, where the held voltage is constant and the balance contains neither
+the speed nor the rotor harmonics,
+
+    d/dt psi_s = u_s - R i_s - drop(i_abc)_s,        f(i, theta) = e^{-j theta} psi_s,
+
+so that Runge-Kutta's rule integrates only the small, slow loss; i follows from a search on the map at theta. Methods
+``psm`` and ``joint`` are the case without harmonics (``eq:continous_dq_current_ODE_with_disturbance``).
+"""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,16 +24,30 @@ from drive_id.core.numerics import bspline
 from drive_id.core.numerics.compiled import compiled, inlined
 from drive_id.types import FloatArray, Samples
 
-_LARGEST_TURN = 0.15
-"""Angle turned in one Runge-Kutta step at most, rad."""
+_LARGEST_TURN = 0.3
+"""Largest angle turned in one step, rad."""
+
+_LARGEST_PHASE = 1.2
+"""Largest phase that the highest harmonic passes in one step, rad."""
+
+_FINEST = 32
+"""Finest division of a step where the loss bends, that is, where a phase current changes its sign."""
+
+_BEND = 1e-5
+"""Error of a step above which it is divided, relative to the flux of the largest current."""
 
 _DIVERGED = 5.0
+"""Current at which a simulation is given up, over the largest current of the map."""
+
 _DAMPING = 0.1
 _SEARCH_STEPS = 20
-_SEARCH_TOLERANCE = 1e-6
-"""Last change of a search over the largest current: the steps are Newton's, so that the next one is its square."""
+_SEARCH_TOLERANCE = 3e-6
+"""Last change of a search over the current of divergence: the steps are Newton's, so the next one is its square."""
 _FOLDED = 0.1
-"""Share of the typical Jacobian's determinant below which the search takes that one, not to run to a far branch."""
+"""Share of the typical Jacobian's determinant below which the search uses that one: it must not run to a far branch."""
+
+_HALF_WINDOW = 5
+"""Samples to each side over which the difference of the measured angle from the integral of the speed is averaged."""
 
 _POWERS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6
 """Powers of the position in a cell (rows) in its four splines, see :mod:`drive_id.core.numerics.bspline`."""
@@ -33,27 +57,33 @@ def simulate_current(
     samples: Samples,
     model: TensorSpline,
     gamma: FloatArray,
+    harmonics: Mapping[int, tuple[FloatArray, FloatArray]],
     resistance: float,
-    voltage_error: float,
-    current_scale: float,
+    drop: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Integrate ``eq:continous_dq_current_ODE_with_disturbance`` over a recording, each run from its first sample.
+    """Integrate ``u = R i + j omega f + df/dt + drop`` over a recording, each run from its first sample.
 
-    The commanded voltage is held in the stator frame, the speed over each sample. The flux is the state and the
-    current is the one whose flux is nearest, which is the same equation where the Jacobian D_f is regular, and stays
-    bounded where it is singular, as it can be at places in a fit that disregards the rotor harmonics. Beyond the
-    model's range the map goes on with the typical inductances.
+    The flux linkages are ``f(i, theta) = f_0(i) + sum_h a_h(i) cos(h theta) + b_h(i) sin(h theta)``. The commanded
+    voltage is held in the stator frame over each sample. The measured angle is smoothed, guided by the integral of the
+    speed, because a step of the angle turns the whole flux and acts on the current at once. The current is the one
+    whose flux is nearest: the same equation where the Jacobian D_f is regular, and bounded where it is singular, as it
+    can be in places of a fit that disregards the rotor harmonics. Beyond the model's range f_0 goes on with the typical
+    inductances, and the harmonics stay as on its edge.
 
     Parameters
     ----------
     samples : Samples
     model : TensorSpline
+        Of f_0 and of every harmonic.
     gamma : (P,) float
-        Flux parameters, Wb.
+        Parameters of f_0, Wb.
+    harmonics : mapping of int to ((P,) float, (P,) float)
+        Electrical order h to the parameters of a_h and b_h, Wb; empty for methods ``psm`` and ``joint``.
     resistance : float
         Ohm.
-    voltage_error, current_scale : float
-        u_e (drop convention), V, and i_s, A.
+    drop : (C,) float, (C,) float
+        Phase currents, A, equally spaced and increasing, and the inverter's drop of the phase voltage there, V; linear
+        in between and constant beyond.
 
     Returns
     -------
@@ -61,15 +91,29 @@ def simulate_current(
         Simulated i_dq at the stamps, A; NaN from where a run diverged on.
     """
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    u_dq = frames.space_vector(samples.u_abc) * np.exp(-1j * samples.angle)
-    limit = _DIVERGED * float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())
+    u_s = frames.space_vector(samples.u_abc)
+    largest = float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())
     inductances = typical_inductances(model, gamma, i_dq)
-    electrical = Electrical(resistance, voltage_error, current_scale, limit, _DAMPING * 0.5 * sum(inductances))
-    table = _flux_table(model, gamma, inductances)
+    inductance = 0.5 * sum(inductances)
+    circuit = Circuit(
+        np.array(list(harmonics), np.float64),
+        float(resistance),
+        float(drop[0][0]),
+        float(drop[0][1] - drop[0][0]),
+        np.ascontiguousarray(drop[1], np.float64),
+        samples.sample_period,
+        max(1 / _LARGEST_TURN, max(harmonics, default=0) / _LARGEST_PHASE),
+        _BEND * abs(inductance) * largest,
+        _DIVERGED * largest,
+        (_DAMPING * inductance) ** 2,
+    )
+    parts = [gamma, *(part for pair in harmonics.values() for part in pair)]
+    table = flux_table(model, parts, inductances)
     out = np.full(len(i_dq), np.nan, np.complex128)
     for run in samples.runs():
-        u, angle, speed = u_dq[run], samples.angle[run], samples.speed[run]
-        _simulate(u, angle, speed, samples.sample_period, electrical, table, complex(*i_dq[run.start]), out[run])
+        angle = _smooth_angle(samples.angle[run], samples.speed[run], samples.sample_period)
+        slices = _slice(len(harmonics)), _slice(len(harmonics))
+        _simulate(u_s[run], angle, circuit, table, *slices, complex(*i_dq[run.start]), out[run])
     out.imag[np.isnan(out.real)] = np.nan
     return frames.as_pairs(out)
 
@@ -80,12 +124,22 @@ def typical_inductances(model: TensorSpline, gamma: FloatArray, i_dq: FloatArray
     return float(by_d[:, 0].mean()), float(by_q[:, 1].mean())
 
 
+def _smooth_angle(angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
+    """Return the angle (N,), rad, not wrapped, without the noise of the measured one."""
+    turned = np.zeros(len(angle))
+    np.cumsum(0.5 * period * (speed[1:] + speed[:-1]), out=turned[1:])
+    left = np.unwrap(angle - turned)
+    half = min(_HALF_WINDOW, len(left) - 1)
+    padded = np.pad(left, half, mode="reflect", reflect_type="odd")
+    return np.asarray(turned + np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))
+
+
 class FluxTable(NamedTuple):
-    """A spline map as a polynomial per cell, continued beyond its range with the typical inductances."""
+    """The map and its harmonics as polynomials per cell, continued beyond the range with the typical inductances."""
 
     coefficients: ComplexArray
     """Of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q, Wb, real part d and imaginary part q."""
-    per_cell: int  # coefficients, 16 for each map
+    per_cell: int  # coefficients, 16 for each part: f_0, then a_h and b_h of each harmonic
     low_d: float  # A
     width_d: float  # of a cell, A
     count_d: int  # of cells
@@ -96,18 +150,31 @@ class FluxTable(NamedTuple):
     inductance_q: float
 
 
-class Electrical(NamedTuple):
-    """The constants of the voltage equation, and when to give up."""
+class Circuit(NamedTuple):
+    """The constants of the voltage equation and of its integration."""
 
+    orders: Any  # (H,) of the harmonics
     resistance: float  # ohm
-    voltage_error: float  # V
-    current_scale: float  # A
+    drop_low: float  # lowest current of the inverter's curve, A
+    drop_width: float  # between its points, A
+    drop_voltage: Any  # (C,) V
+    period: float  # s
+    steps_per_turn: float  # 1/rad
+    bend: float  # error of a step above which it is divided, Wb
     diverged: float  # current, A
-    damping: float  # of the search for a current, H
+    damping: float  # of the search for a current, H^2
+
+
+class Slice(NamedTuple):
+    """The map at one angle of the rotor, in the cell where it was last evaluated; not used without harmonics."""
+
+    factors: Any  # (2 H,) cosine and sine of each order's phase
+    cell: Any  # (2,) int in d and q, -1 for none
+    coefficients: Any  # (16,) complex, Wb
 
 
 class Point(NamedTuple):
-    """A current and what the map says there, real parts d and imaginary parts q."""
+    """A current and the map there, real parts d and imaginary parts q."""
 
     i: complex  # A
     psi: complex  # Wb
@@ -115,11 +182,22 @@ class Point(NamedTuple):
     by_q: complex
 
 
-def _flux_table(model: TensorSpline, gamma: FloatArray, inductances: tuple[float, float]) -> FluxTable:
-    return table_of(model, polynomials(model, gamma), inductances)
+def _slice(orders: int) -> Slice:
+    return Slice(np.zeros(2 * orders), np.full(2, -1), np.zeros(16, np.complex128))
 
 
-def polynomials(model: TensorSpline, gamma: FloatArray) -> ComplexArray:
+def flux_table(model: TensorSpline, parts: Sequence[FloatArray], inductances: tuple[float, float]) -> FluxTable:
+    """Return the kernels' table, from the parameters (P,), Wb, of f_0 and of the amplitudes of each harmonic.
+
+    ``inductances`` are the typical ones of d and q, H.
+    """
+    d, q = model.d, model.q
+    cells = np.concatenate([_polynomials(model, part) for part in parts], axis=-1)
+    range_d, range_q = (float(d.low), float(d.width), d.count - 3), (float(q.low), float(q.width), q.count - 3)
+    return FluxTable(np.ascontiguousarray(cells).ravel(), cells.shape[-1], *range_d, *range_q, *inductances)
+
+
+def _polynomials(model: TensorSpline, gamma: FloatArray) -> ComplexArray:
     """Return the map of parameters (P,), Wb, as (D - 3, Q - 3, 16) coefficients, see :class:`FluxTable`."""
     d, q = model.d, model.q
     gamma_d, gamma_q = gamma.reshape(2, d.count, q.count)
@@ -128,117 +206,180 @@ def polynomials(model: TensorSpline, gamma: FloatArray) -> ComplexArray:
     return np.asarray(cells.reshape(d.count - 3, q.count - 3, 16))
 
 
-def table_of(model: TensorSpline, cells: ComplexArray, inductances: tuple[float, float]) -> FluxTable:
-    """Return what the kernels read, from a map's polynomials and the typical inductances of d and q, H."""
-    d, q = model.d, model.q
-    range_d, range_q = (float(d.low), float(d.width), d.count - 3), (float(q.low), float(q.width), q.count - 3)
-    return FluxTable(np.ascontiguousarray(cells).ravel(), cells.shape[-1], *range_d, *range_q, *inductances)
-
-
 @compiled
 def _simulate(
-    u_dq: ComplexArray,
-    angle: FloatArray,
-    speed: FloatArray,
-    period: float,
-    electrical: Electrical,
+    u_s: Any,
+    angle: Any,
+    circuit: Circuit,
     table: FluxTable,
+    middle: Slice,
+    end: Slice,
     start: complex,
     out: ComplexArray,
 ) -> None:
-    """Integrate by Runge-Kutta's rule of order 4; arrays when compiled, lists, which Python is quicker with, if not."""
-    point = _at(start, table)
-    psi = point.psi
+    """Integrate over one run; steps are halved where the loss bends and doubled again behind."""
+    _turn_to(angle[0], end, circuit)
+    point = _at(start, end, table)
+    turn = complex(math.cos(angle[0]), math.sin(angle[0]))
+    psi = point.psi * turn
     out[0] = start
-    for k in range(len(u_dq) - 1):
-        omega, u = speed[k], u_dq[k]
-        steps = int(abs(omega) * period / _LARGEST_TURN) + 1
-        step = period / steps
-        rotor = complex(math.cos(angle[k]), math.sin(angle[k]))
-        half_turn = complex(math.cos(0.5 * omega * step), math.sin(0.5 * omega * step))
-        back = half_turn.conjugate()
-        for _ in range(steps):
-            k1 = _slope(psi, point.i, u, rotor, omega, electrical)
-            u, rotor = u * back, rotor * half_turn
-            point = _nearest(psi + 0.5 * step * k1, point, electrical, table)
-            k2 = _slope(psi + 0.5 * step * k1, point.i, u, rotor, omega, electrical)
-            point = _nearest(psi + 0.5 * step * k2, point, electrical, table)
-            k3 = _slope(psi + 0.5 * step * k2, point.i, u, rotor, omega, electrical)
-            u, rotor = u * back, rotor * half_turn
-            point = _nearest(psi + step * k3, point, electrical, table)
-            k4 = _slope(psi + step * k3, point.i, u, rotor, omega, electrical)
-            psi += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-            point = _nearest(psi, point, electrical, table)
-        if not abs(point.i) < electrical.diverged:
+    size = _FINEST
+    for k in range(len(u_s) - 1):
+        by = angle[k + 1] - angle[k]
+        ticks = _FINEST * (int(abs(by) * circuit.steps_per_turn) + 1)
+        now = 0
+        while now < ticks:
+            since, until = now / ticks, (now + size) / ticks
+            thetas = (angle[k] + 0.5 * (since + until) * by, angle[k] + until * by)
+            step = (until - since) * circuit.period
+            new_psi, new_point, new_turn, bend = _step(
+                psi, point, turn, u_s[k], thetas, step, circuit, table, middle, end
+            )
+            if bend > circuit.bend and size > 1:
+                size //= 2
+                continue
+            psi, point, turn = new_psi, new_point, new_turn
+            now += size
+            if bend < circuit.bend / 16 and size < _FINEST and now % (2 * size) == 0:
+                size *= 2
+        if not abs(point.i) < circuit.diverged:
             return
         out[k + 1] = point.i
 
 
-@compiled
-def _slope(psi: complex, i: complex, u: complex, rotor: complex, omega: float, electrical: Electrical) -> complex:
-    """Return d psi_dq / dt under the voltage ``u``, ``rotor`` being the unit vector of the rotor's angle."""
-    if electrical.voltage_error != 0.0:
-        u -= electrical.voltage_error * _drop_vector(i * rotor, electrical.current_scale) * rotor.conjugate()
-    return u - electrical.resistance * i - complex(0.0, omega) * psi
+@inlined
+def _step(
+    psi: complex,
+    point: Point,
+    turn: complex,
+    u_s: complex,
+    thetas: tuple[float, float],
+    step: float,
+    circuit: Circuit,
+    table: FluxTable,
+    middle: Slice,
+    end: Slice,
+) -> tuple[complex, Point, complex, float]:
+    """Make one step of Runge-Kutta's rule of order 4; ``turn`` is e^{j theta} at its start, angles at middle and end.
+
+    Returns flux, point and e^{j theta} at the end, and the error that the loss's curvature may have caused, Wb.
+    """
+    loss1 = _loss(point.i * turn, circuit)
+    turn = complex(math.cos(thetas[0]), math.sin(thetas[0]))
+    half = point
+    if table.per_cell > 16:
+        _turn_to(thetas[0], middle, circuit)
+        half = _at(point.i, middle, table)
+    half = _nearest((psi + 0.5 * step * (u_s - loss1)) * turn.conjugate(), half, middle, circuit, table)
+    loss2 = _loss(half.i * turn, circuit)
+    half = _nearest((psi + 0.5 * step * (u_s - loss2)) * turn.conjugate(), half, middle, circuit, table)
+    loss3 = _loss(half.i * turn, circuit)
+    turn = complex(math.cos(thetas[1]), math.sin(thetas[1]))
+    if table.per_cell > 16:
+        _turn_to(thetas[1], end, circuit)
+    whole = _at(2.0 * half.i - point.i, end, table)
+    whole = _nearest((psi + step * (u_s - loss3)) * turn.conjugate(), whole, end, circuit, table)
+    loss4 = _loss(whole.i * turn, circuit)
+    psi += step * (u_s - (loss1 + 2.0 * loss2 + 2.0 * loss3 + loss4) / 6.0)
+    whole = _at(_nearest(psi * turn.conjugate(), whole, end, circuit, table).i, end, table)
+    return psi, whole, turn, step / 6.0 * abs(loss1 - 2.0 * loss3 + loss4)
+
+
+@inlined
+def _loss(i_s: complex, circuit: Circuit) -> complex:
+    """Return the space vector of R i + drop in the stator frame, V."""
+    half_root3 = 0.8660254037844386
+    low, width, voltage = circuit.drop_low, circuit.drop_width, circuit.drop_voltage
+    a = _drop(i_s.real, low, width, voltage)
+    b = _drop(-0.5 * i_s.real + half_root3 * i_s.imag, low, width, voltage)
+    c = _drop(-0.5 * i_s.real - half_root3 * i_s.imag, low, width, voltage)
+    return circuit.resistance * i_s + complex((2.0 * a - b - c) / 3.0, (b - c) * (half_root3 * 2.0 / 3.0))
+
+
+@inlined
+def _drop(i: float, low: float, width: float, voltage: Any) -> float:
+    """Interpolate the inverter's curve, V."""
+    cell, t = bspline.locate(i, low, width, len(voltage) - 1)
+    return voltage[cell] + t * (voltage[cell + 1] - voltage[cell])  # type: ignore[no-any-return]
 
 
 @compiled
-def _nearest(psi: complex, guess: Point, electrical: Electrical, table: FluxTable) -> Point:
-    """Return the point whose flux is nearest to ``psi``, by damped least squares from one nearby."""
+def _nearest(psi: complex, guess: Point, here: Slice, circuit: Circuit, table: FluxTable) -> Point:
+    """Return the point whose flux is nearest to ``psi``, by damped least squares from one nearby at the same angle.
+
+    The last, small step of Newton's is not checked: flux and derivatives of the returned point are linear in it.
+    """
     best, error = guess, psi - guess.psi
-    damping, damping_least = 0.0, electrical.damping * electrical.damping
-    small = _SEARCH_TOLERANCE * electrical.diverged
+    damping, small = 0.0, _SEARCH_TOLERANCE * circuit.diverged
     for _ in range(_SEARCH_STEPS):
-        change, good = search_step(best, error, damping, table)
+        change, regular, good = _search_step(best, error, damping, table)
         if not good:
-            damping = max(damping_least, 10.0 * damping)
+            damping = max(circuit.damping, 10.0 * damping)
             continue
-        trial = _at(best.i + change, table)
+        tiny = change.real * change.real + change.imag * change.imag < small * small
+        if tiny and regular and damping == 0.0:
+            return Point(best.i + change, psi, best.by_d, best.by_q)
+        trial = _at(best.i + change, here, table)
         left = psi - trial.psi
         if left.real * left.real + left.imag * left.imag <= error.real * error.real + error.imag * error.imag:
             best, error = trial, left
-            damping = 0.1 * damping if damping > damping_least else 0.0
-            if change.real * change.real + change.imag * change.imag < small * small:
+            damping = 0.1 * damping if damping > circuit.damping else 0.0
+            if tiny:
                 break
         else:
-            damping = max(damping_least, 10.0 * damping)
+            damping = max(circuit.damping, 10.0 * damping)
     return best
 
 
-@compiled
-def search_step(best: Point, error: complex, damping: float, table: FluxTable) -> tuple[complex, bool]:
-    """Return the change of the current, A, that takes ``error``, Wb, off, and whether there is one."""
+@inlined
+def _search_step(best: Point, error: complex, damping: float, table: FluxTable) -> tuple[complex, bool, bool]:
+    """Return the change of the current, A, that cancels ``error``, Wb, and whether the map is regular and it exists."""
     dd, qd, dq, qq = best.by_d.real, best.by_d.imag, best.by_q.real, best.by_q.imag
-    if dd * qq - qd * dq < _FOLDED * table.inductance_d * table.inductance_q:
+    regular = dd * qq - qd * dq >= _FOLDED * table.inductance_d * table.inductance_q
+    if not regular:
         dd, qd, dq, qq = table.inductance_d, 0.0, 0.0, table.inductance_q
     g_d, g_q = dd * error.real + qd * error.imag, dq * error.real + qq * error.imag
     h_dd, h_dq, h_qq = dd * dd + qd * qd + damping, dd * dq + qd * qq, dq * dq + qq * qq + damping
     determinant = h_dd * h_qq - h_dq * h_dq
     if determinant <= 0.0:
-        return complex(0.0, 0.0), False
-    return complex((h_qq * g_d - h_dq * g_q) / determinant, (h_dd * g_q - h_dq * g_d) / determinant), True
-
-
-@compiled
-def _drop_vector(i_s: complex, scale: float) -> complex:
-    """Return the stator-frame space vector of tanh(i_abc / scale)."""
-    half_root3 = 0.8660254037844386
-    a = math.tanh(i_s.real / scale)
-    b = math.tanh((-0.5 * i_s.real + half_root3 * i_s.imag) / scale)
-    c = math.tanh((-0.5 * i_s.real - half_root3 * i_s.imag) / scale)
-    return complex((2.0 * a - b - c) / 3.0, (b - c) * (half_root3 * 2.0 / 3.0))
-
-
-@compiled
-def _at(i: complex, table: FluxTable) -> Point:
-    """Evaluate the map."""
-    cell_d, t = bspline.locate(i.real, table.low_d, table.width_d, table.count_d)
-    cell_q, s = bspline.locate(i.imag, table.low_q, table.width_q, table.count_q)
-    return point_in_cell(i, table.coefficients, cell_of(cell_d, cell_q, table), t, s, table)
+        return complex(0.0, 0.0), regular, False
+    change = complex((h_qq * g_d - h_dq * g_q) / determinant, (h_dd * g_q - h_dq * g_d) / determinant)
+    return change, regular, True
 
 
 @inlined
-def cell_of(cell_d: int, cell_q: int, table: FluxTable) -> int:
+def _turn_to(theta: float, here: Slice, circuit: Circuit) -> None:
+    """Prepare the map at another angle."""
+    for m in range(len(circuit.orders)):
+        phase = circuit.orders[m] * theta
+        here.factors[2 * m], here.factors[2 * m + 1] = math.cos(phase), math.sin(phase)
+    here.cell[0] = -1
+
+
+@inlined
+def _at(i: complex, here: Slice, table: FluxTable) -> Point:
+    """Evaluate the map at the angle of ``here``; polynomials of all harmonics are summed once per angle and cell."""
+    cell_d, t = bspline.locate(i.real, table.low_d, table.width_d, table.count_d)
+    cell_q, s = bspline.locate(i.imag, table.low_q, table.width_q, table.count_q)
+    if table.per_cell == 16:
+        return _point_in_cell(i, table.coefficients, _first_of(cell_d, cell_q, table), t, s, table)
+    c = here.coefficients
+    if here.cell[0] != cell_d or here.cell[1] != cell_q:
+        here.cell[0], here.cell[1] = cell_d, cell_q
+        parts, first = table.coefficients, _first_of(cell_d, cell_q, table)
+        for j in range(16):
+            part = parts[first + j]
+            d, q = part.real, part.imag
+            for m in range(len(here.factors)):
+                part = parts[first + 16 * (m + 1) + j]
+                d += here.factors[m] * part.real
+                q += here.factors[m] * part.imag
+            c[j] = complex(d, q)
+    return _point_in_cell(i, c, 0, t, s, table)
+
+
+@inlined
+def _first_of(cell_d: int, cell_q: int, table: FluxTable) -> int:
     """Return where the coefficients of a cell begin."""
     return (cell_d * table.count_q + cell_q) * table.per_cell
 
@@ -256,8 +397,8 @@ def _slope_of_cubic(b: complex, c: complex, d: complex, x: float) -> complex:
     return complex(b.real + twice * c.real + thrice * d.real, b.imag + twice * c.imag + thrice * d.imag)
 
 
-@compiled
-def point_in_cell(i: complex, c: ComplexArray, k: int, t: float, s: float, table: FluxTable) -> Point:
+@inlined
+def _point_in_cell(i: complex, c: ComplexArray, k: int, t: float, s: float, table: FluxTable) -> Point:
     """Evaluate the polynomial c[k] ... c[k + 15] of a cell at its positions ``t`` in d and ``s`` in q.
 
     Beyond the range of the map it is continued.

@@ -69,9 +69,9 @@ def test_bends(count):
 
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
     gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
-    compiled = current_simulation._flux_table(MODEL, gamma, (1.0, 2.0))
+    table, here = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0)), current_simulation._slice(0)
     for i in currents(50)[:50]:
-        point = current_simulation._at(complex(*i), compiled)
+        point = current_simulation._at(complex(*i), here, table)
         inside = np.clip(i, [-10, -9], [12, 9])
         psi = MODEL.rows(inside[None]).dot(gamma)[0] + np.array([1.0, 2.0]) * (i - inside)
         np.testing.assert_allclose([point.psi.real, point.psi.imag], psi, atol=1e-13)

@@ -19,6 +19,8 @@ from drive_id.core.result.identify import identify
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.errors import CoverageError, DataError
 
+NO_DROP = (np.array([-1.0, 1.0]), np.zeros(2))
+
 
 def tanh_drop(i_abc):
     return 4.0 * np.tanh(i_abc)
@@ -172,7 +174,7 @@ def test_one_block_of_time_leaves_the_deviations_unknown(method):
             assert (np.isfinite(deviation[inside]) if known else np.isposinf(deviation[inside])).all()
             assert np.isnan(deviation[~inside]).all()
         assert np.isfinite(result.sigma_resistance) == known
-        assert ("too short to state deviations" in " ".join(result.report.warnings)) != known
+        assert ("too short to estimate standard errors" in " ".join(result.report.warnings)) != known
         assert np.isfinite(result.flux_map.psi_d).all()
         assert max(errors(result)) < 0.02
     assert single.report.mad_q < 5
@@ -206,11 +208,12 @@ def test_the_open_loop_simulation_follows_the_recording_when_the_model_is_true()
     model = Polynomial(1, 300.0)
     gamma = np.array([0.08, 0.0, 0.06, 0.0, 0.09, 0.0])
     axes = Axis(-330, 330, 6), Axis(-330, 330, 6)
-    simulated = simulate_current(samples, *as_tensor_spline(model, gamma, *axes), 0.02, 4.0, 1.0)
+    drop = (np.linspace(-10, 10, 4001), 4.0 * np.tanh(np.linspace(-10, 10, 4001)))
+    simulated = simulate_current(samples, *as_tensor_spline(model, gamma, *axes), {}, 0.02, drop)
     measured = frames.to_dq(samples.i_abc, samples.angle)
     assert np.abs(simulated - measured).max() < 0.5  # the inverter's kinks fall inside of the steps
     without = simulate_current(
-        record(linear_flux, duration=2.0), *as_tensor_spline(model, gamma, *axes), 0.02, 0.0, 1.0
+        record(linear_flux, duration=2.0), *as_tensor_spline(model, gamma, *axes), {}, 0.02, NO_DROP
     )
     assert np.abs(without - measured).max() < 0.02
 
@@ -219,7 +222,7 @@ def test_a_model_that_gains_energy_is_told_to_have_diverged():
     samples = record(linear_flux, duration=2.0)
     gamma = np.array([0.08, 0.0, 0.06, 0.0, 0.09, 0.0])
     spline = as_tensor_spline(Polynomial(1, 300.0), gamma, Axis(-330, 330, 6), Axis(-330, 330, 6))
-    simulated = simulate_current(samples, *spline, -0.5, 0.0, 1.0)
+    simulated = simulate_current(samples, *spline, {}, -0.5, NO_DROP)
     assert np.isnan(simulated[-1]).all()
 
 

@@ -37,7 +37,7 @@ def test_a_good_recording_is_told_nothing(good):
 
 
 def test_an_offset_of_the_angle_breaks_the_symmetry(good):
-    assert "mirror-symmetric" in told(replace(good, angle=good.angle + 0.3))
+    assert "mirror symmetry" in told(replace(good, angle=good.angle + 0.3))
 
 
 def test_half_a_turn_makes_the_magnet_negative(good):
@@ -45,7 +45,7 @@ def test_half_a_turn_makes_the_magnet_negative(good):
 
 
 def test_shifted_phases_break_the_symmetry(good):
-    assert "mirror-symmetric" in told(replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]]))
+    assert "mirror symmetry" in told(replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]]))
 
 
 def test_wrong_signs_make_the_resistance_negative(good):

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import synthetic
 from drive_bags import TRAJECTORY
+from scipy.integrate import solve_ivp
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.validation import harmonic_simulation
-from drive_id.core.validation.current_simulation import polynomials, simulate_current, table_of
-from drive_id.core.validation.harmonic_simulation import simulate_harmonic_current
+from drive_id.core.validation import current_simulation
+from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.fitting.simulated import run_experiment
 
 ORDERS = (6, 12)
@@ -44,7 +44,7 @@ def true_model(machine, orders=ORDERS, count=40, nodes=48):
 
 def simulated(simulation, samples=None, **model):
     truth = simulation.truth
-    return simulate_harmonic_current(
+    return simulate_current(
         simulation.samples if samples is None else samples,
         *true_model(simulation.machine, **model),
         truth.resistance,
@@ -59,8 +59,8 @@ def short_run():
     gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
     harmonics = {6: (0.01 * gamma, -0.02 * gamma), 12: (0.005 * gamma[::-1], 0.005 * gamma)}
     samples = synthetic.record(speed=1500.0, duration=0.02)
-    drop = np.array([-6.0, -3.0, 3.0, 6.0]), np.array([-4.0, -2.0, 2.0, 4.0])
-    return simulate_harmonic_current(samples, TensorSpline(axis, axis), gamma, harmonics, 0.02, drop)
+    drop = np.array([-6.0, -2.0, 2.0, 6.0]), np.array([-4.0, -2.0, 2.0, 4.0])
+    return simulate_current(samples, TensorSpline(axis, axis), gamma, harmonics, 0.02, drop)
 
 
 @pytest.mark.parametrize(("name", "rpm"), [("ipm", 500.0), ("spm", 3000.0), ("pmsyrm", -700.0)])
@@ -72,14 +72,30 @@ def test_the_true_model_gives_the_measured_current(name, rpm):
     assert np.abs(without).mean(axis=0).min() / simulation.machine.i_max > 1e-3
 
 
-def test_without_harmonics_it_is_the_simulation_of_the_papers_model():
-    scale = 30.0
-    simulation = experiment("ipm", 500.0, harmonics=0.0, inverter="tanh", inverter_current=scale, current_noise=1e-3)
-    model, gamma, _ = true_model(simulation.machine)
-    x = np.linspace(-400, 400, 8001)
-    ours = simulate_harmonic_current(simulation.samples, model, gamma, {}, 0.02, (x, 4 * np.tanh(x / scale)))
-    theirs = simulate_current(simulation.samples, model, gamma, 0.02, 4.0, scale)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-3)
+def test_without_harmonics_it_solves_the_papers_equation():
+    """Against an adaptive solver, in the paper's form: currents in the rotor frame, and an exact tanh."""
+    axis, speed, period, scale = Axis(-350.0, 350.0, 8), 600.0, 1e-4, 30.0
+    sites = np.stack(np.meshgrid(axis.sites(), axis.sites(), indexing="ij"), axis=-1)
+    inverse = np.linalg.inv(axis.collocation(axis.sites()))
+    gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
+    model, samples = TensorSpline(axis, axis), synthetic.record(speed=speed, duration=0.02)
+    u_s = frames.space_vector(samples.u_abc)
+
+    def slope(t, i, k, start):
+        turn = np.exp(1j * speed * (start + t))
+        drop = frames.space_vector(4 * np.tanh(frames.phases(np.array([complex(*i) * turn])) / scale))[0]
+        psi = complex(*model.rows(i[None]).dot(gamma)[0])
+        right = (u_s[k] - drop) * np.conj(turn) - 0.02 * complex(*i) - 1j * speed * psi
+        jacobian = np.stack([rows.dot(gamma)[0] for rows in model.slope_rows(i[None])], axis=-1)
+        return np.linalg.solve(jacobian, [right.real, right.imag])
+
+    expected = [frames.to_dq(samples.i_abc, samples.angle)[0]]
+    for k in range(len(samples) - 1):
+        step = solve_ivp(slope, (0, period), expected[-1], "DOP853", args=(k, k * period), rtol=1e-10, atol=1e-9)
+        expected.append(step.y[:, -1])
+    x = np.linspace(-10, 10, 4001)
+    found = simulate_current(samples, model, gamma, {}, 0.02, (scale * x, 4 * np.tanh(x)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
 def test_each_run_starts_at_its_first_sample():
@@ -94,7 +110,7 @@ def test_a_model_that_gains_energy_is_told_to_have_diverged():
     simulation = experiment("ipm", 500.0)
     model, gamma, harmonics = true_model(simulation.machine)
     drop = np.array([-1.0, 1.0]), np.array([0.0, 0.0])
-    found = simulate_harmonic_current(simulation.samples, model, gamma, harmonics, -0.3, drop)
+    found = simulate_current(simulation.samples, model, gamma, harmonics, -0.3, drop)
     assert np.isnan(found[-1]).all()
     assert np.isfinite(found[0]).all()
 
@@ -105,7 +121,7 @@ def test_noise_and_steps_of_the_resolver_do_not_drive_the_current():
     samples = replace(simulation.samples, angle=step * np.round(simulation.samples.angle / step))
     error = np.abs(simulated(simulation, samples) - simulation.i_dq_true).mean(axis=0) / simulation.machine.i_max
     assert error.max() < 1e-3
-    clean = harmonic_simulation._smooth_angle(simulation.samples.angle, simulation.samples.speed, 1e-4)
+    clean = current_simulation._smooth_angle(simulation.samples.angle, simulation.samples.speed, 1e-4)
     np.testing.assert_allclose(np.diff(clean), 1e-4 * simulation.samples.speed[:-1], rtol=1e-6)
     np.testing.assert_allclose(np.exp(1j * clean), np.exp(1j * simulation.samples.angle), rtol=0, atol=1e-9)
 
@@ -113,25 +129,25 @@ def test_noise_and_steps_of_the_resolver_do_not_drive_the_current():
 def test_the_map_at_an_angle_is_the_sum_of_its_parts():
     model, random = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7)), np.random.default_rng(3)
     gamma, *parts = random.normal(size=(5, model.parameters))
-    cells = np.concatenate([polynomials(model, part) for part in (gamma, *parts)], axis=-1)
-    table = table_of(model, cells, (1.0, 2.0))
-    plant = harmonic_simulation.Plant(np.array([6.0, 18.0]), 0.0, np.zeros(1), np.zeros(1), *np.zeros(5))
-    here = harmonic_simulation._slice(2)
+    table = current_simulation.flux_table(model, (gamma, *parts), (1.0, 2.0))
+    circuit = current_simulation.Circuit(np.array([6.0, 18.0]), 0.0, 0.0, 1.0, np.zeros(2), *np.zeros(5))
+    here = current_simulation._slice(2)
     for theta in (0.3, -4.0):
-        harmonic_simulation._turn_to(theta, here, plant)
+        current_simulation._turn_to(theta, here, circuit)
         total = gamma + np.array([np.cos(6 * theta), np.sin(6 * theta), np.cos(18 * theta), np.sin(18 * theta)]) @ parts
         for i in random.uniform(-14, 14, (30, 2)):
             inside = np.clip(i, [-10, -9], [12, 9])
             psi = model.rows(inside[None]).dot(total)[0] + np.array([1.0, 2.0]) * (i - inside)
-            point = harmonic_simulation._at(complex(*i), here, table)
+            point = current_simulation._at(complex(*i), here, table)
             np.testing.assert_allclose([point.psi.real, point.psi.imag], psi, rtol=0, atol=1e-12)
 
 
 def test_the_drop_is_interpolated_and_constant_beyond():
-    x, y = np.array([-5.0, -1.0, 0.0, 0.1, 7.0]), np.array([-2.0, -1.5, 0.0, 1.0, 3.0])
-    plant = harmonic_simulation.Plant(np.zeros(0), 0.5, x, y, *np.zeros(5))
-    for i in (-9.0, -5.0, -3.0, -1.0, 0.05, 0.1, 6.9, 7.0, 8.0):
-        assert harmonic_simulation._drop(i, plant) == pytest.approx(np.interp(i, x, y), abs=1e-14)
+    x, y = np.linspace(-5.0, 7.0, 5), np.array([-2.0, -1.5, 0.0, 1.0, 3.0])
+    circuit = current_simulation.Circuit(np.zeros(0), 0.5, x[0], x[1] - x[0], y, *np.zeros(5))
+    for i in (-9.0, -5.0, -3.0, -2.0, -1.0, 0.05, 0.1, 6.9, 7.0, 8.0):
+        found = current_simulation._drop(i, circuit.drop_low, circuit.drop_width, circuit.drop_voltage)
+        assert found == pytest.approx(np.interp(i, x, y), abs=1e-14)
     i_abc = np.array([[4.0, -3.0, -1.0]])
-    loss = harmonic_simulation._loss(complex(frames.space_vector(i_abc)[0]), plant)
+    loss = current_simulation._loss(complex(frames.space_vector(i_abc)[0]), circuit)
     assert loss == pytest.approx(frames.space_vector(0.5 * i_abc + np.interp(i_abc, x, y))[0], abs=1e-14)

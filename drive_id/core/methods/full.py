@@ -1,0 +1,319 @@
+"""Method ``full``: the fit over windows, calibrated, and drawn up as maps on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full import calibration
+from drive_id.core.full.calibration import Calibration, rotated
+from drive_id.core.full.fit import FullFit, fit_full, spread
+from drive_id.core.full.information import WindowInformation
+from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
+from drive_id.core.full.symmetry import calibrate_angle
+from drive_id.core.maps.coverage import smoothed
+from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.methods.paper import regression_sums
+from drive_id.core.numerics.bspline import Axis
+from drive_id.errors import DataError
+from drive_id.types import BoolArray, FloatArray
+
+_FINE, _DENSITY = 72, 2
+_LEAST_MIRRORED = 0.3
+_MIRRORED = 1500
+"""Points for the estimate of the resolver's offset."""
+
+_OUTLYING_BATCH, _LEAST_OUTLYING = 30.0, 0.01
+_LEAST_TURN = np.deg2rad(45.0)
+_FEW_POINTS = 0.005
+_LARGE_SIGMA = 0.01
+_LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
+_SPEEDS_APART = 0.1
+_LIMITS = Limits(unexplained=0.05, mad=0.03, remedy=", or set passive_maps")
+_COMPENSATION = "The drive compensates its inverter with currents measured earlier: the remaining drop was fitted, too."
+
+
+@dataclass(frozen=True)
+class FullMethod:
+    """Linear least squares over windows, with rotor harmonics, an inverter curve and calibration."""
+
+    inverter: bool = True
+    windows: bool = True
+    limits: Limits = _LIMITS
+
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+        """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
+        low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
+        windows = WindowInformation(FullModel(low, high, i_max, settings.harmonic_orders))
+        return Sums(regression_sums(settings, d, q, i_max), windows)
+
+    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
+        """Return the widths of a cell of the flux map, A."""
+        return (d.high - d.low) / FLUX_CELLS, (q.high - q.low) / FLUX_CELLS
+
+    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+        """Fit, calibrate, and evaluate maps and curve.
+
+        Raises
+        ------
+        DataError
+            When there are fewer windows than unknowns.
+        """
+        assert evidence.windows is not None
+        information = evidence.windows.finished()
+        if information.windows < information.model.flux.parameters:
+            raise DataError(
+                f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
+                "longer, or choose method joint."
+            )
+        fit = fit_full(information, evidence.settings, evidence.turn)
+        grid = evidence.visits.grid()
+        points = grid.reshape(-1, 2)
+        found = _calibrations(evidence, fit, grid, inside)
+        frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
+        psi = frame.flux(points).reshape(grid.shape)
+        sigma = _sigma(frame, grid, inside)
+        current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
+        drops, deviation = _inverter(fit, current)
+        simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
+        outlying = fit.outlying > _OUTLYING_BATCH and fit.outlying_share > _LEAST_OUTLYING
+        unknowns = fit.solution.basis.shape[1]
+        return Estimate(
+            resistance=fit.solution.resistance,
+            sigma_resistance=fit.sigma_resistance,
+            voltage_error=float(drops[-1].mean()),
+            sigma_voltage_error=float(deviation[-1]),
+            inverter_current=current,
+            inverter_voltage=drops.mean(axis=1),
+            model=simulation.model,
+            gamma=simulation.gamma,
+            psi=psi,
+            sigma=sigma,
+            simulation=simulation,
+            positive_definite=fit.passive,
+            samples_used=round(evidence.samples * information.windows / (information.windows + information.outside)),
+            rows=2 * information.windows,
+            parameters=unknowns,
+            rank=unknowns,
+            unseen=0,
+            condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
+            residual_rms=fit.solution.residual_rms,
+            unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
+            outlying_time=fit.outlying_time if outlying else None,
+            warnings=(*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found)),
+            inverter_deviation=deviation,
+            phase_voltages=drops if fit.choice.per_phase else None,
+            harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
+            calibrations=tuple(found),
+            magnet_coefficient=_magnet_coefficient(fit),
+            statements=_statements(evidence, fit, inside, found),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrueFrame:
+    """The fitted maps as functions of the true current, corrected for the resolver's offset.
+
+    Parameters
+    ----------
+    fit : FullFit
+    angle : float
+        Measured minus true electrical angle, rad.
+    """
+
+    fit: FullFit
+    angle: float
+
+    def flux(self, i_dq: FloatArray) -> FloatArray:
+        """Return psi_dq (N, 2), Wb, averaged over the rotor position, at currents (N, 2), A."""
+        rows = self.fit.model.flux.rows(rotated(i_dq, -self.angle))
+        return rotated(rows.dot(self.fit.solution.residual[self.fit.model.map]), self.angle)
+
+    def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the amplitudes of cos(h theta) and sin(h theta), (N, 2) each, Wb, theta being the true angle."""
+        model = self.fit.model
+        rows = model.space(order).rows(rotated(i_dq, -self.angle))
+        halves = np.split(self.fit.solution.residual[model.harmonics[order]], 2)
+        a, b = (rotated(rows.dot(half), self.angle) for half in halves)
+        cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
+        return a * cosine + b * sine, b * cosine - a * sine
+
+    def sigma(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
+        model = self.fit.model
+        rows = model.flux.rows(rotated(i_dq, -self.angle))
+        return spread(rows.dot(self.fit.changes[model.map])), self.fit.white(rows)
+
+
+def _orders(fit: FullFit) -> list[int]:
+    return [order for order in fit.choice.orders if order not in SENSOR_ORDERS]
+
+
+def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
+    if not fit.choice.magnet:
+        return None
+    form = np.zeros(fit.model.size)
+    form[MAGNET] = 1.0
+    return float(fit.solution.residual[MAGNET]), fit.deviation(form)
+
+
+def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
+    settings = evidence.settings
+    found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
+    disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
+    if settings.calibrate_angle:
+        axis = evidence.visits.i_q
+        mirror = np.abs(axis[:, None] + axis).argmin(axis=0)
+        mirrored = grid[disc & disc[:, mirror]]
+        if np.abs(mirrored[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * evidence.i_max:
+            mirrored = mirrored[:0]  # i_q of one sign only, but for the fringe at zero
+        found.append(calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
+    if settings.calibrate_currents:
+        found += calibration.calibrate_currents(fit, grid[disc], evidence.i_max)
+    return found
+
+
+def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
+    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones."""
+    consistent, white = frame.sigma(grid[inside])
+    ratio = np.zeros(grid.shape)
+    ratio[inside] = (consistent / white) ** 2
+    local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
+    sigma = np.full(grid.shape, np.nan)
+    sigma[inside] = white * np.sqrt(local[inside])
+    return sigma
+
+
+def _harmonic(frame: TrueFrame, order: int, grid: FloatArray) -> tuple[int, FloatArray, FloatArray]:
+    cosine, sine = frame.harmonic(order, grid.reshape(-1, 2))
+    return order, cosine.reshape(grid.shape), sine.reshape(grid.shape)
+
+
+def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
+    """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
+    d, q = (Axis(axis.low, axis.high, _FINE) for axis in (evidence.d, evidence.q))
+    places = sites(d, q, _DENSITY)
+    points = places.reshape(-1, 2)
+    gamma = fitted(frame.flux(points).reshape(places.shape), d, q)
+    harmonics = {}
+    for order in _orders(frame.fit):
+        cosine, sine = (fitted(x.reshape(places.shape), d, q) for x in frame.harmonic(order, points))
+        harmonics[order] = (cosine, sine)
+    return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop)
+
+
+def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the drop of each phase (C, 3), V, and the standard error of their mean (C,), V."""
+    columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
+    drops = shapes @ fit.solution.residual[columns]
+    if not fit.choice.inverter:
+        return drops, np.zeros(len(current))
+    forms = np.zeros((fit.model.size, len(current)))
+    for phase in range(3):
+        forms[columns[:, phase]] = shapes.T / 3
+    return drops, spread(forms.T @ fit.changes)
+
+
+def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray) -> tuple[str, ...]:
+    """Return warnings of the windows and of the standard errors of the flux map."""
+    warnings = []
+    if fit.turn < _LEAST_TURN:
+        warnings.append(
+            f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so the "
+            "effect of voltage errors exceeds the stated standard errors: record at a higher speed."
+        )
+    grid = evidence.visits.grid()
+    chosen = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
+    if chosen.any():
+        uncertain = sigma[chosen].max(axis=1) > _LARGE_SIGMA * np.abs(psi[chosen]).max()
+        if uncertain.mean() > _FEW_POINTS:
+            d, q = grid[chosen][uncertain].mean(axis=0)
+            warnings.append(
+                f"The flux has a standard error above {100 * _LARGE_SIGMA:.0f} % at {uncertain.sum()} of "
+                f"{chosen.sum()} points, on average at i_d = {d:.3g} A, i_q = {q:.3g} A: record longer, or more there."
+            )
+    return tuple(warnings)
+
+
+def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Calibration]) -> tuple[str, ...]:
+    """Return warnings of sensor faults and of maps that are not reciprocal."""
+    warnings = [c.sentence for c in calibrations if c.name == "resolver_offset" and not c.applied]
+    if not fit.choice.reciprocal and evidence.settings.maps == "auto":
+        warnings.append(
+            f"The maps are not reciprocal: free maps predict left-out data {100 * fit.advantage:.0f} % better and were "
+            "used; at a single speed, resistance and voltage delay are then not determined, so record several speeds."
+        )
+    warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
+    for c in calibrations:
+        largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
+        if c.name.startswith("current_") and c.applied and abs(c.value) > largest:
+            warnings.append(f"{c.sentence} This is large: check the sensor.")
+    return tuple(warnings)
+
+
+def _statements(
+    evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
+) -> tuple[str, ...]:
+    """Say what determined the unknowns that the data alone leave open, where data are missing, and what helps most."""
+    several = _several_speeds(fit.speeds)
+    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
+    by = (
+        "the different speeds"
+        if several
+        else "the reciprocity of the maps"
+        if fit.choice.reciprocal
+        else "the changes of the currents alone"
+    )
+    if not several:
+        advice = "a second recording at another speed, ideally in the other direction"
+    elif inside.mean() < 0.5 * np.pi / 4:
+        advice = "a trajectory that fills the current disc"
+    else:
+        advice = "a longer recording: all standard errors fall with the square root of its duration"
+    return (
+        (
+            f"Resistance and the rotation of the flux map are separated by {by}; the standard error of the resistance "
+            f"is {100 * relative:.2g} %."
+        ),
+        (
+            "The resistance includes the part of the inverter's drop that is linear over the whole current range; the "
+            "inverter curve is the rest, flat at large currents."
+        ),
+        "A common gain error of all currents or all voltages scales the result and cannot be detected in these data.",
+        *([_COMPENSATION] if fit.choice.lag else []),
+        *dict.fromkeys(c.sentence for c in calibrations),
+        _on_harmonics(fit),
+        _on_region(evidence, inside),
+        f"What would help most: {advice}.",
+    )
+
+
+def _several_speeds(speeds: FloatArray) -> bool:
+    """Tell whether the 5 % of the data at either end have clearly different speeds."""
+    low, high = np.quantile(speeds, [0.05, 0.95])
+    return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
+
+
+def _on_harmonics(fit: FullFit) -> str:
+    found = [str(order) for order in fit.choice.orders if order > 2]
+    if not found:
+        return "No rotor-position harmonics stand out from the noise."
+    return f"Rotor-position harmonics of orders {', '.join(found)} were identified and separated from the mean map."
+
+
+def _on_region(evidence: Gathered, inside: BoolArray) -> str:
+    grid = evidence.visits.grid()
+    disc = np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max
+    missing = disc & ~inside
+    share = missing.sum() / max(disc.sum(), 1)
+    if share < 0.02:
+        return "The data cover the whole current disc."
+    d, q = grid[missing][np.hypot(*grid[missing].T).argmin()]
+    return (
+        f"{100 * share:.0f} % of the current disc has no data, nearest to the origin at i_d = {d:.3g} A, "
+        f"i_q = {q:.3g} A; there the map is a smooth continuation."
+    )

@@ -1,0 +1,181 @@
+"""The interface of a method, and what it returns to the code that all methods share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.coverage import Visits
+from drive_id.core.maps.flux_models import FluxModel, TensorSpline
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.paper.regression import Information
+from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
+    from drive_id.core.full.calibration import Calibration
+    from drive_id.core.full.information import WindowInformation
+
+CURVE_POINTS = 201
+"""Points of the inverter's curve in a result, from -i_max to i_max."""
+
+
+class Sums(NamedTuple):
+    """What is summed over samples: the paper's regression always, windows for method ``full`` only."""
+
+    information: Information
+    windows: WindowInformation | None
+
+
+class Limits(NamedTuple):
+    """When the reader of a fit is warned, and the method's own remedy for a model that is not passive."""
+
+    unexplained: float  # share of the voltage that the model leaves
+    mad: float  # mean absolute deviation of the simulated current over i_max
+    remedy: str = ""
+
+
+class Gathered(Protocol):
+    """What a method needs of the accumulated samples, see :class:`~drive_id.core.accumulation.evidence.Evidence`."""
+
+    settings: FitSettings
+    d: Axis
+    q: Axis
+    i_max: float
+    samples: int
+    information: Information
+    windows: WindowInformation | None
+    visits: Visits
+
+    @property
+    def turn(self) -> float:
+        """Root mean square of the angle turned per sample, rad."""
+
+    @property
+    def noise_share(self) -> float:
+        """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationModel:
+    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it.
+
+    Parameters
+    ----------
+    model : TensorSpline
+    gamma : (P,) float
+        Parameters of the mean map, Wb.
+    harmonics : mapping of int to ((P,) float, (P,) float)
+        Amplitudes of cosine and sine of each electrical order, Wb.
+    drop : (C,) float, (C,) float
+        Equally spaced phase currents, A, and the inverter's drop there, V.
+    """
+
+    model: TensorSpline
+    gamma: FloatArray
+    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]
+    drop: tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a method finds.
+
+    Parameters
+    ----------
+    resistance, sigma_resistance : float
+        Ohm; sigma is infinite when it cannot be estimated.
+    voltage_error, sigma_voltage_error : float
+        u_e in the drop convention, V.
+    inverter_current, inverter_voltage : (C,) float
+        The inverter's drop of one phase, V, over its current, A.
+    model : FluxModel
+    gamma : (P,) float
+        Wb.
+    psi, sigma : (D, Q, 2) float
+        Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
+    simulation : SimulationModel
+    positive_definite : callable
+        Tells (N,) at which currents (N, 2), A, the inductance matrix is positive definite.
+    samples_used, rows, parameters, rank, unseen : int
+        See ``FitReport``.
+    condition : float
+    residual_rms : float
+        Of the integrated voltage, Vs.
+    unexplained : float
+        The same, over the rms of all integrated voltages.
+    outlying_time : float or None
+        Where samples stand out from all others, in time of data, s.
+    warnings : tuple of str
+        Of this method only.
+    inverter_deviation, phase_voltages, harmonics, calibrations, magnet_coefficient, statements
+        See ``Identification``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
+    """
+
+    resistance: float
+    sigma_resistance: float
+    voltage_error: float
+    sigma_voltage_error: float
+    inverter_current: FloatArray
+    inverter_voltage: FloatArray
+    model: FluxModel
+    gamma: FloatArray
+    psi: FloatArray
+    sigma: FloatArray
+    simulation: SimulationModel
+    positive_definite: Callable[[FloatArray], BoolArray]
+    samples_used: int
+    rows: int
+    parameters: int
+    rank: int
+    unseen: int
+    condition: float
+    residual_rms: float
+    unexplained: float
+    outlying_time: float | None
+    warnings: tuple[str, ...]
+    inverter_deviation: FloatArray | None = None
+    phase_voltages: FloatArray | None = None
+    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
+    calibrations: tuple[Calibration, ...] = ()
+    magnet_coefficient: tuple[float, float] | None = None
+    statements: tuple[str, ...] = ()
+
+
+class Method(Protocol):
+    """One of ``psm``, ``joint`` and ``full``."""
+
+    @property
+    def inverter(self) -> bool:
+        """Whether it estimates the inverter's voltage error."""
+
+    @property
+    def windows(self) -> bool:
+        """Whether it sums over windows, and needs scipy."""
+
+    @property
+    def limits(self) -> Limits:
+        """When to warn."""
+
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+        """Return empty sums for maps of these ranges and a current disc of this radius, A."""
+
+    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
+        """Return the widths of a cell of its map, A: smaller holes in the data count as covered."""
+
+    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+        """Estimate maps and parameters.
+
+        Parameters
+        ----------
+        evidence : Gathered
+            With what :meth:`accumulator` returned, filled.
+        inside : (D, Q) bool
+            Where on the grid of the visits data support the map.
+
+        Raises
+        ------
+        DataError
+            When there are too few data for this method.
+        """

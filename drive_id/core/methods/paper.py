@@ -1,0 +1,218 @@
+"""Methods ``psm`` and ``joint``: the paper's regression, without and with the inverter's voltage error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.continuation import extend
+from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline
+from drive_id.core.maps.inverter_curve import TanhShape
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.numerics.bspline import Axis
+from drive_id.core.paper.regression import Information
+from drive_id.core.paper.sample_integrals import VOLTAGE
+from drive_id.core.paper.solver import Deviations, Solution, deviations, sigma, solve
+from drive_id.core.validation.current_simulation import typical_inductances
+from drive_id.types import BoolArray, FloatArray
+
+_WEAK_COEFFICIENT = 0.1
+_FINE_COUNT = 24
+_AT_A_TIME = 512
+_TANH_REACH, _TANH_POINTS = 10.0, 4001
+"""The drop is simulated as a curve over so many i_s to both sides: 1 - tanh(10) is 4e-9, and linear pieces of
+0.005 i_s are off by less than 3e-6 u_e."""
+
+_LARGE_NOISE = 0.1
+_LARGE_ASYMMETRY = 0.1
+_FEW_BLOCKS = 8
+_OUTLYING_BLOCK = 10.0
+_LIMITS = Limits(unexplained=0.15, mad=np.inf)
+
+
+@dataclass(frozen=True)
+class PaperMethod:
+    """``eq:ls_regression``, accumulated per block of time.
+
+    Parameters
+    ----------
+    inverter : bool
+        Whether the voltage error is an unknown.
+    """
+
+    inverter: bool
+    windows: bool = False
+    limits: Limits = _LIMITS
+
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+        """Return empty sums."""
+        return Sums(regression_sums(settings, d, q, i_max), None)
+
+    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
+        """Return the widths of a cell of the splines, A."""
+        return d.width, q.width
+
+    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+        """Solve the regression, continue the map beyond the data and estimate standard errors by the jackknife."""
+        information, model = evidence.information, evidence.information.model
+        blocks, total = information.blocks, information.total
+        solution = solve(total, information.rows, with_inverter=self.inverter)
+        spread = deviations(blocks, solution)
+        grid = evidence.visits.grid()
+        spline, gamma = _extended(evidence, solution, spread, grid[inside])
+        psi = spline.rows(grid.reshape(-1, 2)).dot(gamma).reshape(grid.shape)
+        psi[inside] = model.rows(grid[inside]).dot(solution.gamma)
+        error = np.full(grid.shape, np.nan)
+        error[inside] = _sigma(model, spread, grid[inside])
+        curve = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
+        tanh = np.linspace(-_TANH_REACH, _TANH_REACH, _TANH_POINTS)
+        scale = evidence.settings.inverter_current_scale
+        rms = np.sqrt(total[VOLTAGE, VOLTAGE] / max(information.rows, 1))
+        return Estimate(
+            resistance=solution.resistance,
+            sigma_resistance=sigma(spread.resistance),
+            voltage_error=solution.voltage_error,
+            sigma_voltage_error=sigma(spread.voltage_error),
+            inverter_current=curve,
+            inverter_voltage=solution.voltage_error * information.shape(curve),
+            model=model,
+            gamma=solution.gamma,
+            psi=psi,
+            sigma=error,
+            simulation=SimulationModel(spline, gamma, {}, (scale * tanh, solution.voltage_error * np.tanh(tanh))),
+            positive_definite=partial(_positive_definite, model, solution.gamma),
+            samples_used=information.rows // 2,
+            rows=information.rows,
+            parameters=len(solution.columns),
+            rank=solution.rank,
+            unseen=int((np.diag(total)[-model.parameters :] == 0).sum()),
+            condition=solution.condition,
+            residual_rms=solution.residual_rms,
+            unexplained=float(solution.residual_rms / rms),
+            outlying_time=_outlying_time(blocks, information.block_duration, solution),
+            warnings=(*_on_noise(evidence), *self._on_inverter(evidence, solution, spread, inside)),
+        )
+
+    def _on_inverter(
+        self, evidence: Gathered, solution: Solution, spread: Deviations, inside: BoolArray
+    ) -> tuple[str, ...]:
+        """Judge the voltage error and the symmetry of the map, which an unmodelled inverter distorts."""
+        if not self.inverter:
+            return ()
+        warnings = []
+        if solution.voltage_error < -2 * sigma(spread.voltage_error):
+            warnings.append(
+                f"The voltage error is negative ({solution.voltage_error:.3g} V): check for an over-compensated "
+                "inverter, and that commanded voltages and currents are of the same instant."
+            )
+        asymmetry = mirror_asymmetry(evidence, solution.gamma, inside)
+        if asymmetry > _LARGE_ASYMMETRY:
+            warnings.append(
+                f"The map is {100 * asymmetry:.0f} % off mirror symmetry in i_q: check the angle's offset and the "
+                "order of the phases, unless the machine is asymmetric."
+            )
+        return tuple(warnings)
+
+
+PAPER_METHODS = {"psm": PaperMethod(inverter=False), "joint": PaperMethod(inverter=True)}
+
+
+def regression_sums(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Information:
+    """Return empty sums of the paper's regression."""
+    model: FluxModel = TensorSpline(d, q)
+    if settings.flux_model != "spline":
+        model = Polynomial(settings.polynomial_degree if settings.flux_model == "polynomial" else 1, i_max)
+    return Information(model, TanhShape(settings.inverter_current_scale))
+
+
+def _extended(
+    evidence: Gathered, solution: Solution, spread: Deviations, i_dq: FloatArray
+) -> tuple[TensorSpline, FloatArray]:
+    """Return the map as splines, continued with typical slopes beyond the data, which lie at currents (N, 2), A."""
+    model, gamma = evidence.information.model, solution.gamma
+    if not isinstance(model, TensorSpline):
+        finer = (Axis(axis.low, axis.high, max(axis.count, _FINE_COUNT)) for axis in (evidence.d, evidence.q))
+        spline, coefficients = as_tensor_spline(model, gamma, *finer)
+        weak = np.ones(len(coefficients), np.bool_)
+        weak[spline.rows(i_dq).column] = False
+        return spline, extend(spline, coefficients, weak, typical_inductances(spline, coefficients, i_dq))
+    largest = np.abs(model.rows(i_dq).dot(gamma)).max()
+    uncertain = np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest
+    weak = (gamma == 0) | (uncertain if spread.known else False)
+    return model, extend(model, gamma, weak, typical_inductances(model, gamma, i_dq))
+
+
+def _sigma(model: FluxModel, spread: Deviations, i_dq: FloatArray) -> FloatArray:
+    """Return the standard errors of both fluxes (N, 2), Wb, at currents (N, 2), A; infinite where unknown."""
+    out = np.full(i_dq.shape, np.inf)
+    if not spread.known:
+        return out
+    for start in range(0, len(i_dq), _AT_A_TIME):
+        part = slice(start, start + _AT_A_TIME)
+        out[part] = np.linalg.norm(model.rows(i_dq[part]).dense(model.parameters) @ spread.gamma.T, axis=-1)
+    return out
+
+
+def _positive_definite(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> BoolArray:
+    """Tell (N,) where the symmetric part of the Jacobian D_f at currents (N, 2), A, is positive definite."""
+    by_d, by_q = (rows.dot(gamma) for rows in model.slope_rows(i_dq))
+    cross = 0.5 * (by_d[:, 1] + by_q[:, 0])
+    return np.asarray((by_d[:, 0] > 0) & (by_d[:, 0] * by_q[:, 1] > cross**2))
+
+
+def _outlying_time(blocks: FloatArray, duration: float, solution: Solution) -> float | None:
+    """Return the middle of the block of time whose residuals stand out, s; None if there is none."""
+    residual = np.concatenate(([solution.resistance, solution.voltage_error, -1.0], solution.gamma))
+    energy = blocks @ residual @ residual
+    moving = blocks[:, VOLTAGE, VOLTAGE] > 0  # at rest there are no residuals, and all else would stand out
+    if moving.sum() > _FEW_BLOCKS and energy.max() > _OUTLYING_BLOCK * np.median(energy[moving]):
+        return (int(energy.argmax()) + 0.5) * duration
+    return None
+
+
+def _on_noise(evidence: Gathered) -> tuple[str, ...]:
+    if not evidence.noise_share > _LARGE_NOISE:
+        return ()
+    share = 100 * evidence.noise_share
+    sentence = (
+        f"The noise of the currents is large for this speed ({share:.0f} % of the energy that rotation adds) and "
+        "biases the maps: record at a higher speed or with less noise, or use method full."
+    )
+    return (sentence,)
+
+
+def mirror_asymmetry(evidence: Gathered, gamma: FloatArray, inside: BoolArray) -> float:
+    """Return how far a map is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
+
+    An offset of the angle turns map and currents together, which no voltage shows; in a symmetric machine's map it
+    breaks the symmetry.
+
+    Parameters
+    ----------
+    evidence : Gathered
+    gamma : (P,) float
+        Wb.
+    inside : (D, Q) bool
+        Where there are data; points without data at their mirror image are skipped.
+
+    Returns
+    -------
+    float
+        Larger one of the root mean square differences of both fluxes, over the largest flux; 0 without mirrored points.
+    """
+    grid = evidence.visits.grid()
+    i_dq = grid[inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
+    nearest = [
+        np.abs(axis[:, None] - x).argmin(axis=0)
+        for axis, x in zip((evidence.visits.i_d, evidence.visits.i_q), (i_dq[:, 0], -i_dq[:, 1]), strict=True)
+    ]
+    pairs = i_dq[inside[nearest[0], nearest[1]]]
+    if not len(pairs):
+        return 0.0
+    model = evidence.information.model
+    psi = model.rows(pairs).dot(gamma)
+    mirrored = model.rows(pairs * [1, -1]).dot(gamma) * [1, -1]
+    return float(np.sqrt(np.mean((psi - mirrored) ** 2, axis=0)).max() / np.abs(psi).max())

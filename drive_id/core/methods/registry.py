@@ -1,0 +1,21 @@
+"""The methods by name."""
+
+from __future__ import annotations
+
+from drive_id.core.methods.method import Method
+from drive_id.core.methods.paper import PAPER_METHODS
+
+
+def method_named(name: str) -> Method:
+    """Return a method by one of the names that :class:`~drive_id.core.fit_settings.FitSettings` accepts.
+
+    Raises
+    ------
+    KeyError
+        When there is no such method.
+    """
+    if name == "full":
+        from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # scipy takes longer than the other methods
+
+        return FullMethod()
+    return PAPER_METHODS[name]

@@ -89,7 +89,15 @@ def simulate_current(
     -------
     (N, 2) float
         Simulated i_dq at the stamps, A; NaN from where a run diverged on.
+
+    Raises
+    ------
+    ValueError
+        When the currents of the drop are not equally spaced.
     """
+    spacing = np.diff(drop[0])
+    if not np.allclose(spacing, spacing[0], rtol=1e-6, atol=0.0):
+        raise ValueError("the currents of the inverter's curve must be equally spaced")
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     u_s = frames.space_vector(samples.u_abc)
     largest = float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())

@@ -44,12 +44,20 @@ def true_model(machine, orders=ORDERS, count=40, nodes=48):
 
 def simulated(simulation, samples=None, **model):
     truth = simulation.truth
+    current = np.linspace(-1.2 * truth.i_max, 1.2 * truth.i_max, 40001)
     return simulate_current(
         simulation.samples if samples is None else samples,
         *true_model(simulation.machine, **model),
         truth.resistance,
-        (truth.inverter_current, truth.inverter_voltage),
+        (current, np.interp(current, truth.inverter_current, truth.inverter_voltage)),
     )
+
+
+def test_a_curve_of_unequal_spacing_is_refused():
+    axis = Axis(-1.0, 1.0, 4)
+    drop = np.array([-1.0, 0.0, 2.0]), np.zeros(3)
+    with pytest.raises(ValueError, match="equally spaced"):
+        simulate_current(synthetic.record(duration=0.001), TensorSpline(axis, axis), np.ones(32), {}, 0.0, drop)
 
 
 def short_run():

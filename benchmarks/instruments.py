@@ -107,6 +107,4 @@ def _simulated(data: Accumulation, estimate: FloatArray, choice: Choice) -> Floa
     current = np.linspace(-1.2 * evidence.i_max, 1.2 * evidence.i_max, 1001)
     drop = (model.shapes(current) @ estimate[model.phase_columns()]).mean(axis=1)
     samples, gamma = data.simulation.samples, spline(model.flux, estimate[model.map])
-    return simulate_current(
-        samples, TensorSpline(d, q), gamma, harmonics, float(estimate[RESISTANCE]), (current, drop)
-    )
+    return simulate_current(samples, TensorSpline(d, q), gamma, harmonics, float(estimate[RESISTANCE]), (current, drop))

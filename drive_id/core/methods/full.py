@@ -169,7 +169,8 @@ def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: Bo
         axis = evidence.visits.i_q
         mirror = np.abs(axis[:, None] + axis).argmin(axis=0)
         mirrored = grid[disc & disc[:, mirror]]
-        if np.abs(mirrored[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * evidence.i_max:
+        reached = min(evidence.i_max, evidence.reached or evidence.i_max)
+        if np.abs(mirrored[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * reached:
             mirrored = mirrored[:0]  # i_q of one sign only, but for the fringe at zero
         found.append(calibrate_angle(fit, mirrored[:: max(1, len(mirrored) // _MIRRORED)]))
     if settings.calibrate_currents:

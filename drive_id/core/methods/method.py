@@ -43,6 +43,7 @@ class Gathered(Protocol):
     d: Axis
     q: Axis
     i_max: float
+    reached: float  # radius of the disc that the prescan found, A; 0 where it is not known
     samples: int
     information: Information
     windows: WindowInformation | None

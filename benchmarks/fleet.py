@@ -19,8 +19,8 @@ from reporting import Section, faster, show
 from rich.console import Console
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.fitting.cluster import accumulate_on_cluster
-from drive_id.fitting.dask_cluster import connected
+from drive_id.fitting.cluster import accumulate_on_cluster, connected
+from drive_id.fitting.sources import Sources
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
 BAGS = 8
@@ -34,10 +34,10 @@ def work(bags: list[Path], workers: int) -> Cost:
     settings = FitSettings(method="joint", i_max=I_MAX)
     with connected(f"local:{workers}", workers) as client:
         address = client.scheduler.address
-        accumulate_on_cluster(bags[:workers], settings, address)
+        accumulate_on_cluster(Sources(bags[:workers], cluster=address), settings)
         before = client.run(time.process_time)
         start = time.perf_counter()
-        accumulate_on_cluster(bags, settings, address)
+        accumulate_on_cluster(Sources(bags, cluster=address), settings)
         elapsed = time.perf_counter() - start
         after = client.run(time.process_time)
     return Cost(elapsed, max(after[worker] - before[worker] for worker in before))

@@ -68,7 +68,7 @@ def start_up(folder: Path, repeats: int) -> Section:
         "numerics": [sys.executable, "-c", "import numpy, numba, scipy.interpolate, matplotlib.figure"],
         "help": [SCRIPT, "--help"],
         "info": [SCRIPT, "info", bag],
-        "load": [sys.executable, "-c", "import drive_id.fitting.workflows"],
+        "load": [sys.executable, "-c", "import drive_id.fitting.fit"],
     }
     costs = best_of({name: partial(process, words) for name, words in commands.items()}, max(repeats, 5))
     rows = (

@@ -42,8 +42,9 @@ from drive_id.files.read.reader import read_recording
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.sources import Sources
 from drive_id.nodes.qos import STREAM
 
 TOPICS = {
@@ -284,13 +285,13 @@ def kills_table(count: int, folder: Path, seed: int) -> Table:
             bench.recorder.wait()
             recording = read_recording(path)
             read = len(recording.samples) * recording.samples.sample_period
-            fit = fit_bags([path], bench.data / "fit", FitSettings(method="joint"))
+            fit = fit_bags(Sources([path]), bench.data / "fit", FitSettings(method="joint"))
             warned = any("was not completed" in warning for warning in fit.warnings)
             recovery = recover_bag(path)
             recovered = stock_count(recovery.output)
             assert recovered == sum(recovery.topics.values())
         missing.append(moment - read)
-        resistance = f"{fit.identification.resistance * 1e3:.1f} mohm, {'warned' if warned else 'NOT WARNED'}"
+        resistance = f"{fit.drive.resistance * 1e3:.1f} mohm, {'warned' if warned else 'NOT WARNED'}"
         table.add_row(f"{moment:.2f} s", f"{read:.2f} s", f"{missing[-1]:.2f} s", resistance, str(recovered))
     table.caption = f"Missing at most {max(missing):.2f} s."
     return table

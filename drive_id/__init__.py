@@ -1,3 +1,59 @@
-"""Identify flux maps, resistance and inverter voltage error of electric drives from recordings."""
+"""Identify flux maps, resistance and inverter voltage error of electric drives from recordings.
+
+>>> import drive_id
+>>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
+>>> result = drive_id.load("out/demo/recording_full")  # doctest: +SKIP
+>>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
+
+Names are loaded when they are first used, so that ``import drive_id`` takes no time (PEP 562).
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from drive_id.bench.settings import SimulationSettings
+    from drive_id.core.fit_settings import FitSettings
+    from drive_id.core.result.identification import FluxMap
+    from drive_id.errors import DriveIdError
+    from drive_id.fitting.fit import fit
+    from drive_id.fitting.result import Identification, load
+    from drive_id.fitting.simulated import simulate
+    from drive_id.fitting.sources import read_bag
+    from drive_id.types import MachineMap, Samples
 
 __version__ = "0.1.0"
+__all__ = [
+    "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap", "Samples", "SimulationSettings", "fit",
+    "load", "read_bag", "simulate",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    home: object
+    if name == "DriveIdError":
+        from drive_id import errors as home
+    elif name in ("MachineMap", "Samples"):
+        from drive_id import types as home
+    elif name == "SimulationSettings":
+        from drive_id.bench import settings as home
+    elif name == "FitSettings":
+        from drive_id.core import fit_settings as home
+    elif name == "FluxMap":
+        from drive_id.core.result import identification as home
+    elif name in ("Identification", "load"):
+        from drive_id.fitting import result as home
+    elif name == "read_bag":
+        from drive_id.fitting import sources as home
+    elif name == "fit":
+        from drive_id.fitting import fit as home
+    elif name == "simulate":
+        from drive_id.fitting import simulated as home
+    else:
+        raise AttributeError(f"module 'drive_id' has no attribute '{name}'")
+    found: object = getattr(home, name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

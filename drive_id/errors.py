@@ -1,74 +1,80 @@
-"""One error tree: every message is one sentence saying what is wrong, where, and what to do.
+"""The error tree: each message is one sentence that says what is wrong, where, and what to do.
 
-``code`` is the stable, machine-readable name of the kind of error: services reply with it, ``--json`` prints it.
-Nothing else leaves this package on bad input; anything that is not a :class:`DriveIdError` is a bug of ours.
+``code`` is the stable, machine-readable kind of error: services return it, ``--json`` prints it. Bad input raises
+nothing but a :class:`DriveIdError`; any other exception is a bug in drive_id.
 """
 
 from __future__ import annotations
 
 
 class DriveIdError(Exception):
-    """Base of all errors that bad input can cause."""
+    """Base of all errors caused by bad input."""
 
     code = "error"
 
 
 class ConfigurationError(DriveIdError):
-    """A parameter, option, signals file or machine file does not make sense."""
+    """A parameter, option, signals file or machine file is invalid."""
 
     code = "configuration"
 
 
 class OutputError(DriveIdError):
-    """The result cannot be written where it was asked for (not ours to overwrite, not writable, disk full)."""
+    """The output cannot be written (not ours to overwrite, no permission, disk full)."""
 
     code = "output"
 
 
 class InformationError(DriveIdError):
-    """An information file is none, is damaged, or was written by a newer version."""
+    """Not an information file, damaged, or written by a newer version."""
 
     code = "information"
 
 
-class FleetError(DriveIdError):
-    """The cluster that was to do the work is not there, or was lost."""
+class ResultError(DriveIdError):
+    """Not a result folder, damaged, or written by a newer version."""
 
-    code = "fleet"
+    code = "result"
+
+
+class ClusterError(DriveIdError):
+    """The Dask cluster cannot be reached, or was lost."""
+
+    code = "cluster"
 
 
 class BagError(DriveIdError):
-    """Base of the errors of a recording's container: what was found before any sample was looked at."""
+    """Base of errors in a recording's container, found before any sample is read."""
 
     code = "bag"
 
 
 class NotABagError(BagError):
-    """The path is not a recording that any of our back-ends can read."""
+    """The path is not a recording in a format that drive_id reads."""
 
     code = "not_a_bag"
 
 
 class TruncatedBagError(BagError):
-    """The recording breaks off (killed recorder, power cut, full disk) or is damaged."""
+    """The recording is cut off (killed recorder, power loss, full disk) or damaged."""
 
     code = "truncated_bag"
 
 
 class MissingTopicError(BagError):
-    """A needed signal has no topic in the bag."""
+    """The bag has no topic for a required signal."""
 
     code = "missing_topic"
 
 
 class MessageTypeError(BagError):
-    """A topic is of a type, or lacks a field, from which the signal cannot be read."""
+    """The type or the fields of a topic do not carry the signal."""
 
     code = "message_type"
 
 
 class EmptyTopicError(BagError):
-    """A needed topic exists but holds no message or no sample."""
+    """A required topic exists but holds no message or no sample."""
 
     code = "empty_topic"
 
@@ -80,7 +86,7 @@ class MessageCountError(BagError):
 
 
 class DataError(DriveIdError):
-    """Base of the errors of the samples themselves."""
+    """Base of errors in the samples themselves."""
 
     code = "data"
 
@@ -92,30 +98,30 @@ class NonFiniteError(DataError):
 
 
 class StampOrderError(DataError):
-    """Stamps repeat or run backwards too often to be cut out."""
+    """Too many stamps repeat or run backwards."""
 
     code = "stamp_order"
 
 
 class SamplePeriodError(DataError):
-    """The sample periods of the signals, or the declared and the stamped one, disagree."""
+    """Sample periods disagree: between signals, or between declaration and stamps."""
 
     code = "sample_period"
 
 
 class NoOverlapError(DataError):
-    """The three signals share too little time to be joined."""
+    """The three signals overlap too little in time."""
 
     code = "no_overlap"
 
 
 class StandstillError(DataError):
-    """The machine hardly turns, so that its flux induces no voltage to see."""
+    """The machine hardly turns, so its flux induces no measurable voltage."""
 
     code = "standstill"
 
 
 class CoverageError(DataError):
-    """The trajectory covers too little of the current plane for a map."""
+    """The data cover too little of the current plane for a map, or not the currents asked for."""
 
     code = "coverage"

@@ -1,4 +1,4 @@
-"""How a node is, in words for people and values for programs."""
+"""Health of a node: a sentence for people, values for programs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Level(IntEnum):
 
 
 Finding = tuple[Level, str]
-"""What was noticed, and a sentence about it."""
+"""Severity of an observation, and a sentence about it."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Settings with one source: a frozen dataclass whose fields carry description, unit and bounds.
+"""Settings with a single source: a frozen dataclass whose fields carry description, unit and bounds.
 
-The same fields feed the YAML files, the command line and the ROS parameters, so that a default, a bound or a
-description is written once. Fields are bool, int, float or str, or ``None`` beside one of them, or tuples of them.
+The same fields feed YAML files, the command line and ROS parameters, so each default, bound and description is written
+once. Fields are bool, int, float or str, one of them or ``None``, or tuples of them.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) ->
     mapping : mapping
         Names to plain values; whole numbers are accepted for floats, lists for tuples.
     where : str
-        File or option that the mapping came from, for messages.
+        File or option that the mapping came from, for error messages.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
 
 
 def _wanted(option: Any) -> str:
-    """Describe a type in the words of whoever writes a YAML file."""
+    """Describe a type in plain words, for the author of a YAML file."""
     if typing.get_origin(option) is not tuple:
         return _WORDS[option][0]
     entries = typing.get_args(option)
@@ -136,7 +136,7 @@ def _wanted(option: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Write a value that may be of any length."""
+    """Return a value as text of limited length."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to write out whole numbers of thousands of digits

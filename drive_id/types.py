@@ -1,4 +1,4 @@
-"""The nouns of the project: frozen dataclasses, validated once at construction.
+"""Data types that all rooms share: frozen dataclasses, validated once at construction.
 
 SI units; amplitude-invariant (peak) currents, voltages and flux linkages; electrical radians and rad/s; phase order
 a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
@@ -20,11 +20,11 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """Equally sampled signals of one drive, the paper's ``eq:experiment``, without the gaps.
 
-    Every source (live topics, our bags, bags of strangers) ends in this type, and everything after it is one path.
+    All sources (live topics, our bags, bags with other messages) end in this type.
 
     Parameters
     ----------
@@ -41,10 +41,12 @@ class Samples:
     sample_period : float
         s.
     run_starts : (S,) int64, optional
-        Index of the first sample of each gap-free run; the first is 0. Nothing may be differenced or integrated
-        across the start of a run. Default: one run.
+        Index of the first sample of each gap-free run; the first is 0. Nothing is differenced or integrated across the
+        start of a run. Default: one run.
     i_dq_reference : (N, 2) float, optional
         Current references valid at ``stamp``, A, NaN where none is known.
+    truth : GroundTruth, optional
+        Of a simulation. A fit never uses it, but is scored against it.
 
     Raises
     ------
@@ -62,6 +64,7 @@ class Samples:
     sample_period: float
     run_starts: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
     i_dq_reference: FloatArray | None = None
+    truth: GroundTruth | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamp)
@@ -95,6 +98,13 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self)} at {1e-3 / self.sample_period:.6g} kHz", f"{self.duration:.4g} s"]
+        parts += [f"{len(self.run_starts)} runs"] if len(self.run_starts) > 1 else []
+        parts += ["with references"] if self.i_dq_reference is not None else []
+        parts += [f"truth of {self.truth.machine}"] if self.truth else []
+        return f"<Samples: {', '.join(parts)}>"
 
     @property
     def duration(self) -> float:
@@ -145,7 +155,7 @@ class Samples:
         Returns
         -------
         Samples
-            References are NaN in parts without; None where no part has any.
+            References are NaN in parts without; None where no part has any. The truth is kept when all have the same.
 
         Raises
         ------
@@ -168,6 +178,7 @@ class Samples:
                 [part.run_starts[skip:] - skip + at for part, skip, at in zip(parts, skips, offsets, strict=True)]
             ),
             i_dq_reference=together(_references(part) for part in parts) if known else None,
+            truth=parts[0].truth if all(part.truth is parts[0].truth for part in parts) else None,
         )
 
 
@@ -176,12 +187,12 @@ def _references(samples: Samples) -> FloatArray:
 
 
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed")
-"""The arrays that every sample has."""
+"""Arrays with one entry per sample that are always there."""
 
 
 @dataclass(frozen=True, eq=False)
 class MachineMap:
-    """Flux linkages of a machine on a grid, possibly over the rotor position: a machine file in memory.
+    """A machine file in memory: flux linkages on a grid of currents, possibly over the rotor position, and ratings.
 
     Parameters
     ----------
@@ -249,7 +260,7 @@ class MachineMap:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """What a simulation knows and an experiment does not; travels beside the bag, never in its topics.
+    """What a simulation knows and an experiment does not; attached to the bag, never in its topics.
 
     Parameters
     ----------
@@ -266,7 +277,7 @@ class GroundTruth:
         Radius of the current disc of the experiment, A.
     pole_pairs : int
     details : dict of str to str, float or int
-        Settings of the simulation, for the record.
+        Settings of the simulation.
 
     Raises
     ------
@@ -290,7 +301,7 @@ class GroundTruth:
         shape = (len(self.i_d), len(self.i_q))
         curve = len(self.inverter_current)
         if min(shape) < 4 or self.psi_d.shape != shape or self.psi_q.shape != shape:
-            raise ConfigurationError(f"The true map of '{self.machine}' does not fit its axes of {shape} points.")
+            raise ConfigurationError(f"The true map of '{self.machine}' does not match its axes of {shape} points.")
         if curve < 2 or len(self.inverter_voltage) != curve:
             raise ConfigurationError(f"The true inverter curve of '{self.machine}' does not fit its {curve} currents.")
         if any(np.any(np.diff(axis) <= 0) for axis in (self.i_d, self.i_q, self.inverter_current)):

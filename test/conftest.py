@@ -21,8 +21,9 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.planning import planner
 from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.sources import Sources
 
 FIRST = ("test/nodes/",)
 """The longest work, which must not be left to one worker at the end."""
@@ -96,4 +97,4 @@ def coarse_plans(monkeypatch):
 @pytest.fixture(scope="session")
 def fitted(bag):
     """Its fit, nothing written."""
-    return fit_bags([bag], None, FitSettings(method="joint"))
+    return fit_bags(Sources([bag]), None, FitSettings(method="joint"))

@@ -165,7 +165,7 @@ class Drive:
             field.name: value if isinstance(value, (str, int, float)) else str(value)
             for field in dataclasses.fields(self.settings)
             if (value := getattr(self.settings, field.name)) is not None
-        }
+        } | {"u_dc": machine.u_dc}
         return GroundTruth(
             machine=machine.name,
             i_d=axis,

@@ -1,4 +1,4 @@
-"""The command line ``drive-id``: thin, and quick to start because the numerics are loaded only when needed."""
+"""The command line ``drive-id``: thin, and quick to start because numerics are loaded only when needed."""
 
 import atexit
 import gc
@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,6 +36,10 @@ from drive_id.cli.options import (
 from drive_id.cli.plan import plan_experiment
 from drive_id.errors import DriveIdError
 
+if TYPE_CHECKING:
+    from drive_id.fitting.result import Identification
+    from drive_id.fitting.sources import Sources
+
 app = typer.Typer(
     name="drive-id",
     help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
@@ -48,9 +52,9 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; bad input ends with exit code 1 and one sentence."""
-    atexit.register(gc.freeze)  # the process ends: to look for garbage once more takes a third of a second
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # our matrices are small: more threads only wait
+    """Run the command line; on bad input, exit with code 1 and one sentence."""
+    atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
     try:
         app()
     except DriveIdError as error:
@@ -69,7 +73,7 @@ def main() -> None:
 
 
 def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that typer made a silent exit of."""
+    """Return the interrupt that typer turned into a silent exit."""
     while end is not None and not isinstance(end, KeyboardInterrupt):
         end = end.__cause__ or end.__context__
     return end
@@ -92,23 +96,35 @@ def _common(
 
 @app.command(epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result")
 def simulate(
-    machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, or a machine file (.npz, SyR-e .mat).")],
+    machine: Annotated[
+        str, typer.Option(help="ipm, spm, pmsyrm, a machine file (.npz, .mat of SyR-e), or a result folder.")
+    ],
     output: Annotated[Path, typer.Option(help="Bag (folder) to write.")],
-    speed: Annotated[list[float] | None, typer.Option(help="Mechanical, rpm; repeat for several in turn.")] = None,
+    speed: Annotated[
+        list[float] | None,
+        typer.Option(help="Mechanical speed, rpm; may be repeated.  \\[default: 500]"),
+    ] = None,
     seconds: Annotated[float, typer.Option(help="Duration, s.", min=1e-3)] = 10.0,
-    inverter: Annotated[str | None, typer.Option(help="none, tanh, dead_time or two_stage.")] = None,
-    noise: Annotated[float | None, typer.Option(help="Current noise, as a fraction of i_max.")] = None,
+    inverter: Annotated[
+        str | None, typer.Option(help="none, tanh, dead_time or two_stage.  \\[default: dead_time]")
+    ] = None,
+    noise: Annotated[float | None, typer.Option(help="RMS current noise, fraction of i_max.  \\[default: 0]")] = None,
     harmonics: Annotated[float | None, typer.Option(help="Factor on the rotor-position harmonics, 0 to 1.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of all noise.")] = None,
-    frequency_d: Annotated[float, typer.Option(help="Of the d reference, Hz.")] = 3.7,
-    frequency_q: Annotated[float, typer.Option(help="Of the q reference, Hz.")] = 1.1,
-    form: Annotated[str, typer.Option(help="Lissajous root: smooth, or printed as in the paper.")] = "smooth",
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise.")] = None,
+    pole_pairs: Annotated[
+        int | None,
+        typer.Option(help="Number of pole pairs, for a result that does not know it.", min=1),
+    ] = None,
+    u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V, instead of that of the file.")] = None,
+    frequency_d: Annotated[float, typer.Option(help="Frequency of the d current reference, Hz.")] = 3.7,
+    frequency_q: Annotated[float, typer.Option(help="Frequency of the q current reference, Hz.")] = 1.1,
+    form: Annotated[str, typer.Option(help="Form of the trajectory: smooth, or printed (as in the paper).")] = "smooth",
     config: Annotated[Path | None, typer.Option(help="YAML file with settings of the simulation.")] = None,
     settings: SetOption = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Simulate a drive on a Lissajous trajectory and record it as a rosbag2 bag, its ground truth attached."""
+    """Simulate a drive on a Lissajous trajectory and record it as a rosbag2 bag with its ground truth."""
     from drive_id.bench.settings import SimulationSettings
     from drive_id.core.experiment.trajectories import Lissajous
     from drive_id.fitting.simulated import load_machine, simulate_bag
@@ -120,7 +136,8 @@ def simulate(
     trajectory = Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
     with working(quiet or as_json) as tell:
         tell("Simulating", None)
-        simulation = simulate_bag(load_machine(machine), chosen, output, trajectory, seconds)
+        machine_map = load_machine(machine, pole_pairs=pole_pairs, u_dc=u_dc)
+        simulation = simulate_bag(machine_map, chosen, output, trajectory, seconds)
     truth = simulation.truth
     if as_json:
         typer.echo(json.dumps({"bag": str(output), "machine": truth.machine, "samples": len(simulation.samples)}))
@@ -128,10 +145,10 @@ def simulate(
         say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
 
 
-@app.command(epilog="A bag of your own messages: write a signals file, see config/signals_example_stranger.yaml.")
+@app.command(epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.")
 def fit(
     bags: SourcesArgument,
-    output: Annotated[Path, typer.Option(help="Folder for identification.json, flux_map.npz and pictures.")],
+    output: Annotated[Path, typer.Option(help="Result folder: identification.json, flux_map.npz and pictures.")],
     method: Annotated[
         str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  \\[default: full]")
     ] = None,
@@ -151,28 +168,38 @@ def fit(
     from functools import partial
 
     from drive_id.core.fit_settings import FitSettings
-    from drive_id.files.messages.signals_file import read_signals
-    from drive_id.files.results.folder import results_tree
-    from drive_id.fitting.merging import stored_settings
-    from drive_id.fitting.workflows import fit_bags
-    from drive_id.report.plots import result_pictures
+    from drive_id.files.results.identification import results_tree
+    from drive_id.fitting.fit import fit_bags
+    from drive_id.fitting.result import pictures
     from drive_id.report.tables import fit_table
 
-    stored = stored_settings(bags, skip_bad=skip_bad)
+    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
+    stored = sources.stored_settings()
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
-    signal_map = read_signals(signals) if signals else None
     with working(quiet or as_json) as tell:
-        result = fit_bags(
-            bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad,
-            force=force, draw=partial(result_pictures, figure_format=figure_format.value), tell=tell,
-        )  # fmt: skip
+        draw = partial(pictures, figure_format=figure_format.value)
+        result = fit_bags(sources, output, chosen, force=force, draw=draw, tell=tell)
     if as_json:
-        typer.echo(json.dumps(results_tree(result.identification, result.provenance), allow_nan=False))
+        typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
     elif not quiet:
         show(fit_table(result))
-        for warning in result.warnings:
-            warn(warning)
+        _comment(result)
         say(f"Results in {output}")
+
+
+def _sources(paths: list[Path], signals: Path | None, namespace: str, cluster: str, *, skip_bad: bool) -> "Sources":
+    from drive_id.files.messages.signals_file import read_signals
+    from drive_id.fitting.sources import Sources
+
+    return Sources(paths, read_signals(signals) if signals else None, namespace, cluster, skip_bad)
+
+
+def _comment(result: "Identification") -> None:
+    """Print warnings and statements below a table."""
+    for warning in result.warnings:
+        warn(warning)
+    for statement in result.statements:
+        say(statement)
 
 
 @app.command(
@@ -180,11 +207,11 @@ def fit(
 )
 def accumulate(
     bags: BagsArgument,
-    output: Annotated[Path, typer.Option(help="Information file to write, for example X.info.")],
-    i_max: Annotated[
-        float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
+    output: Annotated[Path, typer.Option(help="Information file to write, e.g. X.info.")],
+    i_max: RadiusOption = None,
+    method: Annotated[
+        str | None, typer.Option(help="Method of the later fit; full serves all.  \\[default: full]")
     ] = None,
-    method: Annotated[str | None, typer.Option(help="To be fitted with, full also with the others.")] = None,
     signals: SignalsOption = None,
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
@@ -194,18 +221,15 @@ def accumulate(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Keep of bags what a fit needs, in a small file: fitting such files together is fitting the bags together."""
+    """Reduce bags to a small file with all that a fit needs: fitting such files is fitting their bags."""
     from drive_id.core.fit_settings import FitSettings
-    from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.results.information import information_tree
-    from drive_id.fitting.workflows import accumulate_bags
+    from drive_id.fitting.fit import accumulate_bags
 
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
-    signal_map = read_signals(signals) if signals else None
+    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
     with working(quiet or as_json) as tell:
-        result = accumulate_bags(
-            bags, output, chosen, signals=signal_map, namespace=namespace, cluster=cluster, skip_bad=skip_bad, tell=tell
-        )
+        result = accumulate_bags(sources, output, chosen, tell)
     if as_json:
         typer.echo(json.dumps({"information": str(output)} | information_tree(result)))
     elif not quiet:
@@ -217,28 +241,47 @@ def accumulate(
 
 @app.command()
 def info(
-    bag: Annotated[Path, typer.Argument(help="Bag (folder or file), or information file.", show_default=False)],
+    path: Annotated[
+        Path, typer.Argument(help="Bag (folder or file), result folder, or information file.", show_default=False)
+    ],
     as_json: JsonFlag = False,
 ) -> None:
-    """Tell what a bag holds, without reading its messages, or what an information file does."""
+    """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
     import dataclasses
 
     from drive_id.files.read.info import bag_info
+    from drive_id.files.results.folder import is_result
     from drive_id.files.results.information_name import is_information
     from drive_id.report.tables import info_table
 
-    if is_information(bag):
-        _print_information(bag, as_json=as_json)
+    if is_information(path):
+        _print_information(path, as_json=as_json)
         return
-    found = bag_info(bag)
+    if is_result(path):
+        _print_result(path, as_json=as_json)
+        return
+    found = bag_info(path)
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(found)))
         return
     show(info_table(found))
     if found.ground_truth:
-        say("The recording is a simulation and carries its ground truth.")
+        say("The recording is a simulation with its ground truth.")
     if found.problem:
         warn(found.problem)
+
+
+def _print_result(path: Path, *, as_json: bool) -> None:
+    from drive_id.files.results.identification import results_tree
+    from drive_id.fitting.result import load
+    from drive_id.report.tables import fit_table
+
+    result = load(path)
+    if as_json:
+        typer.echo(json.dumps({"path": str(path)} | results_tree(result.drive, result.provenance), allow_nan=False))
+        return
+    show(fit_table(result))
+    _comment(result)
 
 
 def _print_information(path: Path, *, as_json: bool) -> None:
@@ -256,12 +299,12 @@ def _print_information(path: Path, *, as_json: bool) -> None:
 
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
 def recover(
-    bag: Annotated[Path, typer.Argument(help="MCAP bag (folder or file) that breaks off.", show_default=False)],
+    bag: Annotated[Path, typer.Argument(help="Damaged MCAP bag (folder or file).", show_default=False)],
     output: Annotated[Path | None, typer.Option(help="Bag to write.  \\[default: BAG_recovered]")] = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Make a whole bag, for any reader, of one that breaks off or is damaged; the given one is not touched."""
+    """Copy what is readable of a cut-off or damaged bag to a new bag that any reader opens."""
     import dataclasses
 
     from drive_id.files.write.recover import recover_bag
@@ -270,7 +313,7 @@ def recover(
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(recovery) | {"output": str(recovery.output)}))
     elif not quiet:
-        for warning in recovery.damage or ("The recording is whole: nothing had to be recovered.",):
+        for warning in recovery.damage or ("The recording is intact: nothing had to be recovered.",):
             say(warning, style="yellow")
         say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
@@ -288,7 +331,7 @@ def reproduce(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Print the paper's tables for the shipped simulated drives, and draw its figures."""
+    """Reproduce the paper's tables and figures with the shipped simulated drives."""
     from drive_id.report.reproduction import check_reproduction_output, write_reproduction
     from drive_id.report.reproduction import reproduce as run
 

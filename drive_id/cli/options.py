@@ -1,4 +1,4 @@
-"""What the commands of ``drive-id`` share: options, settings from all sources, what is said and shown."""
+"""Shared by the commands of ``drive-id``: options, merging of settings, output to the console."""
 
 from __future__ import annotations
 
@@ -22,26 +22,28 @@ if TYPE_CHECKING:
 
 Settings = TypeVar("Settings")
 _PIPE_WIDTH = 200
-"""Characters per line where no terminal limits them, whatever COLUMNS says."""
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, nothing else.")]
-QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+"""Characters per line when the output is not a terminal."""
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print machine-readable output.")]
+QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by name; may be repeated.")
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by its name; may be repeated.")
 ]
 SourcesArgument = Annotated[
     list[Path],
-    typer.Argument(help="Bags of one drive, or what 'accumulate' made of them.", show_default=False, metavar="BAG..."),
+    typer.Argument(help="Bags of one drive, or information files.", show_default=False, metavar="BAG..."),
 ]
 BagsArgument = Annotated[
     list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False, metavar="BAG...")
 ]
-SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are in the bag.")]
-NamespaceOption = Annotated[str, typer.Option(help="Of the drive, when a bag holds several.")]
-FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings of the fit.")]
-RadiusOption = Annotated[float | None, typer.Option(help="Radius of the current disc, A.")]
+SignalsOption = Annotated[Path | None, typer.Option(help="YAML file that says where the signals are in the bag.")]
+NamespaceOption = Annotated[str, typer.Option(help="ROS namespace of the drive, when a bag holds several.")]
+FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
+RadiusOption = Annotated[
+    float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
+]
 ClusterOption = Annotated[
     str,
-    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Dask cluster that does the work, or N processes here."),
+    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Use a Dask cluster, or N processes of this machine."),
 ]
 
 
@@ -54,12 +56,12 @@ class FigureFormat(str, Enum):
 
 
 FigureFormatOption = Annotated[FigureFormat, typer.Option("--figure-format", help="Format of the pictures.")]
-SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, and warn of them.")]
+SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
 
 
 @cache
 def out() -> Console:
-    """Return standard output: as wide as the terminal, or wide enough for any table in a file or a pipe."""
+    """Return standard output, as wide as the terminal; in a file or a pipe, wide enough for any table."""
     from rich.console import Console
 
     console = Console()
@@ -80,7 +82,7 @@ def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = N
 
 
 def show(table: Table) -> None:
-    """Print a table; its title stays on one line, whatever the width of the terminal."""
+    """Print a table, its title on one line whatever the width of the terminal."""
     if table.title:
         out().print(table.title, style="table.title", highlight=False, soft_wrap=True)
         table.title = None
@@ -99,7 +101,7 @@ def merged_settings(
     options: dict[str, Any],
     base: Settings | None = None,
 ) -> Settings:
-    """Merge settings to start from, a YAML file, --set and named options, the later ones winning."""
+    """Merge base settings, a YAML file, --set and named options; later ones win."""
     import dataclasses
 
     import yaml
@@ -110,10 +112,10 @@ def merged_settings(
         try:
             tree = yaml.safe_load(config.read_text(encoding="utf-8"))
         except unreadable as error:
-            reason = getattr(error, "problem", None) or getattr(error, "strerror", None) or "it is no YAML"
+            reason = getattr(error, "problem", None) or getattr(error, "strerror", None) or "it is not YAML"
             raise ConfigurationError(f"The settings file {config} cannot be read ({reason}): check it.") from error
         if not isinstance(tree, dict | None):
-            raise ConfigurationError(f"The settings file {config} is not a list of 'name: value' lines: rewrite it so.")
+            raise ConfigurationError(f"The settings file {config} is not made of 'name: value' lines: rewrite it so.")
         values |= tree or {}
     for assignment in assignments or []:
         name, sign, text = assignment.partition("=")

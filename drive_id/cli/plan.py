@@ -1,4 +1,4 @@
-"""The command ``drive-id plan``, which has many options."""
+"""The command ``drive-id plan``."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,6 @@ import typer
 from drive_id.cli.options import (
     JsonFlag,
     QuietFlag,
-    RadiusOption,
     SetOption,
     merged_settings,
     say,
@@ -20,29 +19,31 @@ from drive_id.cli.options import (
 
 
 def plan_experiment(
-    machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, or a machine file, to take all data from.")] = "",
-    i_max: RadiusOption = None,
-    pole_pairs: Annotated[int | None, typer.Option(help="Of the machine.")] = None,
-    resistance: Annotated[float | None, typer.Option(help="Rough, ohm.")] = None,
-    inductance_d: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
-    inductance_q: Annotated[float | None, typer.Option(help="Rough, H.")] = None,
-    magnet_flux: Annotated[float | None, typer.Option(help="Rough, Wb.")] = None,
-    u_dc: Annotated[float | None, typer.Option(help="DC link, V.")] = None,
-    sample_period: Annotated[float | None, typer.Option(help="s.  \\[default: 1e-4]")] = None,
-    noise: Annotated[float | None, typer.Option(help="Current noise, fraction of i_max.  \\[default: 0.001]")] = None,
-    speed_min: Annotated[float | None, typer.Option(help="Lowest, rpm.  \\[default: 250]")] = None,
-    speed_max: Annotated[float | None, typer.Option(help="Highest, rpm.  \\[default: 1500]")] = None,
-    reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Turn backwards, too.")] = None,
+    machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, a machine file, or a result folder.")] = "",
+    i_max: Annotated[float | None, typer.Option(help="Radius of the current disc, A.")] = None,
+    pole_pairs: Annotated[int | None, typer.Option(help="Number of pole pairs.")] = None,
+    resistance: Annotated[float | None, typer.Option(help="Rough resistance, ohm.")] = None,
+    inductance_d: Annotated[float | None, typer.Option(help="Rough d inductance, H.")] = None,
+    inductance_q: Annotated[float | None, typer.Option(help="Rough q inductance, H.")] = None,
+    magnet_flux: Annotated[float | None, typer.Option(help="Rough magnet flux, Wb.")] = None,
+    u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V.")] = None,
+    sample_period: Annotated[float | None, typer.Option(help="Sample period, s.  \\[default: 1e-4]")] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="RMS current noise, fraction of i_max.  \\[default: 0.001]")
+    ] = None,
+    speed_min: Annotated[float | None, typer.Option(help="Lowest speed, rpm.  \\[default: 250]")] = None,
+    speed_max: Annotated[float | None, typer.Option(help="Highest speed, rpm.  \\[default: 1500]")] = None,
+    reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Also turn backwards.")] = None,
     accuracy: Annotated[float | None, typer.Option(help="Of the flux, percent.  \\[default: 0.05]")] = None,
-    duration: Annotated[float | None, typer.Option(help="s.  \\[default: what the accuracy needs]")] = None,
-    duration_max: Annotated[float | None, typer.Option(help="s.  \\[default: 60]")] = None,
-    output: Annotated[Path | None, typer.Option(help="File of ROS parameters to write (YAML).")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with settings of the plan.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Duration, s.  \\[default: as the accuracy requires]")] = None,
+    duration_max: Annotated[float | None, typer.Option(help="Longest duration, s.  \\[default: 60]")] = None,
+    output: Annotated[Path | None, typer.Option(help="ROS parameter file (YAML) to write.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file with planner settings.")] = None,
     settings: SetOption = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Propose trajectory, speeds and duration for a wanted accuracy, from rough data of the machine."""
+    """Propose trajectory, speeds and duration for a wanted accuracy, given rough machine data."""
     from drive_id.core.planning.planner import plan
     from drive_id.core.planning.settings import PlanSettings
     from drive_id.files.results.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan

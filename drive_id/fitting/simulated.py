@@ -1,14 +1,17 @@
-"""Experiments on simulated machines: driven in memory, or recorded as a bag."""
+"""Experiments on simulated machines, in memory or recorded as a bag."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from drive_id.bench.drive import Simulation, simulate
+from drive_id.bench import drive
+from drive_id.bench.drive import Simulation
 from drive_id.bench.machine import default_amplitude
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -18,26 +21,105 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.machines.maps import read_machine
 from drive_id.files.results.folder import check_absent
 from drive_id.files.write.writer import write_recording
-from drive_id.types import MachineMap
+from drive_id.fitting.result import Identification, load
+from drive_id.settings import from_mapping
+from drive_id.types import MachineMap, Samples
 
 _MOST_SAMPLES = 2e7
 
 
-def load_machine(name_or_file: str) -> MachineMap:
-    """Return a shipped machine by name or read one from a ``.npz`` or ``.mat`` file.
+def simulate(
+    machine: str | os.PathLike[str] | MachineMap | Identification = "ipm",
+    seconds: float = 10.0,
+    *,
+    speed: float | Sequence[float] | None = None,
+    inverter: str | None = None,
+    noise: float | None = None,
+    seed: int | None = None,
+    i_max: float | None = None,
+    trajectory: Lissajous | None = None,
+    settings: SimulationSettings | None = None,
+) -> Samples:
+    """Drive a simulated machine along a Lissajous trajectory, as ``drive-id simulate`` does.
+
+    Parameters
+    ----------
+    machine : str, path, MachineMap or Identification
+        ``ipm``, ``spm`` or ``pmsyrm``; a machine file (``.npz``, SyR-e ``.mat``); a result folder; or one in memory.
+    seconds : float
+        Duration, s.
+    speed : float or sequence of float, optional
+        Mechanical speed, rpm, or several one after the other. Default: 500.
+    inverter : {"none", "tanh", "dead_time", "two_stage"}, optional
+        Law of the inverter's voltage error. Default: dead_time.
+    noise : float, optional
+        Standard deviation of the current noise as a fraction of i_max. Default: 0.
+    seed : int, optional
+        Of all noise.
+    i_max : float, optional
+        Radius of the trajectory, A. Default: that of the machine.
+    trajectory : Lissajous, optional
+    settings : SimulationSettings, optional
+        All else that can be chosen.
+
+    Returns
+    -------
+    Samples
+        With ``truth``.
 
     Raises
     ------
     ConfigurationError
-        When there is none, or the file is not a machine.
+        When there is no such machine, or machine, settings and duration do not fit together.
     """
-    path = Path(name_or_file)
-    is_file = path.suffix in (".npz", ".mat") or os.path.exists(path)  # noqa: PTH110  # never raises, whatever the name
-    return read_machine(path) if is_file else machine_map(name_or_file)
+    options = {
+        "speeds": None if speed is None else tuple(float(value) for value in np.atleast_1d(speed)),
+        "inverter": inverter,
+        "current_noise": noise,
+        "seed": seed,
+        "i_max": i_max,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    chosen = from_mapping(SimulationSettings, asdict(settings or SimulationSettings()) | given, "the arguments")
+    if isinstance(machine, Identification):
+        found = machine.to_machine()
+    elif isinstance(machine, MachineMap):
+        found = machine
+    else:
+        found = load_machine(os.fspath(machine))
+    simulation = run_experiment(found, chosen, trajectory, seconds)
+    return replace(simulation.samples, truth=simulation.truth)
+
+
+def load_machine(name_or_path: str, *, pole_pairs: int | None = None, u_dc: float | None = None) -> MachineMap:
+    """Return a shipped machine by name, or the one in a ``.npz`` or ``.mat`` file or in the result folder of a fit.
+
+    Parameters
+    ----------
+    name_or_path : str
+    pole_pairs : int, optional
+        Instead of those of the file or result.
+    u_dc : float, optional
+        DC-link voltage, V, instead of that of the file or result.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none, the file is not a machine, or the pole pairs are unknown.
+    ResultError
+        When the result cannot be read.
+    """
+    path = Path(name_or_path)
+    if os.path.isdir(name_or_path):  # noqa: PTH112  # never raises, whatever the name
+        return load(path).to_machine(pole_pairs=pole_pairs, u_dc=u_dc)
+    if path.suffix in (".npz", ".mat") or os.path.exists(path):  # noqa: PTH110
+        return read_machine(path, pole_pairs=pole_pairs, u_dc=u_dc)
+    known: dict[str, Any] = {"pole_pairs": pole_pairs, "u_dc": u_dc}
+    return replace(machine_map(name_or_path), **{name: value for name, value in known.items() if value is not None})
 
 
 def rough_settings(name_or_file: str) -> PlanSettings:
-    """Return settings of a plan with the rough data of a machine, see :func:`load_machine`."""
+    """Return planner settings with the rough data of a machine, see :func:`load_machine`."""
     machine_map = load_machine(name_or_file)
     return PlanSettings(**asdict(RoughMachine.from_map(machine_map, default_amplitude(machine_map))))
 
@@ -52,26 +134,26 @@ def run_experiment(
     machine : MachineMap
     settings : SimulationSettings
     trajectory : Lissajous, optional
-        Its radius gives way to that of the settings or of the machine.
+        Its radius is replaced by that of the settings or of the machine.
     seconds : float
         Duration, s.
 
     Raises
     ------
     ConfigurationError
-        When machine, settings and duration do not make an experiment.
+        When machine, settings and duration do not fit together.
     """
     samples = seconds / settings.sample_period
     if not 2 <= samples <= _MOST_SAMPLES:
         raise ConfigurationError(
-            f"{seconds:g} s at a period of {settings.sample_period:g} s make {samples:.3g} samples: choose a duration "
-            f"that makes between 2 and {_MOST_SAMPLES:.0e}."
+            f"{seconds:g} s at a period of {settings.sample_period:g} s are {samples:.3g} samples: choose a duration "
+            f"of between 2 and {_MOST_SAMPLES:.0e} samples."
         )
     count = round(samples)
     i_max = settings.i_max or default_amplitude(machine)
     trajectory = replace(trajectory or Lissajous(), i_max=i_max)
     reference = trajectory(settings.sample_period * np.arange(count, dtype=np.float64))
-    return simulate(machine, settings, reference)
+    return drive.simulate(machine, settings, reference)
 
 
 def simulate_bag(

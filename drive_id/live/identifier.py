@@ -16,9 +16,13 @@ from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.block_stream import BlockStream
-from drive_id.files.results.folder import Provenance, check_output, write_results
+from drive_id.files.results.folder import check_output
+from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.workflows import Draw, fit_bags
+from drive_id.fitting.fit import Draw, fit_bags, provenance_of
+from drive_id.fitting.result import Identification as Result
+from drive_id.fitting.result import pictures
+from drive_id.fitting.sources import Sources
 from drive_id.health import Finding, Health, Level
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
@@ -200,16 +204,14 @@ def _fit_bags(
     output = _new_folder(settings, fit)
     tell("Reading", 0.0)
     signals = _own_signals(topics) if all(_holds(path, topics) for path in paths) else None
-    result = fit_bags(paths, output, fit, signals=signals, draw=_draw(settings), resumable=False, tell=tell)
-    return Reply(
-        "ok",
-        _sentence(result.identification),
-        result.identification,
-        result.warnings,
-        result.provenance.machine,
-        result.recording.last_stamp,
-        str(output),
-    )
+    sources = Sources(paths, signals)
+    result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
+    return _reply(result, output)
+
+
+def _reply(result: Result, output: Path, samples: JoinReport | None = None) -> Reply:
+    drive, machine = result.drive, result.machine
+    return Reply("ok", _sentence(drive), drive, result.warnings, machine, result.last_stamp, str(output), samples)
 
 
 def _own_signals(topics: Sequence[str]) -> SignalMap:
@@ -240,22 +242,26 @@ def _fit_live(
     except DriveIdError as error:
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
     tell("Writing", None)
-    report = snapshot.report
-    provenance = Provenance(inputs={}, settings=fit, warnings=report.warnings)
-    draw = _draw(settings)
-    pictures = draw(identification, snapshot.validation(), "Live samples") if draw else {}
-    write_results(output, identification, provenance, pictures=pictures)
-    warnings = (*report.warnings, *identification.report.warnings)
+    excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
     stamp = snapshot.join.last_stamp or 0
-    return Reply("ok", _sentence(identification), identification, warnings, "", stamp, str(output), report)
+    provenance = provenance_of(
+        identification,
+        fit,
+        excerpts=excerpts,
+        duration=evidence.samples * evidence.sample_period,
+        last_stamp=stamp,
+        warnings=snapshot.report.warnings,
+    )
+    result, draw = Result(identification, provenance, excerpts, last_stamp=stamp), _draw(settings)
+    drawn = draw(result) if draw else {}
+    write_results(output, identification, provenance, pictures=drawn)
+    return _reply(result, output, snapshot.report)
 
 
 def _draw(settings: IdentificationSettings) -> Draw | None:
     if not settings.picture:
         return None
-    from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
-
-    return result_pictures
+    return partial(pictures, name="Live samples")
 
 
 def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:

@@ -14,14 +14,15 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
     from drive_id.core.planning.planner import Plan
     from drive_id.files.read.info import BagInfo
+    from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
-    from drive_id.fitting.workflows import Fit
+    from drive_id.fitting.result import Identification
     from drive_id.types import GroundTruth
 
 
-def fit_table(fit: Fit) -> Table:
-    """Lay out a fit: values, standard errors, and the ground truth where the bag carries it."""
-    identification, report, truth = fit.identification, fit.identification.report, fit.recording.truth
+def fit_table(fit: Identification) -> Table:
+    """Lay out a result: values, standard errors, and the ground truth where the recording carries it."""
+    identification, report, truth, known = fit.drive, fit.drive.report, fit.truth, fit.provenance
     numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
     table = _table(f"Identified drive, method {identification.method}", ["Quantity"], numbers)
 
@@ -56,9 +57,20 @@ def fit_table(fit: Fit) -> Table:
     unseen = f" ({report.unseen} without any data)" if report.unseen else ""
     row("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}")
     row("Condition number", f"{report.condition:.3g}")
+    row("Experiment", ", ".join(_experiment(known)))
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
     row("Gaps", str(report.gaps))
     return table
+
+
+def _experiment(known: Provenance) -> list[str]:
+    """Say what is known of the experiment besides the fit."""
+    said = [known.machine, known.date, f"{known.duration:.4g} s" if known.duration else ""]
+    if known.speed_range:
+        low, high = (f"{speed:.4g}" for speed in known.speed_range)
+        said.append(f"{low} to {high} rad/s" if low != high else f"{low} rad/s")
+    said += [f"{known.pole_pairs} pole pairs" if known.pole_pairs else "", f"{known.u_dc:g} V" if known.u_dc else ""]
+    return [escape(text) for text in said if text]
 
 
 def info_table(info: BagInfo) -> Table:

@@ -424,7 +424,7 @@ def test_bad_settings(run, bag, assignment, said):
         (b"splines_d: 3", "In file.yaml: splines_d is 3: it must be at least 4"),
         (b"spline_d: 8", "file.yaml sets 'spline_d'"),
         (b"1: 2", "file.yaml sets '1'"),
-        (b"- 8", "not a list of 'name: value' lines"),
+        (b"- 8", "not made of 'name: value' lines"),
         (b"splines_d: [", "cannot be read"),
         (b"a: 2024-13-45", "cannot be read"),
         (b"a: \x00", "cannot be read"),
@@ -612,7 +612,7 @@ def test_a_signals_file_maps_the_bag_of_a_stranger(run, bag, simulation, tmp_pat
 def test_info(run, bag):
     ran = run("info", bag)
     assert ran.code == 0
-    for said in ("/phase_currents", "drive_id_msgs/msg/Resolver", "200", "2.000 s", "carries its ground truth"):
+    for said in ("/phase_currents", "drive_id_msgs/msg/Resolver", "200", "2.000 s", "with its ground truth"):
         assert said in ran.out
     found = json.loads(run("info", bag, "--json").out)
     assert found["storage"] == "mcap"
@@ -623,6 +623,44 @@ def test_info(run, bag):
         "/current_reference", "/phase_currents", "/phase_voltages", "/resolver",
     }  # fmt: skip
     assert_one_sentence(run("info", "none"), "does not exist")
+
+
+def test_info_of_a_result_and_its_simulation(run, bag):
+    """A result folder is shown, and drives a simulation whose fit gives the result again."""
+    fitted = run("fit", bag, "--output", "result", "--method", "full", "--json")
+    tree = json.loads(fitted.out)
+    assert json.loads(run("info", "result", "--json").out) == {"path": "result"} | tree
+    ran = run("info", "result")
+    assert (ran.code, ran.err) == (0, "")
+    for said in (f"{tree['resistance'] * 1e3:.6g} mohm", "4 pole pairs", "400 V", "6, 12", tree["statements"][-1]):
+        assert said in ran.out
+    ran = run("simulate", "--machine", "result", "--output", "again", "--seconds", "2", "--noise", "1e-3",
+              "--frequency-d", "7.3", "--frequency-q", "2.3", "--json")  # fmt: skip
+    assert json.loads(ran.out) == {"bag": "again", "machine": "ipm", "samples": 20000}
+    again = json.loads(run("fit", "again", "--output", "second", "--json").out)
+    assert max(again["metrics"]["nrmse_d"], again["metrics"]["nrmse_q"]) < 5e-3
+    assert again["resistance"] == pytest.approx(tree["resistance"], rel=0.02)
+
+
+def test_a_result_that_does_not_know_its_pole_pairs(run, simulation, tmp_path):
+    write_recording(tmp_path / "blind", simulation.samples)
+    assert run("fit", tmp_path / "blind", "--output", "result", "--method", "joint", "-q").code == 0
+    assert json.loads(run("info", "result", "--json").out)["pole_pairs"] is None
+    simulated = ("simulate", "--machine", "result", "--seconds", "0.1", "--json")
+    assert_one_sentence(run(*simulated[:-1], "--output", "none"), "give pole_pairs")
+    ran = run(*simulated, "--output", "one", "--pole-pairs", "4", "--u-dc", "350")
+    assert json.loads(ran.out)["machine"] == "identified"
+    Path("result/flux_map.npz").unlink()
+    assert_one_sentence(run("info", "result"), "The result folder result is damaged")
+    Path("result/identification.json").unlink()
+    assert_one_sentence(run(*simulated[:-1], "--output", "none"), "result is not a result folder")
+
+
+def test_statements_stand_under_the_warnings(run, bag):
+    ran = run("fit", bag, "--output", "results")
+    statements = json.loads(Path("results/identification.json").read_text())["statements"]
+    assert statements[-1].startswith("What would help most: ")
+    assert ran.out.splitlines()[-len(statements) - 1 :] == [*statements, "Results in results"]
 
 
 def test_info_of_a_recording_that_breaks_off(run, bag, tmp_path):
@@ -687,12 +725,12 @@ def test_an_interrupt_ends_without_a_traceback_and_leaves_nothing(tmp_path):
 
 def test_an_interrupt_from_which_a_second_call_goes_on_says_so(bag, tmp_path, monkeypatch, capsys):
     from drive_id.cli import app as cli
-    from drive_id.fitting import streaming, workflows
+    from drive_id.fitting import fit, streaming
 
     def interrupted(*_args, **_options):
         raise streaming.Interrupted("the same call once more goes on.")
 
-    monkeypatch.setattr(workflows, "fit_bags", interrupted)
+    monkeypatch.setattr(fit, "fit_bags", interrupted)
     monkeypatch.setattr(sys, "argv", ["drive-id", "fit", str(bag), "--output", str(tmp_path / "out"), "--quiet"])
     with pytest.raises(SystemExit) as end:
         cli.main()

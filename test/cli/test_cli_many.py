@@ -1,4 +1,4 @@
-"""The command line with information files, and with a fleet."""
+"""The command line with information files, and with a Dask cluster."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_bad_input_is_told_in_one_sentence_and_leaves_nothing(run, bag, simulati
         (("fit", bag, tmp_path / "cut.info", "--output", "out"), "cut.info is not an information file"),
         (("info", tmp_path / "cut.info"), "cut.info is not an information file"),
         (("fit", bag, "--output", "out", "--dask", "local:0"), "write local or local:N"),
-        (("fit", bag, "--output", "out", "--dask", "here"), "is no address of a Dask scheduler"),
+        (("fit", bag, "--output", "out", "--dask", "here"), "is not the address of a Dask scheduler"),
         (("fit", bag, "--output", "out", "--dask", "127.0.0.1:1"), "no Dask scheduler at 127.0.0.1:1"),
     ):
         assert_one_sentence(run(*arguments), said)
@@ -104,7 +104,7 @@ def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
     assert warnings[0].startswith(f"Left out: {tmp_path / 'bad.mcap'} is neither")
 
 
-def test_a_fleet(run, bag, other, tmp_path):
+def test_a_cluster(run, bag, other, tmp_path):
     """The way the workers are started by the command itself."""
     pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
     (tmp_path / "bad.mcap").write_text("no bag")

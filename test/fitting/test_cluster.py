@@ -1,152 +1,152 @@
-"""Clusters that are not there, or cannot do our work: one sentence, soon."""
+"""Bags on a Dask cluster: the same result on any cluster, also when a worker dies, and errors in one sentence."""
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
-import socket
-import socketserver
-import subprocess
-import sys
-import tempfile
-import time
+from dataclasses import replace
 from pathlib import Path
-from threading import Thread
-from urllib.error import HTTPError
-from urllib.request import urlopen
 
+import numpy as np
 import pytest
-from fleet_cluster import own_cluster
+from dask_processes import own_cluster
+from drive_bags import TRAJECTORY
 
-from drive_id.errors import ConfigurationError, FleetError
-from drive_id.fitting import dask_cluster as cluster
-from drive_id.fitting.dask_cluster import connected, local_workers
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import ClusterError, ConfigurationError, DriveIdError
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.cluster import accumulate_on_cluster
+from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.sources import Sources, accumulate_sources
 
 pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
 
-
-def refused(address: str) -> str:
-    with pytest.raises(FleetError) as caught, connected(address, 1):
-        pass
-    return str(caught.value)
+JOINT = FitSettings(method="joint")
+RADIUS = replace(JOINT, i_max=300.0)
 
 
-def test_how_many_processes():
-    assert local_workers("local") == len(os.sched_getaffinity(0))
-    assert local_workers("local:3") == 3
-    for address in ("tcp://localhost:8786", "localhost:8786", "tls://[::1]:8786"):
-        assert local_workers(address) is None
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Five recordings of one drive; read only."""
+    folder = tmp_path_factory.mktemp("bags")
+    for number in range(5):
+        settings = SimulationSettings(current_noise=1e-3, seed=number)
+        simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, 0.6)
+        write_recording(folder / f"bag_{number}", simulation.samples, simulation.truth)
+    return [folder / f"bag_{number}" for number in range(5)]
 
 
-@pytest.mark.parametrize("text", ["local:", "local:0", "local:-1", "local:many", "local:1.5"])
-def test_no_count_of_processes(text):
-    with pytest.raises(ConfigurationError) as caught:
-        local_workers(text)
-    assert str(caught.value) == f"--dask {text} does not say how many workers to start: write local or local:N."
+@pytest.fixture(scope="module")
+def alone(bags):
+    """What one process makes of them."""
+    return accumulate_sources(Sources(bags), RADIUS)
 
 
-@pytest.mark.parametrize("text", ["", "localhost", "http://localhost:8786", "tcp://:8786", "localhost:port", "a b:1:2"])
-def test_no_address(text):
-    with pytest.raises(ConfigurationError, match=r"is no address of a Dask scheduler: write tcp://HOST:PORT, or local"):
-        local_workers(text)
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """A cluster whose workers nobody kills."""
+    with own_cluster(tmp_path_factory.mktemp("cluster"), workers=2) as cluster:
+        yield cluster.address
 
 
-def test_nobody_there():
-    with socket.socket() as held:
-        held.bind(("127.0.0.1", 0))  # and does not listen
-        address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
-        start = time.monotonic()
-        said = refused(address)
-    assert said == (
-        f"There is no Dask scheduler at {address}: check the address, or start workers here by --dask local."
-    )
-    assert time.monotonic() - start < 5.0
+@pytest.fixture
+def cluster(tmp_path):
+    with own_cluster(tmp_path, workers=2) as cluster:
+        yield cluster
 
 
-class Stranger(socketserver.BaseRequestHandler):
-    """Greets, and then listens."""
-
-    greeting = b""
-
-    def handle(self):
-        self.request.sendall(self.greeting)
-        self.request.recv(1)
-
-
-@pytest.mark.parametrize("greeting", [b"", b"SSH-2.0-OpenSSH_9.6\r\n", b"HTTP"])
-def test_somebody_else_there(greeting, monkeypatch):
-    monkeypatch.setattr(cluster, "CONNECT_TIME", 0.5)
-    handler = type("Handler", (Stranger,), {"greeting": greeting})
-    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), handler) as server:
-        Thread(target=server.serve_forever).start()
-        address = f"127.0.0.1:{server.server_address[1]}"
-        said = refused(address)
-        server.shutdown()
-    assert said.startswith(f"There is no Dask scheduler at {address}: ")
+def assert_same(one, other) -> None:
+    """To the last bit."""
+    states = [accumulated.evidence.state() for accumulated in (one, other)]
+    assert set(states[0]) == set(states[1])
+    for name, array in states[0].items():
+        np.testing.assert_array_equal(array, states[1][name], err_msg=name)
+    for name in ("warnings", "digests", "samples", "last_stamp"):
+        assert getattr(one, name) == getattr(other, name), name
+    for first, second in zip(one.validation, other.validation, strict=True):
+        np.testing.assert_array_equal(first.i_abc, second.i_abc)
 
 
-def test_a_scheduler_without_workers(tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "START_TIME", 0.5)
-    with own_cluster(tmp_path, workers=0) as found:
-        address = found.address
-        said = refused(address)
-    assert said == f"The Dask scheduler at {address} has no workers: start some, with 'dask worker {address}'."
-
-
-def test_workers_of_another_version(tmp_path, monkeypatch):
-    with own_cluster(tmp_path, workers=1) as found:
-        monkeypatch.setattr("drive_id.__version__", "9.9")
-        said = refused(found.address)
-    assert said.endswith("and here is 9.9: install the same there.")
-
-
-def test_without_dask(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    said = refused("local:1")
-    assert said == (
-        "Dask is not installed, and --dask needs it: pip install 'distributed>=2024.1', or work without --dask."
-    )
-
-
-def test_nothing_is_left_of_processes_of_our_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    levels = [logging.getLogger(name).level for name in ("distributed", "distributed.client")]
-    with connected("local:3", most_workers=2) as client:
-        pids = client.run(os.getpid)
-        assert len(pids) == 2
-        assert os.getpid() not in pids.values()
-        dashboard = client.dashboard_link
-        with pytest.raises(HTTPError):
-            urlopen(dashboard)
-        assert "127.0.0.1" in dashboard
-        assert ":8787" not in dashboard
-    assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
-    assert not list(tmp_path.iterdir())
-    assert [logging.getLogger(name).level for name in ("distributed", "distributed.client")] == levels
-
-
-def test_an_interrupt_while_workers_start_waits_for_them():
-    """And ends them; it comes to the whole group, as Ctrl-C does."""
-    code = """
-import drive_id.fitting.dask_cluster as cluster
-print("go", flush=True)
-try:
-    with cluster.connected("local:2", 2):
-        print("connected", flush=True)
-        input()
-except KeyboardInterrupt:
-    print("interrupted", flush=True)
-"""
-    command = [sys.executable, "-c", code]
-    process = subprocess.Popen(
-        command, start_new_session=True, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_result_is_that_of_one_process(bags, alone, workers):
+    told = []
+    found = accumulate_on_cluster(
+        Sources(bags, cluster=f"local:{workers}"), RADIUS, tell=lambda what, share: told.append((what, share))
     )  # fmt: skip
-    with process:
-        assert process.stdout.readline() == "go\n"
-        time.sleep(1.5)
-        os.killpg(process.pid, signal.SIGINT)
-        out, _ = process.communicate(timeout=120)
-    assert out.splitlines()[-1] == "interrupted"
-    assert set(out.splitlines()) <= {"connected", "interrupted"}
+    assert_same(found, alone)
+    shares = [share for what, share in told if what == "Accumulating"]
+    assert shares == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def test_a_worker_that_dies_in_the_middle_changes_nothing(bags, alone, cluster):
+    killed = []
+
+    def kill(what, share):
+        if what == "Accumulating" and 0 < share < 1 and not killed:
+            killed.append(share)
+            cluster.kill(cluster.workers[0])
+
+    assert_same(accumulate_on_cluster(Sources(bags, cluster=cluster.address), RADIUS, tell=kill), alone)
+    assert killed
+    assert cluster.workers[1].poll() is None
+
+
+def test_a_worker_that_dies_when_all_but_the_last_is_done_changes_nothing(bags, alone, cluster):
+    """What it had done is done again."""
+
+    def kill(what, share):
+        if what == "Accumulating" and share == pytest.approx(0.8):
+            cluster.kill(cluster.workers[0])
+
+    assert_same(accumulate_on_cluster(Sources(bags, cluster=cluster.address), RADIUS, tell=kill), alone)
+    assert cluster.workers[0].poll() is not None
+
+
+def test_relative_paths_are_found_by_workers_elsewhere(bags, alone, shared, monkeypatch):
+    monkeypatch.chdir(bags[0].parent)
+    found = accumulate_on_cluster(Sources([Path(bag.name) for bag in bags], cluster=shared), JOINT)
+    assert_same(found, alone)  # the radius is that of the references
+
+
+def test_a_scheduler_that_is_lost_is_told(bags, cluster):
+    def kill(what, _share):
+        if what == "Accumulating" and cluster.scheduler.poll() is None:
+            cluster.kill(cluster.scheduler)
+
+    with pytest.raises(ClusterError, match="was lost during the fit"):
+        accumulate_on_cluster(Sources(bags, cluster=cluster.address), RADIUS, tell=kill)
+
+
+def test_workers_that_are_all_lost_are_not_waited_for_for_ever(bags, cluster, monkeypatch):
+    monkeypatch.setattr("drive_id.fitting.cluster.PATIENCE", 1.0)
+
+    def kill(what, share):
+        if what == "Accumulating" and share > 0:
+            for worker in cluster.workers:
+                if worker.poll() is None:
+                    cluster.kill(worker)
+
+    with pytest.raises(ClusterError, match="was lost during the fit"):
+        accumulate_on_cluster(Sources(bags, cluster=cluster.address), RADIUS, tell=kill)
+
+
+def test_bad_bags(bags, alone, shared, tmp_path):
+    (tmp_path / "bad.mcap").write_text("no bag")
+    sources = [*bags[:2], tmp_path / "bad.mcap", *bags[2:]]
+    for settings in (RADIUS, FitSettings(method="joint")):
+        with pytest.raises(DriveIdError, match=r"bad\.mcap is neither an MCAP nor a sqlite3 recording"):
+            accumulate_on_cluster(Sources(sources, cluster=shared), settings)
+    fit = fit_bags(Sources(sources, cluster=shared, skip_bad=True), None, RADIUS)
+    assert fit.warnings[0].startswith(f"Left out: {tmp_path / 'bad.mcap'} is neither")
+    assert fit.drive.report.samples_read == alone.samples
+
+
+def test_information_files_from_a_cluster_and_for_a_cluster(bags, alone, shared, tmp_path):
+    accumulate_bags(Sources(bags[:3], cluster=shared), tmp_path / "x.info", FitSettings(method="joint"))
+    found = accumulate_on_cluster(Sources([tmp_path / "x.info", *bags[3:]], cluster=shared), JOINT)
+    np.testing.assert_allclose(found.evidence.information.total, alone.evidence.information.total, atol=1e-9)
+    with pytest.raises(ConfigurationError, match=r"x\.info was accumulated differently"):
+        accumulate_on_cluster(
+            Sources([tmp_path / "x.info", bags[3]], cluster=shared), FitSettings("joint", splines_d=9)
+        )

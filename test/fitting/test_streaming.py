@@ -29,8 +29,9 @@ from drive_id.files.read.reader import read_recordings
 from drive_id.files.results import checkpoint
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
+from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.sources import Sources
 from drive_id.fitting.streaming import Interrupted, accumulate
-from drive_id.fitting.workflows import accumulate_bags, fit_bags
 
 SETTINGS = FitSettings(method="joint")
 
@@ -166,7 +167,7 @@ def test_one_recording_without_references_gives_one_radius_on_every_way_in(
     found = [
         gather(samples, SETTINGS).i_max,
         gather([read_recordings(bags).samples], SETTINGS).i_max,
-        fit_bags(bags, None, SETTINGS).identification.i_max,
+        fit_bags(Sources(bags), None, SETTINGS).drive.i_max,
     ]
     assert found == pytest.approx([found[0]] * 3, rel=1e-14)
     assert found[0] == pytest.approx(reached, rel=1e-3)
@@ -175,16 +176,16 @@ def test_one_recording_without_references_gives_one_radius_on_every_way_in(
 def test_one_radius_that_is_set_is_that_of_every_way_in(one_without_references, tmp_path):
     """What is merged needs it in advance, as live samples do."""
     known, without = one_without_references
-    with pytest.raises(ConfigurationError, match="without has no current references to take the radius"):
-        accumulate_bags([known, without], tmp_path / "both.info", SETTINGS)
+    with pytest.raises(ConfigurationError, match="without has no current references to take i_max"):
+        accumulate_bags(Sources([known, without]), tmp_path / "both.info", SETTINGS)
     settings = replace(SETTINGS, i_max=311.0)
-    accumulate_bags([without], tmp_path / "one.info", settings)
+    accumulate_bags(Sources([without]), tmp_path / "one.info", settings)
     samples = [read_recordings([bag]).samples for bag in (known, without)]
     found = [
         identify(samples, settings),
-        fit_bags([known, without], None, settings).identification,
-        fit_bags([known, tmp_path / "one.info"], None, settings).identification,
-        fit_bags([known, tmp_path / "one.info"], None, SETTINGS).identification,
+        fit_bags(Sources([known, without]), None, settings).drive,
+        fit_bags(Sources([known, tmp_path / "one.info"]), None, settings).drive,
+        fit_bags(Sources([known, tmp_path / "one.info"]), None, SETTINGS).drive,
     ]
     assert [one.i_max for one in found] == [311.0] * 4
     assert [one.resistance for one in found] == pytest.approx([found[0].resistance] * 4, rel=1e-6)
@@ -336,17 +337,17 @@ def test_an_interrupted_fit_leaves_its_checkpoint_beside_the_output_only(bag, tm
     monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
     output = tmp_path / "out"
     with pytest.raises(Interrupted):
-        fit_bags([bag], output, SETTINGS, tell=Stop(7))
+        fit_bags(Sources([bag]), output, SETTINGS, tell=Stop(7))
     assert [path.name for path in tmp_path.iterdir()] == [".out.checkpoint"]
-    fit = fit_bags([bag], output, SETTINGS)
+    fit = fit_bags(Sources([bag]), output, SETTINGS)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    again = fit_bags([bag], None, SETTINGS)
-    assert fit.identification.resistance == again.identification.resistance
+    again = fit_bags(Sources([bag]), None, SETTINGS)
+    assert fit.resistance == again.resistance
 
 
 def test_a_short_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
     with pytest.raises(KeyboardInterrupt) as caught:
-        fit_bags([bag], tmp_path / "out", SETTINGS, tell=Stop(1))
+        fit_bags(Sources([bag]), tmp_path / "out", SETTINGS, tell=Stop(1))
     assert not isinstance(caught.value, Interrupted)
     assert list(tmp_path.iterdir()) == []
 

@@ -20,7 +20,8 @@ from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, CoverageError, DataError, DriveIdError, EmptyTopicError
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.sources import Sources
 from drive_id.live import live_evidence
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.identifier import Identifier
@@ -96,14 +97,14 @@ def test_the_mad_is_taken_over_the_trajectory_not_over_the_rest_behind_it(tmp_pa
     stream = resting(monkeypatch, [(-1.0, seconds)], seconds + 20.0)
     trajectory = stream.part(0, round(seconds / stream.sample_period))
     write_recording(tmp_path / "bag", trajectory)
-    expected = fit_bags([tmp_path / "bag"], None, settings)
+    expected = fit_bags(Sources([tmp_path / "bag"]), None, settings)
     live = LiveEvidence(settings)
     feed(live, stream, block=500)
     snapshot = live.snapshot()
-    report, truth = snapshot.identify().report, expected.identification.report
+    report, truth = snapshot.identify().report, expected.drive.report
     assert (report.mad_d, report.mad_q) == pytest.approx((truth.mad_d, truth.mad_q), rel=0.03)
     (kept,) = snapshot.validation()
-    assert len(kept) == pytest.approx(sum(len(part) for part in expected.recording.validation), rel=0.05)
+    assert len(kept) == pytest.approx(sum(len(part) for part in expected.excerpts), rel=0.05)
     assert len(kept) <= 8 << 12
     assert kept.stamp[-1] <= trajectory.stamp[-1] + 0.3e9
     visits = Visits(np.linspace(-315, 315, 65), np.linspace(-315, 315, 65))
@@ -203,8 +204,8 @@ def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, me
     write_recording(tmp_path / "bag", jumping)
     ways = (
         lambda: identify([jumping], settings),
-        lambda: fit_bags([tmp_path / "bag"], None, settings),
-        lambda: fit_bags([tmp_path / "bag"], None, replace(settings, i_max=None)),
+        lambda: fit_bags(Sources([tmp_path / "bag"]), None, settings),
+        lambda: fit_bags(Sources([tmp_path / "bag"]), None, replace(settings, i_max=None)),
         live.snapshot().identify,
     )
     for way in ways:

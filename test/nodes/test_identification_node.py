@@ -15,7 +15,8 @@ from ros_bench import DEADLINE, require_ros, ros_bench
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.sources import Sources
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 MODULE = "drive_id.nodes.identification"
@@ -132,12 +133,12 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     player.play(messages_of(bag))
     live = identify_all(ros, 20_000)
     assert (live.success, live.code) == (True, "ok"), live.message
-    offline = fit_bags([bag], None, FitSettings("joint", i_max=I_MAX))
-    assert_close(live, offline.identification)
+    offline = fit_bags(Sources([bag]), None, FitSettings("joint", i_max=I_MAX))
+    assert_close(live, offline.drive)
     recorded = identify(ros, "bag")
     assert (recorded.success, recorded.code) == (True, "ok"), recorded.message
-    assert_close(recorded, offline.identification)
-    assert recorded.report.mad_d == pytest.approx(offline.identification.report.mad_d, rel=1e-9)
+    assert_close(recorded, offline.drive)
+    assert recorded.report.mad_d == pytest.approx(offline.drive.report.mad_d, rel=1e-9)
     assert recorded.flux_map.machine == "ipm"
     for reply in (live, recorded):
         assert reply.flux_map.header.frame_id == "drive"
@@ -170,7 +171,7 @@ def test_method_full_needs_what_only_it_gathers(ros, player, bag):
     assert "accumulated for method joint" in live.message
     assert recorded.success, recorded.message
     assert recorded.flux_map.method == "full"
-    offline = fit_bags([bag], None, FitSettings("full", i_max=I_MAX)).identification
+    offline = fit_bags(Sources([bag]), None, FitSettings("full", i_max=I_MAX)).drive
     assert recorded.flux_map.resistance == pytest.approx(offline.resistance, rel=1e-6)
     np.testing.assert_allclose(recorded.flux_map.psi_d, offline.flux_map.psi_d.ravel(), rtol=1e-6, atol=1e-9)
 
@@ -185,7 +186,7 @@ def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
     live, recorded = identify_all(ros, 20_000, name), identify(ros, bag.name, name=name)
     assert (live.success, recorded.success) == (True, True), (live.message, recorded.message)
     assert live.flux_map.method == recorded.flux_map.method == "full"
-    offline = fit_bags([bag], None, FitSettings(i_max=I_MAX)).identification
+    offline = fit_bags(Sources([bag]), None, FitSettings(i_max=I_MAX)).drive
     for reply in (live, recorded):
         assert_close(reply, offline, tolerance=1e-6)
         assert (Path(reply.output) / "harmonics.npz").exists()

@@ -32,12 +32,12 @@ NAMES = ["diagnostics.png", "flux_map.png"]
 
 @pytest.fixture(scope="module")
 def excerpts(fitted):
-    return fitted.recording.validation
+    return fitted.excerpts
 
 
 @pytest.fixture(scope="module")
 def drive(fitted):
-    return fitted.identification
+    return fitted.drive
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,9 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.sources import Sources
 
 
 def main():
@@ -21,7 +22,7 @@ def main():
         bag = Path(folder) / "bag"
         write_recording(bag, simulation.samples, simulation.truth)
         for method in ("psm", "joint", "full"):
-            fit_bags([bag], None, FitSettings(method=method))
+            fit_bags(Sources([bag]), None, FitSettings(method=method))
 
 
 if __name__ == "__main__":

@@ -1,34 +1,45 @@
-"""The results of a fit: maps, resistance, inverter and what is to be said about them."""
+"""The result of a fit: flux map, harmonics, resistance, inverter curve and a report on the fit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from drive_id.types import BoolArray, FloatArray
+from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.types import BoolArray, FloatArray, IntArray
 
-if TYPE_CHECKING:  # whoever draws a map needs neither numba nor scipy
+if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
+    from scipy.interpolate import RectBivariateSpline
+
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.maps.flux_models import FluxModel
 
+Outside = Literal["nan", "raise"]
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class FluxMap:
-    """Flux linkages on a grid.
+    """Flux linkages on a grid of currents, and as smooth functions of any current.
+
+    Between the grid points, the fluxes are the cubic (not-a-knot) spline through the stored values, so a map gives the
+    same numbers before it is saved and after it is loaded. A current lies *inside* when all corners of its grid cell
+    that have a weight in bilinear interpolation are marked ``inside``.
 
     Parameters
     ----------
     i_d, i_q : (D,), (Q,) float
-        Axes, A.
+        Axes, A, strictly increasing, at least 4 points each.
     psi_d, psi_q : (D, Q) float
         Wb.
     sigma_d, sigma_q : (D, Q) float
-        Standard deviations of psi_d and psi_q, Wb, NaN where not inside: scatter of the data, not the error of a
-        model that is too simple. Infinite when the recording is too short to know them.
+        Standard errors of psi_d and psi_q, Wb; NaN where not inside. They cover the scatter of the data, not the error
+        of a model that is too simple. Infinite when the recording is too short to estimate them.
     inside : (D, Q) bool
-        Data support the map there; elsewhere it is a continuation of typical slope.
+        The data support the map here; elsewhere it is a continuation of typical slope.
     """
 
     i_d: FloatArray
@@ -39,9 +50,159 @@ class FluxMap:
     sigma_q: FloatArray
     inside: BoolArray
 
+    def __repr__(self) -> str:
+        d, q = (f"{axis[0]:.4g} to {axis[-1]:.4g} A" for axis in (self.i_d, self.i_q))
+        size = f"{len(self.i_d)} x {len(self.i_q)}"
+        return f"<FluxMap {size}, i_d {d}, i_q {q}, {100 * self.inside.mean():.0f} % inside>"
+
     def grid(self) -> FloatArray:
-        """Return the currents of all points, (D, Q, 2), A."""
+        """Return the currents of all grid points, (D, Q, 2), A."""
         return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
+
+    def psi_dq(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> tuple[FloatArray, FloatArray]:
+        """Return the flux linkages at currents.
+
+        Parameters
+        ----------
+        i_d, i_q : float or array
+            A; they broadcast against each other to shape (...).
+        outside : {"nan", "raise"}
+            What to return for currents without data: NaN, or a CoverageError.
+
+        Returns
+        -------
+        psi_d, psi_q : (...) float
+            Wb; for scalar currents, scalars.
+
+        Raises
+        ------
+        CoverageError
+            When a current lies outside the data, with ``outside="raise"``.
+        ConfigurationError
+            When the currents are not numbers or do not broadcast, or ``outside`` is neither of the two.
+        """
+        i_dq, cells = self._located(i_d, i_q, outside)
+        psi = np.where(cells.inside[..., None], self.continued(i_dq), np.nan)
+        return psi[..., 0][()], psi[..., 1][()]  # scalars of scalars
+
+    def inductances(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> FloatArray:
+        """Return the incremental inductances: derivatives of the flux linkages with respect to the currents.
+
+        Parameters
+        ----------
+        i_d, i_q, outside
+            See :meth:`psi_dq`.
+
+        Returns
+        -------
+        (..., 2, 2) float
+            ``[[L_dd, L_dq], [L_qd, L_qq]]``, ``L_dq`` being dpsi_d/di_q, H.
+
+        Raises
+        ------
+        CoverageError, ConfigurationError
+            See :meth:`psi_dq`.
+        """
+        i_dq, cells = self._located(i_d, i_q, outside)
+        slopes = [self._evaluated(i_dq, order) for order in ((1, 0), (0, 1))]
+        return np.where(cells.inside[..., None, None], np.stack(slopes, axis=-1), np.nan)
+
+    def sigma(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> tuple[FloatArray, FloatArray]:
+        """Return the standard errors of the flux linkages, interpolated bilinearly.
+
+        Parameters
+        ----------
+        i_d, i_q, outside
+            See :meth:`psi_dq`.
+
+        Returns
+        -------
+        sigma_d, sigma_q : (...) float
+            Wb.
+
+        Raises
+        ------
+        CoverageError, ConfigurationError
+            See :meth:`psi_dq`.
+        """
+        _, cells = self._located(i_d, i_q, outside)
+        return cells.mean(self.sigma_d), cells.mean(self.sigma_q)
+
+    def continued(self, i_dq: FloatArray) -> FloatArray:
+        """Return psi_d, psi_q (..., 2), Wb, at currents (..., 2), A, also outside the data; constant beyond the grid.
+
+        What the map holds outside the data is a continuation for simulations, not a measurement.
+        """
+        return self._evaluated(i_dq, (0, 0))
+
+    @cached_property
+    def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+        from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # a fit does not need it
+
+        return RectBivariateSpline(self.i_d, self.i_q, self.psi_d), RectBivariateSpline(self.i_d, self.i_q, self.psi_q)
+
+    def _evaluated(self, i_dq: FloatArray, order: tuple[int, int]) -> FloatArray:
+        known = np.nan_to_num(i_dq)
+        fluxes = [spline.ev(known[..., 0], known[..., 1], dx=order[0], dy=order[1]) for spline in self._splines]
+        return np.stack(fluxes, axis=-1)
+
+    def _located(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside) -> tuple[FloatArray, _Cells]:
+        if outside not in ("nan", "raise"):
+            raise ConfigurationError(f"outside is '{outside}': it must be 'nan' or 'raise'.")
+        try:
+            i_dq = np.stack(np.broadcast_arrays(np.asarray(i_d, np.float64), np.asarray(i_q, np.float64)), axis=-1)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f"i_d and i_q are not currents of shapes that broadcast ({error}).") from error
+        cells = _Cells.of(self, i_dq)
+        if outside == "raise" and not cells.inside.all():
+            d, q = i_dq[~cells.inside][0]
+            raise CoverageError(
+                f"The flux map has no data at i_d = {d:.4g} A, i_q = {q:.4g} A: stay within the recorded currents, or "
+                'ask for NaN there by outside="nan".'
+            )
+        return i_dq, cells
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Corners of the grid cells that hold currents (...), and their weights in bilinear interpolation.
+
+    Parameters
+    ----------
+    corners_d, corners_q : (..., 4) int
+        Indices.
+    weights : (..., 4) float
+    inside : (...) bool
+    """
+
+    corners_d: IntArray
+    corners_q: IntArray
+    weights: FloatArray
+    inside: BoolArray
+
+    @classmethod
+    def of(cls, flux_map: FluxMap, i_dq: FloatArray) -> _Cells:
+        places = [_place(axis, i_dq[..., k]) for k, axis in enumerate((flux_map.i_d, flux_map.i_q))]
+        (d, t_d), (q, t_q) = places
+        within = (t_d >= 0) & (t_d <= 1) & (t_q >= 0) & (t_q <= 1)  # False for NaN
+        corners_d, corners_q = np.stack([d, d, d + 1, d + 1], axis=-1), np.stack([q, q + 1, q, q + 1], axis=-1)
+        shares_d, shares_q = np.stack([1 - t_d, t_d], axis=-1), np.stack([1 - t_q, t_q], axis=-1)
+        weights = (shares_d[..., :, None] * shares_q[..., None, :]).reshape(*within.shape, 4)
+        supported = flux_map.inside[corners_d, corners_q] | (weights == 0)
+        return cls(corners_d, corners_q, weights, within & supported.all(axis=-1))
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Return values (D, Q) interpolated bilinearly, NaN where not inside; corners without weight are ignored."""
+        at_corners = np.where(self.weights > 0, values[self.corners_d, self.corners_q], 0.0)
+        with np.errstate(invalid="ignore"):
+            mean = np.where(self.weights > 0, self.weights * at_corners, 0.0).sum(axis=-1)
+        return np.where(self.inside, mean, np.nan)[()]
+
+
+def _place(axis: FloatArray, x: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the cell of an axis that holds each current, and the position in it, 0 to 1 within the axis."""
+    cell = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
+    return cell, (x - axis[cell]) / (axis[cell + 1] - axis[cell])
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,26 +226,26 @@ class HarmonicMap:
 
 @dataclass(frozen=True)
 class FitReport:
-    """How well the data determined the model.
+    """How well the data determine the model.
 
     Parameters
     ----------
     samples_read, samples_used : int
-        Given, and integrated over (a sample before a gap, beyond the map's range or at rest is not).
+        Samples in the recordings, and in the regression (not those before a gap, beyond the map's range, or at rest).
     gaps : int
-        Breaks within recordings, across which nothing was integrated.
+        Interruptions within recordings; nothing is integrated across them.
     rows : int
-        Of the regression, two per pair of samples.
+        Rows of the regression, two per pair of samples.
     parameters, rank : int
         Unknowns, and how many of them the data determine.
     unseen : int
-        Flux parameters without any data (corner functions outside of the disc).
+        Flux parameters without any data (corner functions outside the disc).
     condition : float
-        Of the column-scaled regression within its rank.
+        Condition number of the column-scaled regression within its rank.
     residual_rms : float
-        Of the mean voltage over a sample, V.
+        RMS residual of the mean voltage over a sample, V.
     mad_d, mad_q : float
-        Mean absolute deviation of the open-loop simulated from the measured currents, A; NaN when it diverged.
+        Mean absolute deviation of simulated (open-loop) from measured currents, A; NaN when the simulation diverged.
     coverage : float
         Share of the disc of radius ``i_max`` with data, 0 to 1.
     warnings : tuple of str
@@ -108,7 +269,7 @@ class FitReport:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """An identified drive.
+    """An identified drive: the numbers, without their origin.
 
     Parameters
     ----------
@@ -117,28 +278,29 @@ class Identification:
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance, sigma_resistance : float
-        The paper's R with the inverter's linear part in it, and its standard deviation, ohm.
+        The paper's R, which includes the linear part of the inverter's drop, and its standard error, ohm.
     voltage_error, sigma_voltage_error : float
-        u_e in the drop convention (positive for a physical inverter) and its standard deviation, V; 0 for ``psm``.
+        u_e in the drop convention (positive for a physical inverter) and its standard error, V; 0 for ``psm``.
     inverter_current, inverter_voltage : (C,) float
         The identified drop of one phase, V, over its current, A.
-    model : FluxModel
-        With ``gamma`` (P,), Wb, the flux map as a function.
-    gamma : (P,) float
     flux_map : FluxMap
     report : FitReport
+    model : FluxModel or None
+        With ``gamma``, the flux map as the function that was fitted; None when the result was read from files.
+    gamma : (P,) float or None
+        Coefficients, Wb.
     inverter_deviation : (C,) float or None
-        Standard deviation of ``inverter_voltage``, V; method ``full``.
+        Standard error of ``inverter_voltage``, V; method ``full``.
     phase_voltages : (C, 3) float or None
         The identified drop of each phase, V, when each has a curve of its own.
     harmonics : tuple of HarmonicMap
         Of the rotor position; method ``full``.
     calibrations : tuple of Calibration
-        Faults of the sensors; method ``full``.
+        Sensor faults; method ``full``.
     magnet_coefficient : (float, float) or None
-        Change of the magnet's flux per kelvin and its deviation, Wb/K, when temperatures were given and differ.
+        Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
     statements : tuple of str
-        What fixed the unknowns that single data leave open, where data are missing, and what would help most.
+        What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     """
 
     method: str
@@ -149,10 +311,10 @@ class Identification:
     sigma_voltage_error: float
     inverter_current: FloatArray
     inverter_voltage: FloatArray
-    model: FluxModel
-    gamma: FloatArray
     flux_map: FluxMap
     report: FitReport
+    model: FluxModel | None = None
+    gamma: FloatArray | None = None
     inverter_deviation: FloatArray | None = None
     phase_voltages: FloatArray | None = None
     harmonics: tuple[HarmonicMap, ...] = ()
@@ -161,5 +323,7 @@ class Identification:
     statements: tuple[str, ...] = ()
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
-        """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A."""
+        """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""
+        if self.model is None or self.gamma is None:
+            return self.flux_map.continued(i_dq)
         return self.model.rows(i_dq).dot(self.gamma)

@@ -1,58 +1,21 @@
-"""Result files of a fit: ``identification.json`` and ``flux_map.npz``, written whole or not at all."""
+"""Folders of result files: written whole or not at all, and never over files that are not ours."""
 
 from __future__ import annotations
 
-import io
 import json
-import math
 import os
-import platform
 import tempfile
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-import drive_id
-from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import Identification
 from drive_id.errors import OutputError
 
 FORMAT = "drive_id/identification"
-FORMAT_VERSION = 1
-_JSON, _NPZ, _HARMONICS = "identification.json", "flux_map.npz", "harmonics.npz"
-_PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
-_DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
+MARKER = "identification.json"
+"""The file by which a folder is known as a result of a fit, and the format that it names."""
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """Where a result comes from.
-
-    Parameters
-    ----------
-    inputs : dict of str to str
-        File to its sha256.
-    settings : FitSettings
-    machine : str
-        Name, empty when unknown.
-    nrmse : (float, float) or None
-        Of psi_d and psi_q against the ground truth, when the bag carried it.
-    warnings : tuple of str
-        Of reading the bags, to stand beside those of the fit.
-    """
-
-    inputs: Mapping[str, str]
-    settings: FitSettings
-    machine: str = ""
-    nrmse: tuple[float, float] | None = None
-    warnings: tuple[str, ...] = field(default=())
-
-
-def check_output(directory: Path, *, force: bool = False, marker: str = _JSON, kind: str = FORMAT) -> None:
+def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, kind: str = FORMAT) -> None:
     """Check, before the work is done, that results may be written to a folder.
 
     Parameters
@@ -66,8 +29,7 @@ def check_output(directory: Path, *, force: bool = False, marker: str = _JSON, k
     Raises
     ------
     OutputError
-        When it is a file, or holds something else than earlier results of ours and ``force`` is not given, or when
-        it cannot be written to.
+        When it is a file, holds other files than our earlier results and ``force`` is not given, or cannot be written.
     """
     try:
         if not _is_there(directory):
@@ -76,7 +38,7 @@ def check_output(directory: Path, *, force: bool = False, marker: str = _JSON, k
         if not directory.is_dir():
             raise OutputError(f"The output {directory} is a file: give a folder.")
         _check_base(directory, directory)
-        if any(directory.iterdir()) and not force and not _is_ours(directory / marker, kind):
+        if any(directory.iterdir()) and not force and not is_ours(directory / marker, kind):
             raise OutputError(
                 f"The output folder {directory} holds files that are not results of drive_id: give another folder, or "
                 "--force to write beside them."
@@ -86,12 +48,12 @@ def check_output(directory: Path, *, force: bool = False, marker: str = _JSON, k
 
 
 def check_absent(path: Path) -> None:
-    """Check, before the work is done, that something new may be written to a path.
+    """Check, before the work is done, that a path is free and can be written.
 
     Raises
     ------
     OutputError
-        When there is something, or it cannot be written.
+        When something is there already, or the path cannot be written.
     """
     try:
         if _is_there(path):
@@ -148,105 +110,8 @@ def replace_folder(
         raise _refused(directory, error) from error
 
 
-def write_results(
-    directory: Path,
-    identification: Identification,
-    provenance: Provenance,
-    *,
-    force: bool = False,
-    pictures: Mapping[str, bytes] | None = None,
-) -> None:
-    """Write the result files of a fit: ``identification.json``, ``flux_map.npz`` and pictures.
-
-    Parameters
-    ----------
-    directory : Path
-        See :func:`replace_folder`; results of an earlier fit in it are replaced.
-    identification : Identification
-    provenance : Provenance
-    force : bool
-        Write into a folder that holds other files.
-    pictures : mapping of str to bytes, optional
-        Further files by name.
-
-    Raises
-    ------
-    OutputError
-        See :func:`replace_folder`.
-    """
-    arrays = io.BytesIO()
-    np.savez_compressed(arrays, **asdict(identification.flux_map))
-    tree = results_tree(identification, provenance)
-    text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
-    harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
-    files = {_NPZ: arrays.getvalue(), **harmonics, **(pictures or {}), _JSON: text.encode()}
-    stale = set() if not _is_ours(directory / _JSON, FORMAT) else {_HARMONICS, *_PICTURES} - set(files)
-    replace_folder(directory, files, marker=_JSON, kind=FORMAT, force=force, stale=stale)
-
-
-def _harmonics(identification: Identification) -> bytes:
-    """Return an npz of the harmonics: ``order`` (H,), the axes, and amplitudes (H, D, Q), Wb."""
-    found, arrays = identification.harmonics, io.BytesIO()
-    np.savez_compressed(
-        arrays,
-        order=np.array([harmonic.order for harmonic in found]),
-        i_d=identification.flux_map.i_d,
-        i_q=identification.flux_map.i_q,
-        psi_d_cos=np.array([harmonic.psi_d_cos for harmonic in found]),
-        psi_d_sin=np.array([harmonic.psi_d_sin for harmonic in found]),
-        psi_q_cos=np.array([harmonic.psi_q_cos for harmonic in found]),
-        psi_q_sin=np.array([harmonic.psi_q_sin for harmonic in found]),
-    )
-    return arrays.getvalue()
-
-
-def _curve(identification: Identification) -> dict[str, Any]:
-    deviation, phases = identification.inverter_deviation, identification.phase_voltages
-    return {
-        "convention": "voltage drop of one phase, positive for positive current",
-        "current": identification.inverter_current.tolist(),
-        "voltage": identification.inverter_voltage.tolist(),
-        **({} if deviation is None else {"sigma_voltage": deviation.tolist()}),
-        **(
-            {} if phases is None else dict(zip(("voltage_a", "voltage_b", "voltage_c"), phases.T.tolist(), strict=True))
-        ),
-    }
-
-
-def results_tree(identification: Identification, provenance: Provenance) -> dict[str, Any]:
-    """Return the content of ``identification.json``; numbers that are not finite become null."""
-    report = identification.report
-    nrmse_d, nrmse_q = provenance.nrmse or (None, None)
-    tree = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "method": identification.method,
-        "machine": provenance.machine,
-        "i_max": identification.i_max,
-        "resistance": identification.resistance,
-        "sigma_resistance": identification.sigma_resistance,
-        "voltage_error": identification.voltage_error,
-        "sigma_voltage_error": identification.sigma_voltage_error,
-        "inverter_curve": _curve(identification),
-        "harmonics": [harmonic.order for harmonic in identification.harmonics],
-        "calibrations": [asdict(entry) for entry in identification.calibrations],
-        "statements": list(identification.statements),
-        "metrics": {
-            "nrmse_d": nrmse_d,
-            "nrmse_q": nrmse_q,
-            **{name: value for name, value in asdict(report).items() if name != "warnings"},
-        },
-        "warnings": [*provenance.warnings, *report.warnings],
-        "settings": asdict(provenance.settings),
-        "inputs": [{"file": file, "sha256": digest} for file, digest in provenance.inputs.items()],
-        "versions": _versions(),
-    }
-    finite: dict[str, Any] = _finite(tree)
-    return finite
-
-
 def _is_there(path: Path) -> bool:
-    """Tell whether there is something, be it a link to nowhere; raises for names that cannot be."""
+    """Tell whether the name is taken, if only by a dangling link; raises OSError for impossible names."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -268,33 +133,13 @@ def _refused(path: Path, error: OSError) -> OutputError:
     )
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def is_result(path: Path) -> bool:
+    """Tell whether a path is meant as the result folder of a fit, readable or not."""
+    return (path / MARKER).is_file()
 
 
-def _versions() -> dict[str, str]:
-    return {
-        "drive_id": drive_id.__version__,
-        "python": platform.python_version(),
-        **{name: found for name in _DEPENDENCIES if (found := _version(name))},
-    }
-
-
-def _version(name: str) -> str:
-    """Return the version of a distribution; empty where it is not installed, as numba may be."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
-
-
-def _is_ours(marker: Path, kind: str) -> bool:
+def is_ours(marker: Path, kind: str = FORMAT) -> bool:
+    """Tell whether a JSON file names a format of ours."""
     try:
         tree = json.loads(marker.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -1,8 +1,8 @@
-"""Information files: what was accumulated of recordings, to be merged and fitted later, on any machine.
+"""Information files: what was accumulated from recordings, to be merged and fitted later, on any computer.
 
 An ``.npz`` without pickled objects. ``header`` is a JSON text: format, versions, settings, ranges, warnings and the
-digests of the bags; ``evidence/...`` are the sums, ``validation/<number>/...`` the first 2 s of each recording, for the
-MAD, and ``truth`` is the truth of a simulation.
+digests of the bags; ``evidence/...`` are the sums, ``validation/<number>/...`` the first 2 s of each recording (for the
+MAD), and ``truth`` is the ground truth of a simulation.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, eq=False)
 class StoredInformation:
-    """What an information file holds.
+    """Content of an information file.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ class StoredInformation:
 
 
 def check_information_output(path: Path) -> None:
-    """Check, before the work is done, that an information file may be written to a path.
+    """Check, before the work is done, that an information file can be written to a path.
 
     Raises
     ------
     OutputError
-        When there is something else than an information file, or the path cannot be written.
+        When something else is there, or the path cannot be written.
     """
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
@@ -85,18 +85,18 @@ def check_information_output(path: Path) -> None:
 
 
 def write_information(path: Path, accumulated: Accumulated) -> None:
-    """Write an information file, all of it or nothing; an earlier one is replaced.
+    """Write an information file completely or not at all; an earlier one is replaced.
 
     Parameters
     ----------
     path : Path
     accumulated : Accumulated
-        Of its validation, only the first 2 s of each of at most 10 recordings are kept.
+        Of its excerpts, only the first 2 s of at most 10 recordings are kept.
 
     Raises
     ------
     OutputError
-        When there is something else under this name, or it cannot be written.
+        When something else has this name, or it cannot be written.
     """
     check_information_output(path)
     data = encode_information(accumulated)
@@ -118,7 +118,7 @@ def read_information(path: Path) -> StoredInformation:
     Raises
     ------
     InformationError
-        When it cannot be read, breaks off, is of another kind, or was written by a newer version.
+        When it cannot be read, is damaged, is another file, or was written by a newer version.
     """
     try:
         data = path.read_bytes()
@@ -156,7 +156,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
 
 
 def decode_information(data: bytes, where: str) -> StoredInformation:
-    """Read the content of an information file.
+    """Decode the content of an information file.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def decode_information(data: bytes, where: str) -> StoredInformation:
 
 
 def information_tree(accumulated: Accumulated) -> dict[str, Any]:
-    """Return what is worth telling of an information file, for programs."""
+    """Return a summary of an information file as plain values."""
     evidence = accumulated.evidence
     return {
         "samples": accumulated.samples,
@@ -236,5 +236,5 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
 
 
 def _piece(arrays: SavedSums, period: float) -> Samples:
-    signals = {name: arrays[name] for name in _SIGNALS}
+    signals: dict[str, Any] = {name: arrays[name] for name in _SIGNALS}
     return Samples(**signals, sample_period=float(period), i_dq_reference=arrays.get("i_dq_reference"))

@@ -1,4 +1,4 @@
-"""How an information file is told from a bag, without loading what reads it."""
+"""Tells an information file from a bag without loading what reads it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _ZIP_MAGIC = b"PK"
 
 
 def is_information(path: Path) -> bool:
-    """Tell whether a path is meant as an information file, readable or not; anything else may be a bag."""
+    """Tell whether a path names an information file, readable or not; anything else may be a bag."""
     try:
         if not path.is_file():
             return path.suffix == SUFFIX and not path.exists()

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import OutputError
+from drive_id.errors import OutputError, ResultError
 from drive_id.files.results import folder as results
-from drive_id.files.results.folder import (
-    Provenance,
-    check_absent,
-    check_output,
-    replace_folder,
-    results_tree,
-    write_results,
-)
+from drive_id.files.results.folder import check_absent, check_output, replace_folder
+from drive_id.files.results.identification import Provenance, read_results, results_tree, write_results
 
 
 @pytest.fixture
 def written(fitted, tmp_path):
-    write_results(tmp_path / "out", fitted.identification, fitted.provenance)
+    write_results(tmp_path / "out", fitted.drive, fitted.provenance)
     return tmp_path / "out"
 
 
@@ -38,7 +33,20 @@ def strict_json(path: Path):
 def test_the_flux_map_is_as_agreed(written, fitted):
     with np.load(written / "flux_map.npz", allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
+    scalars = {
+        name: arrays.pop(name)
+        for name in (
+            "resistance", "i_max", "pole_pairs", "u_dc", "speed_range", "duration", "method", "machine", "date",
+            "version", "units",
+        )
+    }  # fmt: skip
     assert set(arrays) == {"i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q", "inside"}
+    assert (scalars["resistance"], scalars["i_max"], scalars["pole_pairs"], scalars["u_dc"]) == (
+        fitted.resistance, fitted.i_max, 4, 400.0,
+    )  # fmt: skip
+    assert (str(scalars["method"]), str(scalars["machine"])) == ("joint", "ipm")
+    assert str(scalars["version"]) == json.loads((written / "identification.json").read_text())["versions"]["drive_id"]
+    assert set(json.loads(str(scalars["units"]))) <= set(arrays) | set(scalars)
     for name, array in arrays.items():
         assert array.shape == ((65,) if name in ("i_d", "i_q") else (65, 65)), name
         assert array.dtype == (np.bool_ if name == "inside" else np.float64), name
@@ -53,7 +61,7 @@ def test_the_flux_map_is_as_agreed(written, fitted):
     assert inside[k, m]
     at = np.array([[arrays["i_d"][k], arrays["i_q"][m]]])
     psi = np.array([arrays["psi_d"][k, m], arrays["psi_q"][k, m]])
-    np.testing.assert_allclose(psi, fitted.identification.flux(at)[0], rtol=1e-12)
+    np.testing.assert_allclose(psi, fitted.drive.flux(at)[0], rtol=1e-12)
     for name, axis in (("psi_d", 0), ("psi_q", 1)):
         both = np.diff(inside.astype(int), axis=axis) == 0
         rising = np.diff(arrays[name], axis=axis)[both & np.delete(inside, -1, axis)] > 0
@@ -65,12 +73,15 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
     assert set(tree) == {
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
         "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
-        "settings", "inputs", "versions",
+        "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient",
     }  # fmt: skip
+    assert (tree["pole_pairs"], tree["u_dc"], tree["duration"]) == (4, 400.0, pytest.approx(2.0))
+    assert tree["speed_range"] == pytest.approx([500 * np.pi / 30 * 4] * 2, rel=1e-5)
+    assert datetime.fromisoformat(tree["date"]).tzinfo is not None
     assert (tree["format"], tree["format_version"]) == ("drive_id/identification", 1)
     assert (tree["method"], tree["machine"]) == ("joint", "ipm")
-    assert tree["resistance"] == fitted.identification.resistance
-    assert tree["voltage_error"] == fitted.identification.voltage_error > 0
+    assert tree["resistance"] == fitted.drive.resistance
+    assert tree["voltage_error"] == fitted.drive.voltage_error > 0
     curve = tree["inverter_curve"]
     assert len(curve["current"]) == len(curve["voltage"])
     assert curve["voltage"][-1] == pytest.approx(tree["voltage_error"])
@@ -92,12 +103,12 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_becomes_null(fitted, tmp_path, value):
-    report = replace(fitted.identification.report, mad_d=value, condition=value)
+    report = replace(fitted.drive.report, mad_d=value, condition=value)
     broken = replace(
-        fitted.identification,
+        fitted.drive,
         report=report,
         sigma_resistance=value,
-        inverter_voltage=np.full_like(fitted.identification.inverter_voltage, value),
+        inverter_voltage=np.full_like(fitted.drive.inverter_voltage, value),
     )
     write_results(tmp_path / "out", broken, replace(fitted.provenance, nrmse=(value, 0.5)))
     tree = strict_json(tmp_path / "out" / "identification.json")
@@ -105,18 +116,18 @@ def test_what_is_not_finite_becomes_null(fitted, tmp_path, value):
     assert tree["metrics"]["mad_d"] is tree["metrics"]["condition"] is tree["metrics"]["nrmse_d"] is None
     assert tree["metrics"]["nrmse_q"] == 0.5
     assert set(tree["inverter_curve"]["voltage"]) == {None}
-    assert tree["resistance"] == fitted.identification.resistance
+    assert tree["resistance"] == fitted.drive.resistance
 
 
 def test_without_a_truth_there_is_no_score(fitted):
-    tree = results_tree(fitted.identification, Provenance(inputs={}, settings=FitSettings(method="joint")))
+    tree = results_tree(fitted.drive, Provenance(inputs={}, settings=FitSettings(method="joint")))
     assert tree["metrics"]["nrmse_d"] is tree["metrics"]["nrmse_q"] is None
     assert tree["machine"] == ""
-    assert tree["warnings"] == list(fitted.identification.report.warnings)
+    assert tree["warnings"] == list(fitted.drive.report.warnings)
 
 
 def test_equal_results_are_equal_files(written, fitted, tmp_path):
-    write_results(tmp_path / "again", fitted.identification, fitted.provenance)
+    write_results(tmp_path / "again", fitted.drive, fitted.provenance)
     for name in ("identification.json", "flux_map.npz"):
         assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
 
@@ -124,12 +135,79 @@ def test_equal_results_are_equal_files(written, fitted, tmp_path):
 def test_earlier_results_are_replaced_and_other_files_stay(written, fitted):
     (written / "notes.txt").write_text("mine")
     first = (written / "flux_map.npz").read_bytes()
-    other = replace(fitted.identification, resistance=5.0, flux_map=replace(fitted.identification.flux_map))
-    other.flux_map.__dict__["psi_d"] = 2 * fitted.identification.flux_map.psi_d
+    other = replace(fitted.drive, resistance=5.0, flux_map=replace(fitted.drive.flux_map))
+    other.flux_map.__dict__["psi_d"] = 2 * fitted.drive.flux_map.psi_d
     write_results(written, other, fitted.provenance)
     assert strict_json(written / "identification.json")["resistance"] == 5.0
     assert (written / "flux_map.npz").read_bytes() != first
     assert sorted(path.name for path in written.iterdir()) == ["flux_map.npz", "identification.json", "notes.txt"]
+
+
+def test_a_result_is_read_as_it_was_written(written, fitted, tmp_path):
+    drive, provenance = read_results(written)
+    write_results(tmp_path / "again", drive, provenance)
+    for name in ("identification.json", "flux_map.npz"):
+        assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
+    assert drive.report.condition == fitted.drive.report.condition
+    assert (provenance.settings, provenance.inputs) == (fitted.provenance.settings, fitted.provenance.inputs)
+
+
+def test_what_is_unknown_is_read_as_unknown(fitted, tmp_path):
+    report = replace(fitted.drive.report, mad_d=np.nan, condition=np.inf)
+    write_results(
+        tmp_path, replace(fitted.drive, report=report, sigma_resistance=np.inf), replace(fitted.provenance, nrmse=None)
+    )
+    drive, provenance = read_results(tmp_path)
+    assert np.isnan(drive.report.mad_d)
+    assert drive.report.condition == drive.sigma_resistance == np.inf
+    assert provenance.nrmse is None
+
+
+NEWER = ("pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient")
+
+
+def test_an_older_result_is_read(written, fitted):
+    """One without what later versions added, and with a setting that is no more."""
+    marker = written / "identification.json"
+    tree = {name: value for name, value in json.loads(marker.read_text()).items() if name not in NEWER}
+    tree["settings"]["forgotten"] = 3
+    marker.write_text(json.dumps(tree))
+    with np.load(written / "flux_map.npz") as file:
+        arrays = {name: file[name] for name in ("i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q", "inside")}
+    np.savez(written / "flux_map.npz", **arrays)
+    drive, provenance = read_results(written)
+    assert drive.resistance == fitted.resistance
+    assert [getattr(provenance, name) for name in NEWER[:-1]] == [None, None, None, None, ""]
+
+
+def edited(written, **entries):
+    marker = written / "identification.json"
+    marker.write_text(json.dumps(json.loads(marker.read_text()) | entries))
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda written: (written / "identification.json").unlink(), "is not a result folder (it has no "),
+        (lambda written: (written / "identification.json").write_text("{"), "is damaged (JSONDecodeError("),
+        (lambda written: edited(written, format="other"), "is damaged (TypeError('another format')"),
+        (lambda written: edited(written, format_version=2), "was written by a newer drive_id (format 2, "),
+        (lambda written: edited(written, inverter_curve=None), "is damaged (TypeError("),
+        (lambda written: edited(written, resistance="much"), "is damaged (ValueError("),
+        (lambda written: edited(written, harmonics=[6]), "is damaged (FileNotFoundError("),
+        (lambda written: edited(written, settings={"method": "best"}), "is damaged (ConfigurationError("),
+        (lambda written: (written / "flux_map.npz").unlink(), "is damaged (FileNotFoundError("),
+        (lambda written: (written / "flux_map.npz").write_bytes(b"PK"), "is damaged ("),
+        (lambda written: np.savez(written / "flux_map.npz", i_d=np.arange(9.0)), "is damaged (KeyError("),
+    ],
+)  # fmt: skip
+def test_what_is_not_a_result_is_said_in_one_sentence(written, damage, said):
+    damage(written)
+    with pytest.raises(ResultError) as caught:
+        read_results(written)
+    assert said in str(caught.value)
+    assert str(written) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 FILES = {"b.bin": b"b", "mark.json": b'{"format": "ours"}'}

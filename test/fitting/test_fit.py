@@ -14,11 +14,12 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify, score
-from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError
+from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError, ResultError
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag
-from drive_id.fitting.workflows import fit_bags
+from drive_id.fitting.sources import Sources
 from drive_id.report.tables import fit_table
 
 SHORT = SimulationSettings()
@@ -34,34 +35,34 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     """Ideal but for an inverter of the model's own shape; the pmsyrm saturates more sharply than 8 splines can bend."""
     settings = SimulationSettings(inverter="tanh", inverter_current=1.0, harmonics=0.0)
     simulation = simulate_bag(machine_map(machine), settings, tmp_path / "bag", TRAJECTORY, 2.0)
-    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"))
-    truth, found = simulation.truth, fit.identification
+    fit = fit_bags(Sources([tmp_path / "bag"]), tmp_path / "out", FitSettings(method="joint"))
+    truth, found = simulation.truth, fit.drive
     assert max(fit.provenance.nrmse) < error
     assert found.resistance == pytest.approx(truth.resistance, rel=0.05)
     assert found.voltage_error == pytest.approx(truth.inverter_voltage.max(), rel=0.05)
     assert found.i_max == pytest.approx(truth.i_max, rel=1e-5)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flux_map.npz", "identification.json"]
-    psm = fit_bags([tmp_path / "bag"], None, FitSettings(method="psm"))
+    psm = fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="psm"))
     assert max(psm.provenance.nrmse) > 2 * max(fit.provenance.nrmse)
-    assert psm.identification.voltage_error == 0.0
+    assert psm.drive.voltage_error == 0.0
 
 
 def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):
     """But for the rounding to float32."""
     direct = identify([simulation.samples], FitSettings("joint"))
-    inside = direct.flux_map.inside & fitted.identification.flux_map.inside
-    assert fitted.identification.resistance == pytest.approx(direct.resistance, rel=1e-3)
+    inside = direct.flux_map.inside & fitted.drive.flux_map.inside
+    assert fitted.resistance == pytest.approx(direct.resistance, rel=1e-3)
     np.testing.assert_allclose(
-        fitted.identification.flux_map.psi_q[inside], direct.flux_map.psi_q[inside], atol=1e-5
+        fitted.drive.flux_map.psi_q[inside], direct.flux_map.psi_q[inside], atol=1e-5
     )  # fmt: skip
 
 
 def test_the_truth_of_a_simulation_is_never_used_by_the_fit(simulation, fitted, tmp_path):
     write_recording(tmp_path / "bag", simulation.samples)
-    blind = fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
+    blind = fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="joint"))
     assert blind.provenance.nrmse is None
     assert blind.provenance.machine == ""
-    assert blind.identification.resistance == fitted.identification.resistance
+    assert blind.resistance == fitted.resistance
     assert "Truth" not in [column.header for column in fit_table(blind).columns]
 
 
@@ -73,9 +74,9 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
         samples = replace(simulation.samples, **{name: getattr(simulation.samples, name)[part] for name in names})
         bags.append(tmp_path / f"part_{k}")
         write_recording(bags[-1], samples, simulation.truth)
-    fit = fit_bags(bags, None, FitSettings(method="joint"))
-    assert fit.identification.report.samples_used == fitted.identification.report.samples_used - 1
-    assert fit.identification.resistance == pytest.approx(fitted.identification.resistance, rel=0.01)
+    fit = fit_bags(Sources(bags), None, FitSettings(method="joint"))
+    assert fit.drive.report.samples_used == fitted.drive.report.samples_used - 1
+    assert fit.resistance == pytest.approx(fitted.resistance, rel=0.01)
     assert fit.provenance.nrmse == pytest.approx(fitted.provenance.nrmse, rel=0.05)
     assert list(fit.provenance.inputs) == [str(bag / f"{bag.name}_0.mcap") for bag in bags]
 
@@ -83,17 +84,17 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
 def test_bags_of_two_machines_are_not_fitted_together(bag, simulation, tmp_path):
     simulate_bag(machine_map("spm"), SHORT, tmp_path / "spm", TRAJECTORY, 1.0)
     with pytest.raises(DataError, match=r"different machines \(ipm, spm\)"):
-        fit_bags([bag, tmp_path / "spm"], None, FitSettings(method="joint"))
+        fit_bags(Sources([bag, tmp_path / "spm"]), None, FitSettings(method="joint"))
     write_recording(tmp_path / "blind", simulation.samples)
-    fit = fit_bags([tmp_path / "blind", tmp_path / "spm"], None, FitSettings(method="joint"))
+    fit = fit_bags(Sources([tmp_path / "blind", tmp_path / "spm"]), None, FitSettings(method="joint"))
     assert fit.provenance.nrmse is None
 
 
 def test_settings_that_the_method_does_not_look_at_are_named(bag):
-    (warning,) = fit_bags([bag], None, FitSettings("psm", maps="free", u_dc=(400.0,))).provenance.warnings
-    assert warning == "Method psm does not look at maps, u_dc: choose another method, or leave it out."
+    (warning,) = fit_bags(Sources([bag]), None, FitSettings("psm", maps="free", u_dc=(400.0,))).provenance.warnings
+    assert warning == "Method psm ignores maps, u_dc: remove it, or use method full."
     with pytest.raises(ConfigurationError, match="u_dc has 2 entries for 1 recordings"):
-        fit_bags([bag], None, FitSettings(u_dc=(400.0, 300.0)))
+        fit_bags(Sources([bag]), None, FitSettings(u_dc=(400.0, 300.0)))
 
 
 def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_path, monkeypatch):
@@ -102,10 +103,10 @@ def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_pa
 
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes").touch()
-    monkeypatch.setattr("drive_id.fitting.workflows.accumulate", fail)
-    monkeypatch.setattr("drive_id.fitting.simulated.simulate", fail)
+    monkeypatch.setattr("drive_id.fitting.fit.accumulate", fail)
+    monkeypatch.setattr("drive_id.bench.drive.simulate", fail)
     with pytest.raises(OutputError):
-        fit_bags([bag], tmp_path / "full", FitSettings(method="joint"))
+        fit_bags(Sources([bag]), tmp_path / "full", FitSettings(method="joint"))
     with pytest.raises(OutputError):
         simulate_bag(machine_map("ipm"), SHORT, tmp_path / "full", TRAJECTORY, 1.0)
 
@@ -113,7 +114,7 @@ def test_nothing_is_simulated_or_fitted_for_an_output_that_cannot_be(bag, tmp_pa
 def test_progress_is_told_in_order(bag, tmp_path):
     told = []
     fit_bags(
-        [bag],
+        Sources([bag]),
         tmp_path / "out",
         FitSettings(method="joint"),
         tell=lambda what, share: told.append((what, share)),
@@ -137,9 +138,9 @@ def test_warnings_of_reading_stand_before_those_of_the_fit(simulation, tmp_path)
         run_starts=np.array([0, 8000]),
     )
     write_recording(tmp_path / "bag", cut)
-    fit = fit_bags([tmp_path / "bag"], tmp_path / "out", FitSettings(method="joint"))
-    assert fit.identification.report.gaps == 1
-    assert fit.warnings == (*fit.recording.warnings, *fit.identification.report.warnings)
+    fit = fit_bags(Sources([tmp_path / "bag"]), tmp_path / "out", FitSettings(method="joint"))
+    assert fit.drive.report.gaps == 1
+    assert fit.warnings == (*fit.provenance.warnings, *fit.drive.report.warnings)
     assert json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"] == list(fit.warnings)
 
 
@@ -147,7 +148,7 @@ def test_the_simulator_holds_a_point_and_the_fit_refuses_it(tmp_path):
     held = Lissajous(frequency_d=0.0, frequency_q=0.0)
     simulate_bag(machine_map("ipm"), replace(SHORT, current_noise=1e-3), tmp_path / "bag", held, 0.5)
     with pytest.raises(CoverageError, match="references stay at"):
-        fit_bags([tmp_path / "bag"], None, FitSettings(method="joint"))
+        fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="joint"))
 
 
 def test_an_experiment_takes_its_radius_from_settings_or_machine():
@@ -170,38 +171,41 @@ def test_machines_by_name_and_by_file(tmp_path):
     arrays = {"id": source.i_d, "iq": source.i_q, "psi_d": source.psi_d, "psi_q": source.psi_q}
     np.savez(tmp_path / "mine.npz", **arrays, R=0.35, pole_pairs=3, i_max=20.0, u_dc=325.0)
     np.testing.assert_array_equal(load_machine(str(tmp_path / "mine.npz")).psi_d, source.psi_d)
-    for name in ("apm", "", "none.npz", "none.mat", str(tmp_path), "x" * 300, "a\nb"):
+    for name in ("apm", "", "none.npz", "none.mat", "x" * 300, "a\nb"):
         with pytest.raises(ConfigurationError):
             load_machine(name)
+    with pytest.raises(ResultError, match="is not a result folder"):
+        load_machine(str(tmp_path))
+    assert load_machine("spm", u_dc=100.0, pole_pairs=7).u_dc == 100.0
 
 
 def test_the_table_says_what_was_found(fitted):
     table = cells(fit_table(fitted))
-    truth = fitted.recording.truth
+    truth = fitted.truth
     assert table["R (stator + linear inverter part)"][2] == "10 mohm"
     assert (
         table["u_e (drop, opposes the current)"][2]
         == f"{np.interp(truth.i_max, truth.inverter_current, truth.inverter_voltage):.4g} V"
     )
     assert table["Samples used"][0] == "19999 of 20000"
-    diverged = replace(fitted.identification.report, mad_d=float("nan"))
-    other = replace(fitted, identification=replace(fitted.identification, report=diverged))
+    diverged = replace(fitted.drive.report, mad_d=float("nan"))
+    other = replace(fitted, drive=replace(fitted.drive, report=diverged))
     assert cells(fit_table(other))["MAD of simulated i_d / i_q"][0].startswith("diverged / ")
-    short = replace(fitted, identification=replace(fitted.identification, sigma_resistance=float("inf")))
+    short = replace(fitted, drive=replace(fitted.drive, sigma_resistance=float("inf")))
     assert cells(fit_table(short))["R (stator + linear inverter part)"][1] == "unknown"
 
 
 def test_the_true_drop_is_the_one_at_the_radius_of_the_disc(fitted):
     """Where the curve ends at the radius, and goes on rising up to there."""
     current = np.linspace(-300.0, 300.0, 5)
-    truth = replace(fitted.recording.truth, inverter_current=current, inverter_voltage=current / 100, i_max=300.0)
-    other = replace(fitted, recording=replace(fitted.recording, truth=truth))
+    truth = replace(fitted.truth, inverter_current=current, inverter_voltage=current / 100, i_max=300.0)
+    other = replace(fitted, truth=truth)
     assert cells(fit_table(other))["u_e (drop, opposes the current)"][2] == "3 V"
 
 
 def test_only_the_map_with_data_is_scored(fitted):
     """A truth that is far off where the map claims nothing costs nothing."""
-    truth, identification = fitted.recording.truth, fitted.identification
+    truth, identification = fitted.truth, fitted.drive
     known = identification.flux_map.inside & (identification.flux_map.i_d > 60)[:, None]
     right_half = replace(identification, flux_map=replace(identification.flux_map, inside=known))
     off = replace(truth, psi_d=truth.psi_d + (truth.i_d < 0)[:, None])

@@ -1,4 +1,4 @@
-"""Many sources to one: what is accumulated apart and merged is what is fitted together."""
+"""Several sources: what is accumulated apart and merged is fitted like the bags together."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
 from drive_id.files.results.information import read_information, write_information
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.merging import accumulate_sources, pairwise, stored_settings
+from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.simulated import run_experiment
-from drive_id.fitting.workflows import accumulate_bags, fit_bags
+from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
 
 JOINT = FitSettings(method="joint")
 RADIUS = replace(JOINT, i_max=300.0)
@@ -41,25 +41,25 @@ def infos(bags, tmp_path_factory):
     """Each bag as an information file; read only."""
     folder = tmp_path_factory.mktemp("infos")
     for bag in bags:
-        accumulate_bags([bag], folder / f"{bag.name}.info", RADIUS)
+        accumulate_bags(Sources([bag]), folder / f"{bag.name}.info", RADIUS)
     return [folder / f"{bag.name}.info" for bag in bags]
 
 
 @pytest.fixture(scope="module")
 def together(bags):
-    return fit_bags(bags, None, RADIUS)
+    return fit_bags(Sources(bags), None, RADIUS)
 
 
 def assert_same_fit(one, other, rel: float = 1e-9) -> None:
     for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error", "i_max"):
-        first, second = (getattr(fit.identification, name) for fit in (one, other))
+        first, second = (getattr(fit.drive, name) for fit in (one, other))
         assert first == pytest.approx(second, rel=rel), name
-    maps = [fit.identification.flux_map for fit in (one, other)]
+    maps = [fit.drive.flux_map for fit in (one, other)]
     np.testing.assert_array_equal(maps[0].inside, maps[1].inside)
     for name in ("i_d", "psi_d", "psi_q", "sigma_d", "sigma_q"):
         first, second = (getattr(flux_map, name) for flux_map in maps)
         np.testing.assert_allclose(first, second, rtol=0, atol=rel * np.nanmax(np.abs(second)), err_msg=name)
-    reports = [replace(fit.identification.report, mad_d=0.0, mad_q=0.0, warnings=()) for fit in (one, other)]
+    reports = [replace(fit.drive.report, mad_d=0.0, mad_q=0.0, warnings=()) for fit in (one, other)]
     for name in ("samples_read", "samples_used", "gaps", "rows", "rank", "unseen", "coverage"):
         assert getattr(reports[0], name) == getattr(reports[1], name), name
     for name in ("condition", "residual_rms"):
@@ -69,55 +69,55 @@ def assert_same_fit(one, other, rel: float = 1e-9) -> None:
 
 
 def test_information_files_are_fitted_like_their_bags_together(infos, together):
-    assert_same_fit(fit_bags(infos, None, RADIUS), together)
+    assert_same_fit(fit_bags(Sources(infos), None, RADIUS), together)
 
 
 def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
-    accumulate_bags([bags[2], bags[0]], tmp_path / "two.info", RADIUS)
+    accumulate_bags(Sources([bags[2], bags[0]]), tmp_path / "two.info", RADIUS)
     for sources in ([infos[2], infos[0], infos[1]], [bags[0], infos[2], bags[1]], [tmp_path / "two.info", bags[1]]):
-        assert_same_fit(fit_bags(sources, None, RADIUS), together)
+        assert_same_fit(fit_bags(Sources(sources), None, RADIUS), together)
 
 
 def test_method_full_merges_too(bags, tmp_path):
     settings = FitSettings("full", i_max=300.0, harmonic_orders=(6,))
     for bag in bags:
-        accumulate_bags([bag], tmp_path / f"{bag.name}.info", settings)
-    apart = fit_bags(sorted(tmp_path.glob("*.info")), None, settings)
-    assert_same_fit(apart, fit_bags(sorted(bags), None, settings), rel=1e-7)
+        accumulate_bags(Sources([bag]), tmp_path / f"{bag.name}.info", settings)
+    apart = fit_bags(Sources(sorted(tmp_path.glob("*.info"))), None, settings)
+    assert_same_fit(apart, fit_bags(Sources(sorted(bags)), None, settings), rel=1e-7)
 
 
 def test_the_mad_is_that_of_a_piece_of_each_recording(infos, together):
-    report = fit_bags(infos, None, RADIUS).identification.report
-    assert report.mad_d == pytest.approx(together.identification.report.mad_d, rel=0.3)
-    assert report.mad_q == pytest.approx(together.identification.report.mad_q, rel=0.3)
+    report = fit_bags(Sources(infos), None, RADIUS).drive.report
+    assert report.mad_d == pytest.approx(together.drive.report.mad_d, rel=0.3)
+    assert report.mad_q == pytest.approx(together.drive.report.mad_q, rel=0.3)
 
 
 def test_another_method_can_be_asked_for_later(bags, infos):
     psm = replace(RADIUS, method="psm")
-    assert_same_fit(fit_bags(infos, None, psm), fit_bags(bags, None, psm))
+    assert_same_fit(fit_bags(Sources(infos), None, psm), fit_bags(Sources(bags), None, psm))
 
 
 def test_without_a_radius_it_is_that_of_the_first_file_or_of_the_references(bags, infos, together):
-    assert_same_fit(fit_bags([bags[0], infos[1], bags[2]], None, FitSettings(method="joint")), together)
-    assert accumulate_sources(bags, FitSettings(method="joint")).evidence.i_max == 300.0
+    assert_same_fit(fit_bags(Sources([bags[0], infos[1], bags[2]]), None, FitSettings(method="joint")), together)
+    assert accumulate_sources(Sources(bags), FitSettings(method="joint")).evidence.i_max == 300.0
 
 
 def test_a_bag_without_references_needs_a_radius(bags, simulation, tmp_path):
     write_recording(tmp_path / "bag", with_arrays(simulation.samples))
     with pytest.raises(ConfigurationError, match=r"bag has no current references .*: give --i-max, "):
-        accumulate_sources([bags[0], tmp_path / "bag"], FitSettings(method="joint"))
-    assert accumulate_sources([tmp_path / "bag"], RADIUS).samples == len(simulation.samples)
+        accumulate_sources(Sources([bags[0], tmp_path / "bag"]), FitSettings(method="joint"))
+    assert accumulate_sources(Sources([tmp_path / "bag"]), RADIUS).samples == len(simulation.samples)
 
 
 def test_settings_are_taken_from_the_first_file(infos, bags, tmp_path):
     settings = replace(RADIUS, splines_d=6, method="psm")
-    accumulate_bags(bags[:1], tmp_path / "x.info", replace(settings, i_max=None))
-    assert stored_settings([bags[0], tmp_path / "x.info", infos[0]]) == settings
-    assert stored_settings(bags) is None
+    accumulate_bags(Sources(bags[:1]), tmp_path / "x.info", replace(settings, i_max=None))
+    assert Sources([bags[0], tmp_path / "x.info", infos[0]]).stored_settings() == settings
+    assert Sources(bags).stored_settings() is None
     (tmp_path / "cut.info").touch()
     with pytest.raises(InformationError, match=r"cut\.info"):
-        stored_settings([tmp_path / "cut.info", tmp_path / "x.info"])
-    assert stored_settings([tmp_path / "cut.info", tmp_path / "x.info"], skip_bad=True) == settings
+        Sources([tmp_path / "cut.info", tmp_path / "x.info"]).stored_settings()
+    assert Sources([tmp_path / "cut.info", tmp_path / "x.info"], skip_bad=True).stored_settings() == settings
 
 
 @pytest.mark.parametrize(
@@ -130,16 +130,16 @@ def test_settings_are_taken_from_the_first_file(infos, bags, tmp_path):
 @pytest.mark.parametrize("skip_bad", [False, True])
 def test_files_of_other_settings_are_named(infos, settings, said, skip_bad):
     with pytest.raises(ConfigurationError) as caught:
-        fit_bags(infos, None, settings, skip_bad=skip_bad)
+        fit_bags(Sources(infos, skip_bad=skip_bad), None, settings)
     assert str(caught.value) == (
         f"{infos[0]} was accumulated differently ({said}) and cannot be merged: accumulate it again with these "
-        "settings, or leave them out."
+        "settings, or remove them."
     )
 
 
 def test_the_same_recording_is_not_counted_twice(bags, infos):
     with pytest.raises(ConfigurationError, match="are the same recording: give each bag once"):
-        fit_bags([infos[0], bags[1], bags[0]], None, RADIUS)
+        fit_bags(Sources([infos[0], bags[1], bags[0]]), None, RADIUS)
 
 
 @pytest.fixture
@@ -156,29 +156,29 @@ def test_a_bad_source_is_named(bags, bad):
     for source in bad:
         for settings in (RADIUS, FitSettings(method="joint")):
             with pytest.raises(DriveIdError, match=f"{source.name}") as caught:
-                accumulate_sources([bags[0], source], settings)
+                accumulate_sources(Sources([bags[0], source]), settings)
             assert str(source) in str(caught.value)
 
 
 def test_bad_sources_are_left_out_on_request(bags, bad, together, tmp_path):
     sources = [bad[0], bags[0], bad[1], bags[1], bad[2], bags[2]]
-    fit = fit_bags(sources, tmp_path / "out", RADIUS, skip_bad=True)
+    fit = fit_bags(Sources(sources, skip_bad=True), tmp_path / "out", RADIUS)
     assert_same_fit(fit, together)
     left_out = [text for text in fit.warnings if text.startswith("Left out: ")]
     assert len(left_out) == 3
     for source, text in zip(bad, left_out, strict=True):
         assert str(source) in text
     with pytest.raises(NotABagError):
-        fit_bags(bad, None, RADIUS, skip_bad=True)
+        fit_bags(Sources(bad, skip_bad=True), None, RADIUS)
     with pytest.raises(NotABagError):
-        fit_bags(bad[:2], None, FitSettings(method="joint"), skip_bad=True)
+        fit_bags(Sources(bad[:2], skip_bad=True), None, FitSettings(method="joint"))
 
 
 def test_warnings_name_their_source_where_there_are_several(bags, infos, tmp_path):
     stored = read_information(infos[0]).accumulated
     write_information(tmp_path / "x.info", replace(stored, warnings=("Something.",)))
-    assert accumulate_sources([tmp_path / "x.info"], RADIUS).warnings == ("Something.",)
-    both = accumulate_sources([tmp_path / "x.info", bags[1]], RADIUS)
+    assert accumulate_sources(Sources([tmp_path / "x.info"]), RADIUS).warnings == ("Something.",)
+    both = accumulate_sources(Sources([tmp_path / "x.info", bags[1]]), RADIUS)
     assert both.warnings == (f"{tmp_path / 'x.info'}: Something.",)
 
 
@@ -186,15 +186,15 @@ def test_nothing_is_accumulated_for_an_output_that_cannot_be(bags, tmp_path, mon
     def fail(*_args, **_options):
         raise AssertionError("too late")
 
-    monkeypatch.setattr("drive_id.fitting.workflows.accumulate_sources", fail)
+    monkeypatch.setattr("drive_id.fitting.fit.accumulate_sources", fail)
     (tmp_path / "notes").touch()
     with pytest.raises(DriveIdError, match="exists already"):
-        accumulate_bags(bags, tmp_path / "notes", RADIUS)
+        accumulate_bags(Sources(bags), tmp_path / "notes", RADIUS)
 
 
 def test_no_source_at_all():
     with pytest.raises(ConfigurationError, match="No bag is given"):
-        accumulate_sources([], RADIUS)
+        Sources([])
 
 
 @pytest.mark.parametrize("count", range(1, 18))
@@ -209,4 +209,4 @@ def test_pairs_are_those_of_a_tree_and_few_are_kept(count):
 
 def test_paths_may_be_relative(bags, together, monkeypatch):
     monkeypatch.chdir(bags[0].parent)
-    assert_same_fit(fit_bags([Path(bag.name) for bag in bags], None, RADIUS, skip_bad=True), together)
+    assert_same_fit(fit_bags(Sources([Path(bag.name) for bag in bags], skip_bad=True), None, RADIUS), together)

@@ -1,0 +1,357 @@
+"""Result files of a fit: ``identification.json``, ``flux_map.npz`` and, with rotor harmonics, ``harmonics.npz``.
+
+All three are written and read here. Numbers that are not finite are null in the JSON; what a recording does not tell
+(pole pairs, DC link) is null in the JSON and NaN in the npz.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import platform
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import drive_id
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, Identification
+from drive_id.errors import DriveIdError, ResultError
+from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
+from drive_id.settings import from_mapping
+
+FORMAT_VERSION = 1
+_PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
+_NPZ, _HARMONICS = "flux_map.npz", "harmonics.npz"
+_DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
+_UNITS = {
+    "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "sigma_d": "Wb", "sigma_q": "Wb", "resistance": "ohm",
+    "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
+}  # fmt: skip
+_AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
+_DAMAGE = (
+    DriveIdError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError,
+    RecursionError, NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a result comes from, and what is known of the experiment besides.
+
+    Parameters
+    ----------
+    inputs : dict of str to str
+        File to its sha256.
+    settings : FitSettings
+    machine : str
+        Name, empty when unknown.
+    nrmse : (float, float) or None
+        Of psi_d and psi_q against the ground truth, when the recording carried it.
+    warnings : tuple of str
+        About the recording; those about the fit are in its report.
+    pole_pairs : int or None
+        None when unknown.
+    u_dc : float or None
+        DC-link voltage, V, when known.
+    speed_range : (float, float) or None
+        Lowest and highest electrical speed in the recording, rad/s.
+    duration : float or None
+        Of the samples, without gaps, s.
+    date : str
+        Of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day.
+    versions : mapping of str to str
+        Of the software that made the result; empty: of this process.
+    """
+
+    inputs: Mapping[str, str]
+    settings: FitSettings
+    machine: str = ""
+    nrmse: tuple[float, float] | None = None
+    warnings: tuple[str, ...] = field(default=())
+    pole_pairs: int | None = None
+    u_dc: float | None = None
+    speed_range: tuple[float, float] | None = None
+    duration: float | None = None
+    date: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_results(
+    directory: Path,
+    identification: Identification,
+    provenance: Provenance,
+    *,
+    force: bool = False,
+    pictures: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write the result files of a fit, and pictures beside them.
+
+    Parameters
+    ----------
+    directory : Path
+        See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
+    identification : Identification
+    provenance : Provenance
+    force : bool
+        Write into a folder that holds other files.
+    pictures : mapping of str to bytes, optional
+        Further files by name.
+
+    Raises
+    ------
+    OutputError
+        See :func:`~drive_id.files.results.folder.replace_folder`.
+    """
+    tree = results_tree(identification, provenance)
+    text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
+    harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
+    files = {_NPZ: _flux_map(identification, provenance), **harmonics, **(pictures or {}), MARKER: text.encode()}
+    stale = {name for name in _earlier(directory) if name not in files}
+    replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
+
+
+def read_results(directory: Path) -> tuple[Identification, Provenance]:
+    """Read the result folder of a fit.
+
+    Returns
+    -------
+    identification : Identification
+        Without ``model`` and ``gamma``: the map is the stored grid. All warnings are in the provenance.
+    provenance : Provenance
+
+    Raises
+    ------
+    ResultError
+        When it is not a result folder, is damaged, or was written by a newer version.
+    """
+    where = directory / MARKER
+    try:
+        if not where.is_file():
+            raise ResultError(
+                f"{directory} is not a result folder (it has no {MARKER}): give a folder that 'drive-id fit' wrote."
+            )
+        tree = json.loads(where.read_text(encoding="utf-8"))
+        if not isinstance(tree, dict) or tree["format"] != FORMAT:
+            raise TypeError("another format")
+        if int(tree["format_version"]) > FORMAT_VERSION:
+            raise ResultError(
+                f"{directory} was written by a newer drive_id (format {tree['format_version']}, and this "
+                f"drive_id, {drive_id.__version__}, knows format {FORMAT_VERSION}): update it."
+            )
+        flux_map = _read_flux_map(directory / _NPZ)
+        harmonics = _read_harmonics(directory / _HARMONICS, flux_map.psi_d.shape) if tree["harmonics"] else ()
+        return _identification(tree, flux_map, harmonics), _provenance(tree, str(directory))
+    except ResultError:
+        raise
+    except _DAMAGE as error:
+        raise ResultError(
+            f"The result folder {directory} is damaged ({error!r:.99}): fit the recording again."
+        ) from error
+
+
+def results_tree(identification: Identification, provenance: Provenance) -> dict[str, Any]:
+    """Return the content of ``identification.json``; numbers that are not finite become null."""
+    report, known = identification.report, provenance
+    nrmse_d, nrmse_q = known.nrmse or (None, None)
+    tree = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "method": identification.method,
+        "machine": known.machine,
+        "i_max": identification.i_max,
+        "pole_pairs": known.pole_pairs,
+        "u_dc": known.u_dc,
+        "speed_range": known.speed_range,
+        "duration": known.duration,
+        "date": known.date,
+        "resistance": identification.resistance,
+        "sigma_resistance": identification.sigma_resistance,
+        "voltage_error": identification.voltage_error,
+        "sigma_voltage_error": identification.sigma_voltage_error,
+        "magnet_coefficient": identification.magnet_coefficient,
+        "inverter_curve": _curve(identification),
+        "harmonics": [harmonic.order for harmonic in identification.harmonics],
+        "calibrations": [asdict(entry) for entry in identification.calibrations],
+        "statements": list(identification.statements),
+        "metrics": {
+            "nrmse_d": nrmse_d,
+            "nrmse_q": nrmse_q,
+            **{name: value for name, value in asdict(report).items() if name != "warnings"},
+        },
+        "warnings": [*known.warnings, *report.warnings],
+        "settings": asdict(known.settings),
+        "inputs": [{"file": file, "sha256": digest} for file, digest in known.inputs.items()],
+        "versions": dict(known.versions) or _versions(),
+    }
+    finite: dict[str, Any] = _finite(tree)
+    return finite
+
+
+def _flux_map(identification: Identification, provenance: Provenance) -> bytes:
+    known = provenance
+    scalars = {
+        "resistance": identification.resistance,
+        "i_max": identification.i_max,
+        "pole_pairs": _number(known.pole_pairs),
+        "u_dc": _number(known.u_dc),
+        "speed_range": np.array(known.speed_range or (np.nan, np.nan)),
+        "duration": _number(known.duration),
+    }
+    texts = {
+        "method": identification.method,
+        "machine": known.machine,
+        "date": known.date,
+        "version": dict(known.versions).get("drive_id", drive_id.__version__),
+        "units": json.dumps(_UNITS),
+    }
+    arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
+    return _npz(arrays | scalars | texts)
+
+
+def _harmonics(identification: Identification) -> bytes:
+    """Return an npz of the harmonics: ``order`` (H,), the axes, and amplitudes (H, D, Q), Wb."""
+    found = identification.harmonics
+    arrays = {name: np.array([getattr(harmonic, name) for harmonic in found]) for name in _AMPLITUDES}
+    order = np.array([harmonic.order for harmonic in found])
+    return _npz({"order": order, "i_d": identification.flux_map.i_d, "i_q": identification.flux_map.i_q, **arrays})
+
+
+def _npz(arrays: Mapping[str, Any]) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def _curve(identification: Identification) -> dict[str, Any]:
+    sigma, phases = identification.inverter_deviation, identification.phase_voltages
+    return {
+        "convention": "voltage drop of one phase, positive for positive current",
+        "current": identification.inverter_current.tolist(),
+        "voltage": identification.inverter_voltage.tolist(),
+        **({} if sigma is None else {"sigma_voltage": sigma.tolist()}),
+        **({} if phases is None else dict(zip(_PHASES, phases.T.tolist(), strict=True))),
+    }
+
+
+_PHASES = ("voltage_a", "voltage_b", "voltage_c")
+
+
+def _read_flux_map(path: Path) -> FluxMap:
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {entry.name: np.asarray(file[entry.name]) for entry in fields(FluxMap)}
+    shape = (len(arrays["i_d"]), len(arrays["i_q"]))
+    if min(shape) < 4 or any(values.shape != shape for name, values in arrays.items() if not name.startswith("i_")):
+        raise ValueError(f"{_NPZ} has arrays that do not fit its axes")
+    if not all(np.isfinite(arrays[name]).all() for name in ("i_d", "i_q", "psi_d", "psi_q")):
+        raise ValueError(f"{_NPZ} holds fluxes that are not finite")
+    return FluxMap(**arrays)
+
+
+def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
+    with np.load(path, allow_pickle=False) as file:
+        orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
+    if any(values.shape != (len(orders), *shape) for values in amplitudes):
+        raise ValueError(f"{_HARMONICS} has amplitudes that do not fit the flux map")
+    return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
+
+
+def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...]) -> Identification:
+    from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
+
+    curve, metrics = tree["inverter_curve"], tree["metrics"]
+    magnet = tree.get("magnet_coefficient")
+    unknown = {"condition": np.inf}
+    report: dict[str, Any] = {
+        entry.name: _number(metrics[entry.name], unknown.get(entry.name, np.nan))
+        if entry.type == "float"
+        else metrics[entry.name]
+        for entry in fields(FitReport)
+        if entry.name != "warnings"
+    }
+    return Identification(
+        method=str(tree["method"]),
+        i_max=float(tree["i_max"]),
+        resistance=float(tree["resistance"]),
+        sigma_resistance=_number(tree["sigma_resistance"], np.inf),
+        voltage_error=float(tree["voltage_error"]),
+        sigma_voltage_error=_number(tree["sigma_voltage_error"], np.inf),
+        inverter_current=np.array(curve["current"], np.float64),
+        inverter_voltage=np.array(curve["voltage"], np.float64),
+        flux_map=flux_map,
+        report=FitReport(**report, warnings=()),
+        inverter_deviation=_array(curve.get("sigma_voltage")),
+        phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
+        harmonics=harmonics,
+        calibrations=tuple(
+            Calibration(**entry | {"value": _number(entry["value"]), "sigma": _number(entry["sigma"])})
+            for entry in tree["calibrations"]
+        ),
+        magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
+        statements=tuple(map(str, tree["statements"])),
+    )
+
+
+def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
+    """Read what is known besides; results of versions before these entries lack some of them."""
+    names = {entry.name for entry in fields(FitSettings)}
+    nrmse, speeds = (tree["metrics"]["nrmse_d"], tree["metrics"]["nrmse_q"]), tree.get("speed_range")
+    return Provenance(
+        inputs={str(entry["file"]): str(entry["sha256"]) for entry in tree["inputs"]},
+        settings=from_mapping(FitSettings, {k: v for k, v in tree["settings"].items() if k in names}, where),
+        machine=str(tree["machine"]),
+        nrmse=None if None in nrmse else (float(nrmse[0]), float(nrmse[1])),
+        warnings=tuple(map(str, tree["warnings"])),
+        pole_pairs=tree.get("pole_pairs"),
+        u_dc=tree.get("u_dc"),
+        speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
+        duration=tree.get("duration"),
+        date=str(tree.get("date", "")),
+        versions=dict(tree["versions"]),
+    )
+
+
+def _earlier(directory: Path) -> list[str]:
+    """Return the optional files of an earlier result."""
+    return [_HARMONICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
+
+
+def _number(value: float | None, unknown: float = np.nan) -> float:
+    return unknown if value is None else float(value)
+
+
+def _array(values: list[float | None] | None) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+    return None if values is None else np.array([_number(value, np.inf) for value in values])
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "drive_id": drive_id.__version__,
+        "python": platform.python_version(),
+        **{name: found for name in _DEPENDENCIES if (found := _version(name))},
+    }
+
+
+def _version(name: str) -> str:
+    """Return the version of a distribution; empty where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

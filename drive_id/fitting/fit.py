@@ -1,0 +1,320 @@
+"""Fit recordings: from Python, for the command line and for the nodes; or accumulate them for a later fit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timezone
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drive_id.core.accumulation.accumulated import Accumulated
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.methods.registry import method_named
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identification import Identification as Drive
+from drive_id.core.result.identify import identify, score
+from drive_id.core.signals.pieces import common_truth
+from drive_id.errors import ConfigurationError
+from drive_id.files.messages.signals_file import SignalMap, read_signals
+from drive_id.files.results.folder import check_output
+from drive_id.files.results.identification import Provenance, write_results
+from drive_id.files.results.information import check_information_output, write_information
+from drive_id.fitting.result import Identification, pictures
+from drive_id.fitting.sources import Sources, accumulate_sources
+from drive_id.fitting.streaming import accumulate
+from drive_id.types import GroundTruth, Progress, Samples, silent
+
+StrPath = str | os.PathLike[str]
+Draw = Callable[[Identification], Mapping[str, bytes]]
+"""Returns the pictures of a result by file name."""
+
+_YEAR_2000 = 946_684_800_000_000_000
+"""Stamps before it are not times of day, ns."""
+
+
+def fit(
+    recordings: StrPath | Samples | Sequence[StrPath] | Sequence[Samples],
+    *,
+    method: str | None = None,
+    i_max: float | None = None,
+    signals: StrPath | SignalMap | None = None,
+    namespace: str = "",
+    settings: FitSettings | None = None,
+    output: StrPath | None = None,
+    force: bool = False,
+    cluster: str = "",
+    skip_bad: bool = False,
+    tell: Progress = silent,
+) -> Identification:
+    """Identify flux maps, resistance and inverter voltage error from recordings of one drive.
+
+    The same as ``drive-id fit``, with the same numbers.
+
+    Parameters
+    ----------
+    recordings : path, Samples, or a sequence of either
+        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture; or samples.
+    method : {"full", "joint", "psm"}, optional
+        Default: that of ``settings``.
+    i_max : float, optional
+        Radius of the current disc, A. Default: that of the recorded references, or the largest measured amplitude.
+    signals : path or SignalMap, optional
+        Signals file: where the signals are in a bag with other messages than ours.
+    namespace : str
+        Of the drive, when a bag holds several.
+    settings : FitSettings, optional
+        All else. Default: those of the first information file, or else the defaults.
+    output : path, optional
+        Write a result folder with pictures, too, as :meth:`Identification.save` does.
+    force : bool
+        Let ``output`` be a folder that holds other files.
+    cluster : str
+        Dask cluster that accumulates the recordings: its address, ``local`` or ``local:N``.
+    skip_bad : bool
+        Leave out recordings that cannot be used, with a warning for each.
+    tell : callable, optional
+        Called with what is being done and its progress, 0 to 1.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    DriveIdError
+        When a setting is invalid, a recording cannot be used, or the data do not suffice for a map.
+
+    Examples
+    --------
+    >>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
+    >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
+    """
+    given = [recordings] if isinstance(recordings, (str, os.PathLike, Samples)) else _listed(recordings)
+    samples = [entry for entry in given if isinstance(entry, Samples)]
+    paths = [Path(entry) for entry in given if isinstance(entry, (str, os.PathLike))]
+    if len(samples) + len(paths) < len(given) or (samples and paths):
+        raise ConfigurationError(
+            "The recordings are neither all paths nor all Samples: give one or a list of either, and read bags by "
+            "drive_id.read_bag to fit them together with samples."
+        )
+    signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
+    target = None if output is None else Path(output)
+    chosen: dict[str, Any] = {
+        name: value for name, value in (("method", method), ("i_max", i_max)) if value is not None
+    }
+    if samples:
+        if signals or namespace or cluster or skip_bad:
+            raise ConfigurationError("signals, namespace, cluster and skip_bad are about bags: leave them out.")
+        return _fit_samples(samples, target, replace(settings or FitSettings(), **chosen), force=force, tell=tell)
+    sources = Sources(paths, signal_map, namespace, cluster, skip_bad)
+    settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
+    return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
+
+
+def _listed(recordings: object) -> list[object]:
+    try:
+        return list(recordings)  # type: ignore[call-overload, no-any-return]  # whatever a user passes
+    except TypeError as error:
+        raise ConfigurationError(
+            f"drive_id.fit cannot read recordings from a {type(recordings).__name__}: give paths or Samples."
+        ) from error
+
+
+def _fit_samples(
+    samples: Sequence[Samples], output: Path | None, settings: FitSettings, *, force: bool, tell: Progress
+) -> Identification:
+    if output is not None:
+        check_output(output, force=force)
+    settings.check_recordings(len(samples))
+    truth = common_truth([part.truth for part in samples])
+    drive = identify(samples, settings, tell)
+    last_stamp = int(samples[-1].stamp[-1])
+    provenance = provenance_of(
+        drive,
+        settings,
+        excerpts=samples,
+        truth=truth,
+        duration=sum(part.duration for part in samples),
+        last_stamp=last_stamp,
+    )
+    result = Identification(drive, provenance, tuple(samples), truth, last_stamp)
+    if output is not None:
+        result.save(output, force=force)
+    return result
+
+
+def fit_bags(
+    sources: Sources,
+    output: Path | None,
+    settings: FitSettings,
+    *,
+    force: bool = False,
+    draw: Draw | None = None,
+    resumable: bool = True,
+    tell: Progress = silent,
+) -> Identification:
+    """Fit bags and information files of one drive, and write the results.
+
+    Parameters
+    ----------
+    sources : Sources
+    output : Path or None
+        Folder for the result files; None: write none.
+    settings : FitSettings
+    force : bool
+        Write into a folder that holds other files.
+    draw : callable, optional
+        Makes the pictures beside the result files, see :data:`Draw`.
+    resumable : bool
+        Keep a checkpoint beside the output while long bags are read; the same call resumes from it after an interrupt.
+    tell : callable, optional
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    DriveIdError
+        Nothing is written then.
+    """
+    if output is not None:
+        check_output(output, force=force)
+    if not sources.information:  # these know their own
+        settings.check_recordings(len(sources.paths))
+    checkpoint = None
+    if output is not None and resumable:
+        checkpoint = output.absolute().with_name(f".{output.absolute().name}.checkpoint")
+    with one_blas_thread(with_scipy=method_named(settings.method).windows):
+        recording = _accumulator(sources, checkpoint=checkpoint)(settings, tell=tell)
+        tell("Solving", None)
+        drive = conclude(recording.evidence, recording.validation)
+    evidence, truth = recording.evidence, recording.truth
+    provenance = provenance_of(
+        drive,
+        settings,
+        excerpts=recording.validation,
+        truth=truth,
+        signals=sources.signals,
+        duration=evidence.samples * evidence.sample_period,
+        last_stamp=recording.last_stamp,
+        inputs=recording.digests,
+        warnings=recording.warnings,
+    )
+    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
+    if output is not None:
+        tell("Writing", None)
+        drawn = draw(result) if draw else {}
+        write_results(output, drive, provenance, force=force, pictures=drawn)
+    return result
+
+
+def provenance_of(
+    drive: Drive,
+    settings: FitSettings,
+    *,
+    excerpts: Sequence[Samples],
+    duration: float,
+    last_stamp: int,
+    truth: GroundTruth | None = None,
+    signals: SignalMap | None = None,
+    inputs: Mapping[str, str] | None = None,
+    warnings: tuple[str, ...] = (),
+) -> Provenance:
+    """Gather what is known of an experiment besides the identified drive.
+
+    Parameters
+    ----------
+    drive : drive_id.core.result.identification.Identification
+    settings : FitSettings
+    excerpts : sequence of Samples
+        From which the range of speeds is taken.
+    duration : float
+        s.
+    last_stamp : int
+        ns.
+    truth : GroundTruth, optional
+        The drive is scored against it.
+    signals : SignalMap, optional
+        Knows the pole pairs where the recorded angle is mechanical.
+    inputs : mapping of str to str, optional
+        File to its sha256.
+    warnings : tuple of str
+        About the recording.
+
+    Returns
+    -------
+    Provenance
+        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
+    """
+    nrmse = score(drive, truth) if truth else None
+    u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
+    told = truth.details.get("u_dc") if truth else None
+    mechanical = signals.resolver.pole_pairs if signals else None
+    when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
+    if idle := ", ".join(settings.idle()):
+        other = "full" if settings.method != "full" else "joint or psm"
+        warnings += (f"Method {settings.method} ignores {idle}: remove it, or use method {other}.",)
+    if nrmse and not np.isfinite(nrmse).all():
+        warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
+    return Provenance(
+        inputs=inputs or {},
+        settings=settings,
+        machine=truth.machine if truth else "",
+        nrmse=nrmse,
+        warnings=warnings,
+        pole_pairs=truth.pole_pairs if truth else mechanical,
+        u_dc=u_dc or (float(told) if told else None),
+        speed_range=(
+            min(float(part.speed.min()) for part in excerpts),
+            max(float(part.speed.max()) for part in excerpts),
+        )
+        if excerpts
+        else None,
+        duration=duration,
+        date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
+    )
+
+
+def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:
+    """Accumulate bags of one drive, each on its own, and write an information file.
+
+    Parameters
+    ----------
+    sources : Sources
+    output : Path
+    settings : FitSettings
+    tell : callable, optional
+
+    Raises
+    ------
+    DriveIdError
+        Nothing is written then.
+    """
+    check_information_output(output)
+    with one_blas_thread(with_scipy=method_named(settings.method).windows):
+        accumulated = _accumulator(sources, apart=True)(settings, tell=tell)
+    tell("Writing", None)
+    write_information(output, accumulated)
+    return accumulated
+
+
+def _accumulator(
+    sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
+) -> Callable[..., Accumulated]:
+    """Return what accumulates the sources: together, or each on its own, here or on a cluster."""
+    if sources.cluster:
+        from drive_id.fitting.cluster import accumulate_on_cluster  # noqa: PLC0415  # asyncio takes a while
+
+        return partial(accumulate_on_cluster, sources)
+    if apart or sources.skip_bad or sources.information:
+        return partial(accumulate_sources, sources)
+    return partial(
+        accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint
+    )

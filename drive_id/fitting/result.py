@@ -1,0 +1,398 @@
+"""The result of a fit for its user: the identified drive and its origin, with plots, files and a machine model."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drive_id.core.result.identification import FluxMap, HarmonicMap
+from drive_id.core.result.identification import Identification as Drive
+from drive_id.errors import ConfigurationError
+from drive_id.files.results.identification import Provenance, read_results, write_results
+from drive_id.types import BoolArray, FloatArray, GroundTruth, MachineMap, Samples
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from drive_id.core.full.calibration import Calibration
+    from drive_id.report.plots import Caption
+
+_MARGIN = 1.25
+"""Reach of a machine map, in i_max: a simulated current overshoots its reference."""
+_ENOUGH_SPEED = 3000.0
+"""rpm at which the DC link of a machine map, where unknown, just drives the largest flux."""
+_LEAST_ANGLES, _ANGLES_PER_PERIOD = 24, 12
+
+
+@dataclass(frozen=True, eq=False)
+class InverterCurve:
+    """The identified voltage drop of one inverter phase.
+
+    Parameters
+    ----------
+    current : (C,) float
+        A, increasing.
+    voltage : (C,) float
+        V, positive for positive current.
+    sigma : (C,) float or None
+        Standard error of ``voltage``, V; method ``full``.
+    phases : (C, 3) float or None
+        The drop of each phase, V, when each was given a curve of its own.
+    """
+
+    current: FloatArray
+    voltage: FloatArray
+    sigma: FloatArray | None = None
+    phases: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification:
+    """An identified drive: what :func:`drive_id.fit` and :func:`drive_id.load` return.
+
+    Parameters
+    ----------
+    drive : drive_id.core.result.identification.Identification
+        The numbers.
+    provenance : Provenance
+        Inputs, settings, and what is known of the experiment besides.
+    excerpts : tuple of Samples
+        Of the recordings, for pictures; empty when the result was loaded.
+    truth : GroundTruth or None
+        Of a simulation; None when the result was loaded.
+    last_stamp : int
+        Of the last sample, ns; 0 when the result was loaded.
+    """
+
+    drive: Drive
+    provenance: Provenance
+    excerpts: tuple[Samples, ...] = ()
+    truth: GroundTruth | None = None
+    last_stamp: int = 0
+
+    @property
+    def method(self) -> str:
+        """``psm``, ``joint`` or ``full``."""
+        return self.drive.method
+
+    @property
+    def machine(self) -> str:
+        """Name of the machine; empty when unknown."""
+        return self.provenance.machine
+
+    @property
+    def resistance(self) -> float:
+        """R with the linear part of the inverter's drop, ohm."""
+        return self.drive.resistance
+
+    @property
+    def sigma_resistance(self) -> float:
+        """Standard error of the resistance, ohm; infinite when the recording is too short to estimate it."""
+        return self.drive.sigma_resistance
+
+    @property
+    def voltage_error(self) -> float:
+        """Drop of an inverter phase at large current, V, positive for a physical inverter; 0 for method ``psm``."""
+        return self.drive.voltage_error
+
+    @property
+    def sigma_voltage_error(self) -> float:
+        """Standard error of the voltage error, V."""
+        return self.drive.sigma_voltage_error
+
+    @property
+    def inverter_curve(self) -> InverterCurve:
+        """Drop of an inverter phase over its current."""
+        drive = self.drive
+        return InverterCurve(
+            drive.inverter_current, drive.inverter_voltage, drive.inverter_deviation, drive.phase_voltages
+        )
+
+    @property
+    def flux_map(self) -> FluxMap:
+        """Flux linkages, incremental inductances and standard errors at any current."""
+        return self.drive.flux_map
+
+    @property
+    def harmonics(self) -> tuple[HarmonicMap, ...]:
+        """Rotor-position harmonics of the flux linkages; method ``full``."""
+        return self.drive.harmonics
+
+    @property
+    def calibrations(self) -> tuple[Calibration, ...]:
+        """Estimated sensor faults; method ``full``."""
+        return self.drive.calibrations
+
+    @property
+    def i_max(self) -> float:
+        """Radius of the current disc of the experiment, A."""
+        return self.drive.i_max
+
+    @property
+    def pole_pairs(self) -> int | None:
+        """From the signals file or a simulation's ground truth; None when unknown."""
+        return self.provenance.pole_pairs
+
+    @property
+    def u_dc(self) -> float | None:
+        """DC-link voltage, V, from the settings or a simulation's ground truth; None when unknown."""
+        return self.provenance.u_dc
+
+    @property
+    def speed_range(self) -> tuple[float, float] | None:
+        """Lowest and highest electrical speed in the excerpts of the recordings, rad/s; None when unknown."""
+        return self.provenance.speed_range
+
+    @property
+    def duration(self) -> float | None:
+        """Time covered by samples, s; None when unknown."""
+        return self.provenance.duration
+
+    @property
+    def date(self) -> str:
+        """Of the recording (of the fit, when its stamps are not times of day), ISO 8601 in UTC."""
+        return self.provenance.date
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about the recording and about the fit."""
+        return (*self.provenance.warnings, *self.drive.report.warnings)
+
+    @property
+    def statements(self) -> tuple[str, ...]:
+        """Sentences: what fixed the unknowns that the data leave open, and what would help most."""
+        return self.drive.statements
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Figures of the fit by name, as in ``identification.json``; NaN where unknown.
+
+        ``nrmse_d``, ``nrmse_q`` (against a ground truth), ``mad_d``, ``mad_q`` (A), ``coverage``, ``residual_rms`` (V)
+        and the counts of :class:`~drive_id.core.result.identification.FitReport`.
+        """
+        nrmse_d, nrmse_q = self.provenance.nrmse or (math.nan, math.nan)
+        report = {name: value for name, value in asdict(self.drive.report).items() if name != "warnings"}
+        return {"nrmse_d": nrmse_d, "nrmse_q": nrmse_q} | report
+
+    def save(self, directory: str | Path, *, force: bool = False, draw: bool = True) -> None:
+        """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
+
+        Parameters
+        ----------
+        directory : path
+            Created when missing; an earlier result in it is replaced.
+        force : bool
+            Write into a folder that holds other files.
+        draw : bool
+            Write pictures, too.
+
+        Raises
+        ------
+        OutputError
+            When the folder is not ours to write, or cannot be written.
+        """
+        drawn = pictures(self) if draw else {}
+        write_results(Path(directory), self.drive, self.provenance, force=force, pictures=drawn)
+
+    def plot(self) -> Figure:
+        """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            To be shown in a notebook, or saved by ``savefig``.
+        """
+        from drive_id.report.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
+
+        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), _caption(self))
+
+    def caption(self) -> str:
+        """Return machine, method, date, R, speed and i_max in one line."""
+        low, high = self.speed_range or (math.nan, math.nan)
+        rate, unit = (30 / math.pi / self.pole_pairs, "rpm") if self.pole_pairs else (1.0, "rad/s (electrical)")
+        speeds = list(dict.fromkeys(f"{speed * rate:.4g}" for speed in (low, high)))
+        parts = [
+            self.machine,
+            f"method {self.method}",
+            self.date[:10],
+            f"R = {self.resistance * 1e3:.4g} mΩ",
+            f"{' to '.join(speeds)} {unit}" if math.isfinite(low) else "",
+            f"i_max = {self.i_max:.4g} A",
+        ]
+        return ", ".join(filter(None, parts))
+
+    def to_machine(self, *, pole_pairs: int | None = None, u_dc: float | None = None) -> MachineMap:
+        """Return the identified machine, to be simulated: its map with harmonics, continued beyond the data.
+
+        Parameters
+        ----------
+        pole_pairs : int, optional
+            Default: those of the result.
+        u_dc : float, optional
+            V. Default: that of the result, or enough for 3000 rpm.
+
+        Returns
+        -------
+        MachineMap
+            Reaching 1.25 i_max on both axes. Beyond the data, its slopes tend to the typical ones within them.
+
+        Raises
+        ------
+        ConfigurationError
+            When the pole pairs are unknown.
+        """
+        pairs = pole_pairs or self.pole_pairs
+        if pairs is None:
+            raise ConfigurationError(
+                "The result does not tell the number of pole pairs, which a simulation needs: give pole_pairs."
+            )
+        found = self.flux_map
+        i_d, i_q = (_reaching(axis, _MARGIN * self.i_max) for axis in (found.i_d, found.i_q))
+        known, places = _placed(found, i_d, i_q)
+
+        def whole(values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+            from drive_id.core.maps.continuation import continued  # noqa: PLC0415  # a fit does not need it
+
+            placed = np.zeros(known.shape)
+            placed[places] = values
+            return continued(placed, known, (i_d, i_q), slopes)
+
+        slope_d, slope_q = (_typical_slope(found, axis) for axis in range(2))
+        psi_d, psi_q = whole(found.psi_d, (slope_d, 0.0)), whole(found.psi_q, (0.0, slope_q))
+        theta, ripple_d, ripple_q = None, None, None
+        if self.harmonics:
+            theta = _angles([harmonic.order for harmonic in self.harmonics])
+            ripple_d, ripple_q = (
+                np.repeat(psi_d[..., None], len(theta), -1),
+                np.repeat(psi_q[..., None], len(theta), -1),
+            )
+            for h in self.harmonics:
+                cosine, sine = np.cos(h.order * theta), np.sin(h.order * theta)
+                ripple_d += whole(h.psi_d_cos)[..., None] * cosine + whole(h.psi_d_sin)[..., None] * sine
+                ripple_q += whole(h.psi_q_cos)[..., None] * cosine + whole(h.psi_q_sin)[..., None] * sine
+        enough = math.sqrt(3) * float(np.hypot(psi_d, psi_q).max()) * _ENOUGH_SPEED * math.pi / 30 * pairs
+        return MachineMap(
+            name=self.machine or "identified",
+            i_d=i_d,
+            i_q=i_q,
+            psi_d=psi_d,
+            psi_q=psi_q,
+            resistance=max(self.resistance, 0.0),
+            pole_pairs=pairs,
+            i_max=self.i_max,
+            u_dc=u_dc or self.u_dc or enough,
+            theta=theta,
+            psi_d_theta=ripple_d,
+            psi_q_theta=ripple_q,
+        )
+
+    def __repr__(self) -> str:
+        warnings = f", {len(self.warnings)} warning{'s' * (len(self.warnings) != 1)}" if self.warnings else ""
+        return f"<Identification: {self.caption()}{warnings}>"
+
+    def _repr_html_(self) -> str:
+        """Return a small table, for notebooks."""
+
+        def of(value: float, sigma: float, unit: str) -> str:
+            return f"{value:.4g} {unit}" + (f" ± {sigma:.2g} {unit}" if math.isfinite(sigma) else "")
+
+        metrics = self.metrics
+        rows = {
+            "Machine": self.machine,
+            "Method": self.method,
+            "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ"),
+            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.method != "psm" else "",
+            "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
+            "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
+            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A",
+            **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
+        }
+        cells = (f"<tr><th>{name}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text)
+        return f"<table>{''.join(cells)}</table>"
+
+
+def load(directory: str | Path) -> Identification:
+    """Load a result folder that ``drive-id fit``, :func:`drive_id.fit` or a node wrote.
+
+    Parameters
+    ----------
+    directory : path
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    ResultError
+        When it is not a result folder, is damaged, or was written by a newer version.
+    """
+    try:
+        return Identification(*read_results(Path(directory)))
+    except TypeError as error:  # of Path
+        raise ConfigurationError(
+            f"{directory!r:.60} is not the path of a result folder: give a str or Path."
+        ) from error
+
+
+def pictures(result: Identification, *, figure_format: str = "png", name: str = "") -> Mapping[str, bytes]:
+    """Return the pictures of a result folder by file name; ``name`` stands for an unknown machine in the caption."""
+    from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+
+    return result_pictures(result.drive, result.excerpts, _caption(result, name), figure_format=figure_format)
+
+
+def _caption(result: Identification, name: str = "") -> Caption:
+    from drive_id.report.plots import Caption  # noqa: PLC0415
+
+    return Caption(
+        machine=result.machine or name,
+        method=result.method,
+        date=f"{result.date[:16].replace('T', ' ')} UTC" if result.date else "",
+        resistance=result.resistance,
+        sigma_resistance=result.sigma_resistance,
+        i_max=result.i_max,
+        speeds=result.speed_range,
+        pole_pairs=result.pole_pairs,
+    )
+
+
+def _percent(*values: float) -> str:
+    return " / ".join(f"{100 * value:.3f} %" for value in values) if all(map(math.isfinite, values)) else ""
+
+
+def _reaching(axis: FloatArray, reach: float) -> FloatArray:
+    """Return an axis with points of the same mean step added until it covers -reach to reach, A."""
+    step = (axis[-1] - axis[0]) / (len(axis) - 1)
+    before, after = (max(0, math.ceil((reach - end) / step)) for end in (-axis[0], axis[-1]))
+    return np.concatenate([axis[0] - step * np.arange(before, 0, -1), axis, axis[-1] + step * np.arange(1, after + 1)])
+
+
+def _placed(found: FluxMap, i_d: FloatArray, i_q: FloatArray) -> tuple[BoolArray, tuple[slice, slice]]:
+    """Return where a map has data on longer axes, and where its grid lies on them."""
+    starts = [int(np.searchsorted(axis, own[0])) for axis, own in ((i_d, found.i_d), (i_q, found.i_q))]
+    places = (slice(starts[0], starts[0] + len(found.i_d)), slice(starts[1], starts[1] + len(found.i_q)))
+    known = np.zeros((len(i_d), len(i_q)), np.bool_)
+    known[places] = found.inside
+    return known, places
+
+
+def _typical_slope(found: FluxMap, axis: int) -> float:
+    """Return the median slope of psi_d over i_d (axis 0) or of psi_q over i_q (axis 1) where there are data, H."""
+    psi, current = (found.psi_d, found.i_d) if axis == 0 else (found.psi_q, found.i_q)
+    both = np.take(found.inside, range(1, len(current)), axis) & np.take(found.inside, range(len(current) - 1), axis)
+    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
+    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
+
+
+def _angles(orders: Sequence[int]) -> FloatArray:
+    """Return angles that sample one common period of rotor-position harmonics, rad."""
+    periods = math.gcd(*orders)
+    count = max(_LEAST_ANGLES, _ANGLES_PER_PERIOD * max(orders) // periods)
+    return np.arange(count, dtype=np.float64) * (2 * np.pi / periods / count)

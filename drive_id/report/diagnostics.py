@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from drive_id.core.full.calibration import corrected
 from drive_id.core.result.identification import Identification
 from drive_id.core.validation.residuals import Flux, Residual, over_angle, residual_voltage
 from drive_id.report.panels import (
@@ -201,12 +200,11 @@ def _residual(identification: Identification, samples: Sequence[Samples]) -> Res
     """Return the residual voltage of all samples, the sensor faults that were found corrected."""
     drop = identification.phase_voltages
     curve = (identification.inverter_current, identification.inverter_voltage if drop is None else drop)
-    found = [
-        residual_voltage(
-            corrected(part, identification.calibrations), _flux(identification), identification.resistance, curve
-        )
-        for part in samples
-    ]
+    if identification.calibrations:
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+        samples = [corrected(part, identification.calibrations) for part in samples]
+    found = [residual_voltage(part, _flux(identification), identification.resistance, curve) for part in samples]
     empty = Residual(np.zeros(0), np.zeros((0, 2)))
     return Residual(*(np.concatenate(arrays) for arrays in zip(empty, *found, strict=True)))
 

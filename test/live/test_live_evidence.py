@@ -115,7 +115,7 @@ def test_the_mad_is_taken_over_the_trajectory_not_over_the_rest_behind_it(tmp_pa
 def test_the_live_picture_shows_the_trajectory(tmp_path, monkeypatch):
     """And not the dot at which the drive rests by then."""
     drawn = []
-    monkeypatch.setattr(plots, "result_pictures", lambda _found, samples, _title: drawn.extend(samples) or {})
+    monkeypatch.setattr(plots, "result_pictures", lambda _found, samples, _title, **_: drawn.extend(samples) or {})
     stream = resting(monkeypatch, [(-1.0, 3.0)], 8.0)
     settings = IdentificationSettings(output_directory=str(tmp_path), picture=True)
     identifier = Identifier(settings, SETTINGS)

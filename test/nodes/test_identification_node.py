@@ -479,4 +479,4 @@ def test_nonsense_at_start_is_one_sentence(ros):
 
 def test_the_node_ends_cleanly(node):
     assert node.interrupt()[0] == 0, node.output
-    assert "Traceback" not in node.output
+    assert "Traceback" not in node.output, node.output

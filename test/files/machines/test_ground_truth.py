@@ -21,7 +21,7 @@ def test_every_field_comes_back():
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        ({"psi_d": np.zeros((5, 4))}, "does not fit its axes"),
+        ({"psi_d": np.zeros((5, 4))}, "does not match its axes"),
         ({"i_d": np.zeros(5)}, "do not increase"),
         ({"inverter_voltage": np.zeros(3)}, "does not fit its 5 currents"),
         ({"psi_q": np.full((5, 5), np.nan)}, "not finite"),

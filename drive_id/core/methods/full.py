@@ -240,8 +240,8 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
         warnings.append(
             f"The maps are not reciprocal: free maps predict left-out data {100 * fit.selection.advantage:.0f} % "
-            "better, so they were used; at a single speed, resistance and voltage delay are then not determined: record "
-            "several speeds."
+            "better, so they were used; at a single speed this leaves resistance and voltage delay undetermined: "
+            "record several speeds."
         )
     warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
     for c in calibrations:

@@ -77,7 +77,7 @@ def section(repeats: int) -> Section:
         smaller(
             "its memory beyond the samples", peak_memory(lambda: dense(samples)), peak_memory(lambda: joint(samples))
         ),
-        faster("`joint` with maps, deviations and simulated currents", costs["dense"], costs["identify"]),
+        faster("`joint` with maps, standard errors and simulated currents", costs["dense"], costs["identify"]),
     ]
     if "full" in costs:
         rows.append(faster("`full`, complete, against the dense script's `joint`", costs["dense"], costs["full"], 1))

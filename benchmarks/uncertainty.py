@@ -1,8 +1,8 @@
-"""Do the stated deviations of method ``full`` hold? Repeat an experiment with other noise, and count.
+"""Empirical coverage of the standard errors of method ``full``: repeat an experiment with different noise and count.
 
     python benchmarks/uncertainty.py [--seeds 200] [--write]
 
-Prints how often bands of 1.96 deviations hold the truth: of the fluxes at all points of the map with data within 97 %
+Prints the share of intervals of ±1.96 σ that contain the truth: of the fluxes at all points of the map with data within 97 %
 of the disc, of the resistance, and of the inverter's curve. ``--write`` puts the table into docs/coverage.md.
 """
 
@@ -37,7 +37,7 @@ DOCUMENT = Path(__file__).parent.parent / "docs" / "coverage.md"
 
 
 def scores(machine: str, settings: SimulationSettings, seed: int) -> tuple[np.ndarray, ...]:
-    """Return errors over deviations of psi_d and psi_q (N,), R (1,) and the inverter's curve (C,)."""
+    """Return errors over standard errors of psi_d and psi_q (N,), R (1,) and the inverter's curve (C,)."""
     simulation = run_experiment(machine_map(machine), replace(settings, seed=seed), None, SECONDS)
     evidence = gather(
         [simulation.samples], FitSettings(method="full", harmonic_orders=(6, 12), maps="reciprocal", grid_points=33)
@@ -82,10 +82,10 @@ def main() -> None:
         print(lines[-1], flush=True)
     if arguments.write:
         text = (
-            "# Do the stated deviations hold?\n\n"
-            f"Share of bands of {BAND} deviations that hold the truth, over {arguments.seeds} repetitions of "
-            f"{SECONDS:g} s with other noise (0.2 % of i_max): all points of the map within {100 * WITHIN:.0f} % of "
-            "the disc, the resistance, and the inverter's curve above a tenth of i_max. 95 % are wanted. Produced by "
+            "# Coverage of the standard errors\n\n"
+            f"Empirical coverage of nominal 95 % intervals (±{BAND} σ) over {arguments.seeds} repetitions of {SECONDS:g} s "
+            f"with different noise (0.2 % of i_max): all map points within {100 * WITHIN:.0f} % of the disc, the "
+            "resistance, and the inverter curve above a tenth of i_max. Produced by "
             f"`python benchmarks/uncertainty.py --seeds {arguments.seeds} --write`.\n\n"
         )
         DOCUMENT.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")

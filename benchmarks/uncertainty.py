@@ -2,8 +2,8 @@
 
     python benchmarks/uncertainty.py [--seeds 200] [--write]
 
-Prints the share of intervals of ±1.96 σ that contain the truth: of the fluxes at all map points with data within 97 % of
-the disc, of the resistance, and of the inverter curve. ``--write`` puts the table into docs/coverage.md.
+Prints the share of intervals of ±1.96 σ that contain the truth: of the fluxes at all map points with data within 97 %
+of the disc, of the resistance, and of the inverter curve. ``--write`` puts the table into docs/coverage.md.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def main() -> None:
         text = (
             "# Coverage of the standard errors\n\n"
             f"Empirical coverage of nominal 95 % intervals (±{BAND} σ) over {arguments.seeds} repetitions of "
-            f"{SECONDS:g} s with different noise (0.2 % of i_max): all map points within {100 * WITHIN:.0f} % of the disc, the "
-            "resistance, and the inverter curve above a tenth of i_max. Produced by "
+            f"{SECONDS:g} s with different noise (0.2 % of i_max): all map points within {100 * WITHIN:.0f} % of "
+            "the disc, the resistance, and the inverter curve above a tenth of i_max. Produced by "
             f"`python benchmarks/uncertainty.py --seeds {arguments.seeds} --write`.\n\n"
         )
         DOCUMENT.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")

@@ -252,16 +252,14 @@ def _fit_live(
         last_stamp=stamp,
         warnings=snapshot.report.warnings,
     )
-    result, draw = Result(identification, provenance, excerpts, last_stamp=stamp), _draw(settings)
+    result, draw = Result(identification, provenance, excerpts, last_stamp=stamp), _draw(settings, "Live samples")
     drawn = draw(result) if draw else {}
     write_results(output, identification, provenance, pictures=drawn)
     return _reply(result, output, snapshot.report)
 
 
-def _draw(settings: IdentificationSettings) -> Draw | None:
-    if not settings.picture:
-        return None
-    return partial(pictures, name="Live samples")
+def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
+    return partial(pictures, name=name) if settings.picture else None
 
 
 def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.bench.drive import Simulation
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
 from drive_id.types import FloatArray, GroundTruth
 
@@ -41,12 +41,12 @@ class Figures:
     mad_q: float
 
 
-def judge(found: Identification, truth: GroundTruth, unit: float) -> Figures:
+def judge(found: IdentifiedDrive, truth: GroundTruth, unit: float) -> Figures:
     """Compare with the truth.
 
     Parameters
     ----------
-    found : Identification
+    found : IdentifiedDrive
     truth : GroundTruth
     unit : float
         To which the curve's error is relative where the true curve is zero, V.
@@ -72,7 +72,7 @@ def normalized_curve(truth: GroundTruth, current: FloatArray) -> tuple[float, Fl
     return slope, np.asarray(true)
 
 
-def fitted(simulations: Sequence[Simulation], settings: FitSettings, unit: float) -> tuple[Identification, Figures]:
+def fitted(simulations: Sequence[Simulation], settings: FitSettings, unit: float) -> tuple[IdentifiedDrive, Figures]:
     """Fit recordings of one drive together and judge the fit on the MAD of the same recordings."""
     recordings = [simulation.samples for simulation in simulations]
     found = conclude(gather(recordings, settings), recordings)

@@ -22,7 +22,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.planning.planner import Candidate, Plan, plan
 from drive_id.core.planning.settings import PlanSettings
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import load_machine, rough_settings, run_experiment
 from drive_id.types import FloatArray, GroundTruth
@@ -57,7 +57,7 @@ def errors(machine: str, experiment: Candidate, noise: float, seed: int) -> Floa
     return 100 * np.array([*score(found, truth), resistance, curve_error(found, truth)])
 
 
-def curve_error(found: Identification, truth: GroundTruth) -> float:
+def curve_error(found: IdentifiedDrive, truth: GroundTruth) -> float:
     """Return the root mean square error of the inverter's curve over its height."""
     true = np.interp(found.inverter_current, truth.inverter_current, truth.inverter_voltage)
     return float(np.sqrt(np.mean((found.inverter_voltage - true) ** 2)) / np.abs(true).max())

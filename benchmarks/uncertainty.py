@@ -53,8 +53,8 @@ def scores(machine: str, settings: SimulationSettings, seed: int) -> tuple[np.nd
     slope, drop = normalized_curve(truth, current)
     resistance = np.array([(found.resistance - truth.resistance - slope) / found.sigma_resistance])
     large = np.abs(current) > 0.1 * truth.i_max
-    assert found.inverter_deviation is not None  # method full gives one
-    curve = (found.inverter_voltage - drop)[large] / found.inverter_deviation[large]
+    assert found.sigma_inverter_voltage is not None  # method full gives one
+    curve = (found.inverter_voltage - drop)[large] / found.sigma_inverter_voltage[large]
     return d, q, resistance, curve
 
 

@@ -17,7 +17,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identification import Identification as Drive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
 from drive_id.core.signals.pieces import common_truth
 from drive_id.errors import ConfigurationError
@@ -216,7 +216,7 @@ def fit_bags(
 
 
 def provenance_of(
-    drive: Drive,
+    drive: IdentifiedDrive,
     settings: FitSettings,
     *,
     excerpts: Sequence[Samples],
@@ -231,7 +231,7 @@ def provenance_of(
 
     Parameters
     ----------
-    drive : drive_id.core.result.identification.Identification
+    drive : drive_id.core.result.identification.IdentifiedDrive
     settings : FitSettings
     excerpts : sequence of Samples
         From which the range of speeds is taken.

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, HarmonicMap
-from drive_id.core.result.identification import Identification as Drive
+from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_results, write_results
 from drive_id.types import BoolArray, FloatArray, GroundTruth, MachineMap, Samples
@@ -58,7 +57,7 @@ class Identification:
 
     Parameters
     ----------
-    drive : drive_id.core.result.identification.Identification
+    drive : drive_id.core.result.identification.IdentifiedDrive
         The numbers.
     provenance : Provenance
         Inputs, settings, and what is known of the experiment besides.
@@ -70,7 +69,7 @@ class Identification:
         Of the last sample, ns; 0 when the result was loaded.
     """
 
-    drive: Drive
+    drive: IdentifiedDrive
     provenance: Provenance
     excerpts: tuple[Samples, ...] = ()
     truth: GroundTruth | None = None
@@ -111,7 +110,7 @@ class Identification:
         """Drop of an inverter phase over its current."""
         drive = self.drive
         return InverterCurve(
-            drive.inverter_current, drive.inverter_voltage, drive.inverter_deviation, drive.phase_voltages
+            drive.inverter_current, drive.inverter_voltage, drive.sigma_inverter_voltage, drive.phase_voltages
         )
 
     @property

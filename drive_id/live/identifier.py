@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
@@ -20,8 +20,7 @@ from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.fit import Draw, fit_bags, provenance_of
-from drive_id.fitting.result import Identification as Result
-from drive_id.fitting.result import pictures
+from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Finding, Health, Level
 from drive_id.live.data_directory import existing_recording
@@ -44,7 +43,7 @@ class Reply:
         ``ok``, ``busy``, or that of the error.
     message : str
         A sentence.
-    identification : Identification or None
+    identification : IdentifiedDrive or None
         Unless there was an error.
     warnings : tuple of str
         About the samples and about the fit.
@@ -60,7 +59,7 @@ class Reply:
 
     code: str
     message: str
-    identification: Identification | None = None
+    identification: IdentifiedDrive | None = None
     warnings: tuple[str, ...] = ()
     machine: str = ""
     stamp: int = 0
@@ -209,7 +208,7 @@ def _fit_bags(
     return _reply(result, output)
 
 
-def _reply(result: Result, output: Path, samples: JoinReport | None = None) -> Reply:
+def _reply(result: Identification, output: Path, samples: JoinReport | None = None) -> Reply:
     drive, machine = result.drive, result.machine
     return Reply("ok", _sentence(drive), drive, result.warnings, machine, result.last_stamp, str(output), samples)
 
@@ -252,7 +251,8 @@ def _fit_live(
         last_stamp=stamp,
         warnings=snapshot.report.warnings,
     )
-    result, draw = Result(identification, provenance, excerpts, last_stamp=stamp), _draw(settings, "Live samples")
+    result = Identification(identification, provenance, excerpts, last_stamp=stamp)
+    draw = _draw(settings, "Live samples")
     drawn = draw(result) if draw else {}
     write_results(output, identification, provenance, pictures=drawn)
     return _reply(result, output, snapshot.report)
@@ -274,7 +274,7 @@ def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:
     return path
 
 
-def _sentence(identification: Identification) -> str:
+def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
     drop = f", voltage error {identification.voltage_error:.4g} V" if identification.method != "psm" else ""
     return (

@@ -9,7 +9,7 @@ from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
@@ -76,7 +76,7 @@ class Snapshot:
         """Return the excerpt of the trajectory, to be simulated for the MAD and to be drawn."""
         return self.gathered.excerpt.samples()
 
-    def identify(self) -> Identification:
+    def identify(self) -> IdentifiedDrive:
         """Fit; call it once.
 
         Raises

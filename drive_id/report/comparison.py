@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from drive_id.core.result.identification import FluxMap, Identification
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.core.validation.metrics import true_flux
 from drive_id.report.panels import CURRENT, PSI, add_colour_bar, levels
 from drive_id.types import FloatArray, GroundTruth
 
 
 def draw_comparison(
-    joint: Identification,
-    psm: Identification,
+    joint: IdentifiedDrive,
+    psm: IdentifiedDrive,
     truth: GroundTruth,
     component: str,
-    full: Identification | None = None,
+    full: IdentifiedDrive | None = None,
 ) -> Figure:
     """Draw one flux as the paper's figures do: with (a) and without (b) the inverter, and below their errors.
 
     Parameters
     ----------
-    joint, psm : Identification
+    joint, psm : IdentifiedDrive
     truth : GroundTruth
     component : str
         ``d`` or ``q``.
-    full : Identification, optional
+    full : IdentifiedDrive, optional
         By method ``full``, drawn as (c).
     """
     pairs = [("(a) joint identification", joint), ("(b) without modelling the inverter", psm)]
@@ -61,7 +61,7 @@ def _masked(flux_map: FluxMap, i_max: float, component: str) -> FloatArray:
     return np.where(inside, values, np.nan)
 
 
-def _error(identification: Identification, truth: GroundTruth, component: str) -> FloatArray:
+def _error(identification: IdentifiedDrive, truth: GroundTruth, component: str) -> FloatArray:
     flux_map = identification.flux_map
     grid = flux_map.grid()
     values = _masked(flux_map, identification.i_max, component)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.validation.residuals import Flux, Residual, over_angle, residual_voltage
 from drive_id.report.panels import (
     COLOURS,
@@ -35,12 +35,12 @@ _Z = 1.96
 """Standard errors on either side of a 95 % band."""
 
 
-def draw_diagnostics(identification: Identification, samples: Sequence[Samples]) -> Figure:
+def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Figure:
     """Draw what a result may be judged by.
 
     Parameters
     ----------
-    identification : Identification
+    identification : IdentifiedDrive
     samples : sequence of Samples
         Excerpts of the recording, for the residual voltage.
     """
@@ -53,7 +53,7 @@ def draw_diagnostics(identification: Identification, samples: Sequence[Samples])
     return figure
 
 
-def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth | None = None) -> None:
+def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTruth | None = None) -> None:
     """Draw the drop of one phase over its current, with its 95 % band where known, and the truth of a simulation."""
     current, voltage = identification.inverter_current, identification.inverter_voltage
     name(axes, "Inverter voltage drop of one phase", "phase current / A", "drop / V")
@@ -63,7 +63,7 @@ def draw_inverter(axes: Axes, identification: Identification, truth: GroundTruth
         axes.set_yticks([])
         _say(axes, "not modelled by method psm")
         return
-    sigma = identification.inverter_deviation
+    sigma = identification.sigma_inverter_voltage
     if sigma is None:
         height, sigma_height = identification.voltage_error, identification.sigma_voltage_error
         sigma = np.abs(voltage / height) * sigma_height if height and np.isfinite(sigma_height) else None
@@ -166,7 +166,7 @@ def _draw_section(axes: Axes, section: Section, component: str, label: str) -> N
         axes.fill_between(current, line - band, line + band, color=_COLOUR[component], alpha=0.25, linewidth=0)
 
 
-def _draw_residual(axes: Axes, identification: Identification, samples: Sequence[Samples]) -> None:
+def _draw_residual(axes: Axes, identification: IdentifiedDrive, samples: Sequence[Samples]) -> None:
     """Draw mean and rms of the voltage that the model leaves, over the electrical angle."""
     name(axes, "Residual voltage over the rotor position", "electrical angle / °", "residual / V")
     axes.set(xlim=(0, 360), xticks=range(0, 361, 60))
@@ -196,7 +196,7 @@ def _draw_residual(axes: Axes, identification: Identification, samples: Sequence
     axes.legend(fontsize=SMALL, loc="upper right", frameon=False, ncols=4)
 
 
-def _residual(identification: Identification, samples: Sequence[Samples]) -> Residual:
+def _residual(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Residual:
     """Return the residual voltage of all samples, the sensor faults that were found corrected."""
     drop = identification.phase_voltages
     curve = (identification.inverter_current, identification.inverter_voltage if drop is None else drop)
@@ -209,7 +209,7 @@ def _residual(identification: Identification, samples: Sequence[Samples]) -> Res
     return Residual(*(np.concatenate(arrays) for arrays in zip(empty, *found, strict=True)))
 
 
-def _flux(identification: Identification) -> Flux:
+def _flux(identification: IdentifiedDrive) -> Flux:
     """Return the identified flux over current and angle, rotor-position harmonics included."""
     disc = Disc(identification.flux_map, identification.i_max)
 

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drive_id.core import frames
-from drive_id.core.result.identification import FluxMap, Identification
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.report.diagnostics import draw_diagnostics, draw_inverter
 from drive_id.report.panels import NORMAL, Disc, add_key, draw_flux, place
 from drive_id.types import FloatArray, GroundTruth, Samples
@@ -60,7 +60,7 @@ class Caption:
     pole_pairs: int | None = None
 
     @classmethod
-    def of(cls, identification: Identification, samples: Sequence[Samples], machine: str = "") -> Caption:
+    def of(cls, identification: IdentifiedDrive, samples: Sequence[Samples], machine: str = "") -> Caption:
         """Gather the entries from a result and excerpts of its samples."""
         found = [np.quantile(part.speed, (0.001, 0.999)) for part in samples]
         stamp = int(samples[0].stamp[0]) if samples else 0
@@ -94,7 +94,7 @@ class Caption:
 
 
 def result_pictures(
-    identification: Identification,
+    identification: IdentifiedDrive,
     samples: Sequence[Samples],
     caption: Caption | str = "",
     *,
@@ -104,7 +104,7 @@ def result_pictures(
 
     Parameters
     ----------
-    identification : Identification
+    identification : IdentifiedDrive
     samples : sequence of Samples
         Excerpts of the recording: their trajectory is drawn over the maps, their voltage residual over the angle.
     caption : Caption or str
@@ -151,7 +151,9 @@ def draw_flux_maps(
     return figure
 
 
-def draw_result(identification: Identification, samples: Sequence[Samples], truth: GroundTruth | None = None) -> Figure:
+def draw_result(
+    identification: IdentifiedDrive, samples: Sequence[Samples], truth: GroundTruth | None = None
+) -> Figure:
     """Draw both fluxes, the trajectory and the inverter's curve, beside the true one of a simulation, in one figure."""
     figure = Figure(figsize=(10.4, 3.55))
     disc, i_dq = Disc(identification.flux_map, identification.i_max), trajectory(samples)

@@ -18,7 +18,7 @@ from drive_id.bench.machine import default_amplitude
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
 from drive_id.files.results.folder import check_output, replace_folder
 from drive_id.fitting.simulated import run_experiment
@@ -201,7 +201,7 @@ def _bench(name: str) -> SimulationSettings:
     )
 
 
-def _row(experiment: str, machine: str, identification: Identification, simulation: Simulation) -> Row:
+def _row(experiment: str, machine: str, identification: IdentifiedDrive, simulation: Simulation) -> Row:
     report = identification.report
     nrmse_d, nrmse_q = score(identification, simulation.truth)
     return Row(
@@ -210,14 +210,14 @@ def _row(experiment: str, machine: str, identification: Identification, simulati
     )  # fmt: skip
 
 
-def _difference(first: Identification, second: Identification) -> float:
+def _difference(first: IdentifiedDrive, second: IdentifiedDrive) -> float:
     inside = first.flux_map.inside
     one = np.stack([first.flux_map.psi_d[inside], first.flux_map.psi_q[inside]])
     other = np.stack([second.flux_map.psi_d[inside], second.flux_map.psi_q[inside]])
     return float(np.abs(one - other).max() / np.abs(other).max())
 
 
-def _draw(fits: Mapping[str, Identification], simulation: Simulation) -> dict[str, bytes]:
+def _draw(fits: Mapping[str, IdentifiedDrive], simulation: Simulation) -> dict[str, bytes]:
     from drive_id.report.comparison import draw_comparison  # noqa: PLC0415  # matplotlib is slow to import
     from drive_id.report.plots import draw_result, rendered  # noqa: PLC0415
 

@@ -312,7 +312,7 @@ def test_the_settings_of_matplotlib_stay_as_they_are(drive):
 
 def test_the_inverter_curve_has_its_band(drive):
     sigma = np.linspace(0.0, 0.1, len(drive.inverter_current))
-    figure = draw_diagnostics(replace(drive, inverter_deviation=sigma), [])
+    figure = draw_diagnostics(replace(drive, sigma_inverter_voltage=sigma), [])
     axes = panel(figure, "Inverter")
     (band,) = axes.collections
     top = band.get_datalim(axes.transData).y1

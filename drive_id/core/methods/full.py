@@ -103,7 +103,7 @@ class FullMethod:
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
             outlying_time=fit.outlying_time if outlying else None,
             warnings=(*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found)),
-            inverter_deviation=deviation,
+            sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),

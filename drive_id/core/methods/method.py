@@ -111,8 +111,8 @@ class Estimate:
         Where samples stand out from all others, in time of data, s.
     warnings : tuple of str
         Of this method only.
-    inverter_deviation, phase_voltages, harmonics, calibrations, magnet_coefficient, statements
-        See ``Identification``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
+    sigma_inverter_voltage, phase_voltages, harmonics, calibrations, magnet_coefficient, statements
+        See ``IdentifiedDrive``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
     """
 
     resistance: float
@@ -137,7 +137,7 @@ class Estimate:
     unexplained: float
     outlying_time: float | None
     warnings: tuple[str, ...]
-    inverter_deviation: FloatArray | None = None
+    sigma_inverter_voltage: FloatArray | None = None
     phase_voltages: FloatArray | None = None
     harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
     calibrations: tuple[Calibration, ...] = ()

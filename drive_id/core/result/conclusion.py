@@ -12,7 +12,7 @@ from drive_id.core.checks.radius import check_radius
 from drive_id.core.methods.method import Estimate
 from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
-from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, Identification
+from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.warnings import review
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
@@ -20,7 +20,7 @@ from drive_id.errors import DataError
 from drive_id.types import Samples
 
 
-def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identification:
+def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDrive:
     """Estimate by the method of the settings, simulate the currents, and judge the result.
 
     Parameters
@@ -32,7 +32,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
 
     Returns
     -------
-    Identification
+    IdentifiedDrive
 
     Raises
     ------
@@ -73,7 +73,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
         coverage=coverage,
         warnings=review(evidence, coverage, estimate, flux_map, mad if validation else (0.0, 0.0)),
     )
-    return Identification(
+    return IdentifiedDrive(
         method=evidence.settings.method,
         i_max=evidence.i_max,
         resistance=estimate.resistance,
@@ -86,7 +86,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> Identificatio
         gamma=estimate.gamma,
         flux_map=flux_map,
         report=report,
-        inverter_deviation=estimate.inverter_deviation,
+        sigma_inverter_voltage=estimate.sigma_inverter_voltage,
         phase_voltages=estimate.phase_voltages,
         harmonics=tuple(HarmonicMap(h, a[..., 0], b[..., 0], a[..., 1], b[..., 1]) for h, a, b in estimate.harmonics),
         calibrations=estimate.calibrations,

@@ -268,7 +268,7 @@ class FitReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class IdentifiedDrive:
     """An identified drive: the numbers, without their origin.
 
     Parameters
@@ -289,7 +289,7 @@ class Identification:
         With ``gamma``, the flux map as the function that was fitted; None when the result was read from files.
     gamma : (P,) float or None
         Coefficients, Wb.
-    inverter_deviation : (C,) float or None
+    sigma_inverter_voltage : (C,) float or None
         Standard error of ``inverter_voltage``, V; method ``full``.
     phase_voltages : (C, 3) float or None
         The identified drop of each phase, V, when each has a curve of its own.
@@ -315,7 +315,7 @@ class Identification:
     report: FitReport
     model: FluxModel | None = None
     gamma: FloatArray | None = None
-    inverter_deviation: FloatArray | None = None
+    sigma_inverter_voltage: FloatArray | None = None
     phase_voltages: FloatArray | None = None
     harmonics: tuple[HarmonicMap, ...] = ()
     calibrations: tuple[Calibration, ...] = ()

@@ -13,7 +13,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identification import Identification
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.validation.metrics import nrmse, true_flux
 from drive_id.errors import DataError
 from drive_id.types import GroundTruth, Progress, Samples, silent
@@ -21,7 +21,7 @@ from drive_id.types import GroundTruth, Progress, Samples, silent
 
 def identify(
     recordings: Sequence[Samples], settings: FitSettings | None = None, tell: Progress = silent
-) -> Identification:
+) -> IdentifiedDrive:
     """Identify flux maps, resistance and inverter voltage error jointly from one or several recordings.
 
     Parameters
@@ -33,7 +33,7 @@ def identify(
 
     Returns
     -------
-    Identification
+    IdentifiedDrive
 
     Raises
     ------
@@ -65,7 +65,7 @@ def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress 
     return evidence
 
 
-def score(identification: Identification, truth: GroundTruth) -> tuple[float, float]:
+def score(identification: IdentifiedDrive, truth: GroundTruth) -> tuple[float, float]:
     """Return the NRMSE of psi_d and psi_q at the map's points with data within the true disc, dimensionless."""
     flux_map = identification.flux_map
     grid = flux_map.grid()

@@ -22,7 +22,7 @@ import numpy as np
 
 import drive_id
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, Identification
+from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
@@ -86,7 +86,7 @@ class Provenance:
 
 def write_results(
     directory: Path,
-    identification: Identification,
+    identification: IdentifiedDrive,
     provenance: Provenance,
     *,
     force: bool = False,
@@ -98,7 +98,7 @@ def write_results(
     ----------
     directory : Path
         See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
-    identification : Identification
+    identification : IdentifiedDrive
     provenance : Provenance
     force : bool
         Write into a folder that holds other files.
@@ -118,12 +118,12 @@ def write_results(
     replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
 
 
-def read_results(directory: Path) -> tuple[Identification, Provenance]:
+def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     """Read the result folder of a fit.
 
     Returns
     -------
-    identification : Identification
+    identification : IdentifiedDrive
         Without ``model`` and ``gamma``: the map is the stored grid. All warnings are in the provenance.
     provenance : Provenance
 
@@ -157,7 +157,7 @@ def read_results(directory: Path) -> tuple[Identification, Provenance]:
         ) from error
 
 
-def results_tree(identification: Identification, provenance: Provenance) -> dict[str, Any]:
+def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dict[str, Any]:
     """Return the content of ``identification.json``; numbers that are not finite become null."""
     report, known = identification.report, provenance
     nrmse_d, nrmse_q = known.nrmse or (None, None)
@@ -195,7 +195,7 @@ def results_tree(identification: Identification, provenance: Provenance) -> dict
     return finite
 
 
-def _flux_map(identification: Identification, provenance: Provenance) -> bytes:
+def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
     known = provenance
     scalars = {
         "resistance": identification.resistance,
@@ -216,7 +216,7 @@ def _flux_map(identification: Identification, provenance: Provenance) -> bytes:
     return _npz(arrays | scalars | texts)
 
 
-def _harmonics(identification: Identification) -> bytes:
+def _harmonics(identification: IdentifiedDrive) -> bytes:
     """Return an npz of the harmonics: ``order`` (H,), the axes, and amplitudes (H, D, Q), Wb."""
     found = identification.harmonics
     arrays = {name: np.array([getattr(harmonic, name) for harmonic in found]) for name in _AMPLITUDES}
@@ -230,8 +230,8 @@ def _npz(arrays: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def _curve(identification: Identification) -> dict[str, Any]:
-    sigma, phases = identification.inverter_deviation, identification.phase_voltages
+def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
+    sigma, phases = identification.sigma_inverter_voltage, identification.phase_voltages
     return {
         "convention": "voltage drop of one phase, positive for positive current",
         "current": identification.inverter_current.tolist(),
@@ -263,7 +263,7 @@ def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ..
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
 
 
-def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...]) -> Identification:
+def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...]) -> IdentifiedDrive:
     from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
 
     curve, metrics = tree["inverter_curve"], tree["metrics"]
@@ -276,7 +276,7 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
         for entry in fields(FitReport)
         if entry.name != "warnings"
     }
-    return Identification(
+    return IdentifiedDrive(
         method=str(tree["method"]),
         i_max=float(tree["i_max"]),
         resistance=float(tree["resistance"]),
@@ -287,7 +287,7 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
         inverter_voltage=np.array(curve["voltage"], np.float64),
         flux_map=flux_map,
         report=FitReport(**report, warnings=()),
-        inverter_deviation=_array(curve.get("sigma_voltage")),
+        sigma_inverter_voltage=_array(curve.get("sigma_voltage")),
         phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
         harmonics=harmonics,
         calibrations=tuple(

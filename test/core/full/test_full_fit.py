@@ -71,7 +71,7 @@ def test_it_finds_the_truth_and_says_how_well(result):
     assert np.all(errors(result) < 1e-3)
     assert abs(result.resistance - 0.02) < 4 * result.sigma_resistance < 4e-4
     np.testing.assert_allclose(result.inverter_voltage[-20:], 4.0, rtol=0.02)
-    assert np.all(result.inverter_deviation[-20:] < 0.1)
+    assert np.all(result.sigma_inverter_voltage[-20:] < 0.1)
     assert result.harmonics == ()
     assert result.report.warnings == ()
     assert all(sentence.endswith(".") for sentence in result.statements)

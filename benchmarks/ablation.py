@@ -59,8 +59,8 @@ def model() -> Iterator[str]:
     """Leave parts of the model out."""
     yield from head(
         "The model",
-        "The `ipm` at 500 rpm with a dead-time inverter, harmonics 6 and 12 and 0.2 % noise; each row is one change of "
-        "the first one, at the same penalty.",
+        "The `ipm` at 500 rpm with a dead-time inverter, harmonics 6 and 12 and 0.2 % noise; each row is a single "
+        "change from the first row, at the same penalty.",
         "Change",
     )
     data = Accumulation(drive("ipm", NOISY))
@@ -70,7 +70,7 @@ def model() -> Iterator[str]:
         "none: reciprocal maps, harmonics 6 and 12, curve of 8 shapes": INGREDIENTS,
         "no rotor harmonics": replace(INGREDIENTS, orders=()),
         "harmonic 6 alone": replace(INGREDIENTS, orders=(6,)),
-        f"all candidates, {every[0]} to {every[-1]}, whether they are there or not": replace(INGREDIENTS, orders=every),
+        f"all candidates, {every[0]} to {every[-1]}, present or not": replace(INGREDIENTS, orders=every),
         "no inverter": replace(INGREDIENTS, inverter=False),
         "no inverter, no rotor harmonics, free maps: the windows alone": ModelSpec(
             False, (), inverter=False, penalty=1e-3
@@ -94,8 +94,8 @@ def windows() -> Iterator[str]:
         simulation = drive("ipm", at(speed))
         yield from head(
             f"The windows, {speed:g} rpm",
-            "The drive above; angles at a mean distance of 0.8 ms, distances with an angle of 60 degrees. No window is "
-            "longer than 0.1 s, which at 100 rpm is 240 degrees.",
+            "The drive above; the angle is varied at a mean stride of 0.8 ms, the stride at an angle of 60 degrees. No "
+            "window is longer than 0.1 s, which at 100 rpm is 240 degrees.",
             "Windows",
         )
         for angle in ANGLES:
@@ -114,7 +114,7 @@ def splines() -> Iterator[str]:
         yield from head(
             f"The splines, {machine}",
             "At 500 rpm with dead time, harmonics and 0.2 % noise; bent cells are narrower at zero current. The "
-            "penalty is the best of those that are tried.",
+            "penalty is the best of those tried.",
             "Cells",
         )
         for cells in (8, 12, 16, 20):
@@ -161,9 +161,9 @@ def instruments_section() -> Iterator[str]:
         simulation = drive("ipm", at(speed, current_noise=noise))
         yield from head(
             f"Instruments, {speed:g} rpm, {100 * noise:g} % noise",
-            "Z'Z x = Z'y with the measured currents, against Z'X x = Z'y with instruments Z that the noise does not "
-            "enter; same unknowns, same penalty. In the last row the regressor itself has the true currents. The delay "
-            "of the voltages, truly 0, is found by a fit of its own.",
+            "Z'Z x = Z'y with the measured currents, compared with Z'X x = Z'y with instruments Z free of that noise; "
+            "same unknowns, same penalty. In the last row the regressor itself is built from the true currents. The "
+            "voltage delay (true value 0) is estimated in a separate fit.",
             "Estimator",
             "Delay",
         )
@@ -177,8 +177,8 @@ def dilution() -> Iterator[str]:
     yield from head(
         "What noise takes",
         f"Mean and scatter of the maps' errors over {REPETITIONS} experiments of {SECONDS:g} s that differ in their "
-        f"noise, root mean square within {100 * WITHIN:g} % of the disc: what noise in the currents takes from the map "
-        "is the same each time. The drives are those of [coverage.md](coverage.md), the penalty is that of the model "
+        f"noise, root mean square within {100 * WITHIN:g} % of the disc: the attenuation by current noise is the same "
+        "in each experiment. The drives are those of [coverage.md](coverage.md), the penalty is that of the model "
         "above.",
         "Drive",
         columns=("psi_d, mean", "psi_d, scatter", "psi_q, mean", "psi_q, scatter"),
@@ -194,7 +194,7 @@ def dilution() -> Iterator[str]:
         errors = (fluxes - true_psi[inner]) / largest
         mean = np.sqrt(np.mean(errors.mean(axis=0) ** 2, axis=1))
         scatter = np.sqrt(np.mean(errors.var(axis=0, ddof=1), axis=1))
-        for kind, word in enumerate(("left as it is", "given back")):
+        for kind, word in enumerate(("not corrected", "corrected")):
             values = [percent(x) for flux in range(2) for x in (mean[kind, flux], scatter[kind, flux])]
             yield f"| {name}: {word} | {' | '.join(values)} |"
     yield ""

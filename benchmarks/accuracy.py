@@ -86,7 +86,7 @@ def blocks() -> dict[str, Block]:
         "speeds": Block(
             "Speeds and directions",
             "The `ipm` with its harmonics of order 6 and 12, a dead-time inverter and 0.2 % noise; at 3000 rpm the "
-            "resistance takes 3 % of the voltage at most, and may be 5 % off.",
+            "resistive drop is at most 3 % of the voltage, and the goal for R is 5 %.",
             tuple(
                 Case(f"ipm, {speed:g} rpm", "ipm", (at(speed),), Goal(resistance=0.05 if speed > 700 else 0.01))
                 for speed in (100.0, 500.0, 1500.0, 3000.0, -700.0)
@@ -99,9 +99,9 @@ def blocks() -> dict[str, Block]:
         ),
         "inverters": Block(
             "Other inverters",
-            "The `ipm` at 500 rpm; where there seems to be no inverter, the curve's error is relative to 1 % of the DC "
-            "link. The last one has neither noise nor harmonics, so its MAD need not be less than that of `joint`: "
-            "what is left is the compensation, by currents that are old when it acts, which is fitted, but not "
+            "The `ipm` at 500 rpm; without an inverter or with a compensated one, the curve error is relative to 1 % "
+            "of the DC link. The last drive has neither noise nor harmonics, so its MAD need not be less than that of "
+            "`joint`: the remaining error comes from compensation with outdated currents, which is fitted, but not "
             "simulated.",
             (
                 Case("ipm, tanh", "ipm", (replace(NOISY, inverter="tanh"),)),
@@ -192,8 +192,9 @@ def prediction() -> Iterator[str]:
     yield "## Prediction"
     yield ""
     yield (
-        f"Fitted to 5 s at {PREDICTED_FROM[0]:g} and 5 s at {PREDICTED_FROM[1]:g} rpm (the first block's drive), the "
-        "current of recordings at other speeds is simulated open loop over 5 s from their voltages and angles alone. "
+        f"Fitted to 5 s at {PREDICTED_FROM[0]:g} and 5 s at {PREDICTED_FROM[1]:g} rpm (the drive of the first table). "
+        "The currents of recordings at other speeds are simulated in open loop over 5 s, from their voltages and "
+        "angles alone. "
         f"The noise of the measured currents accounts for {_noise(machine.i_max):.2f} A."
     )
     yield ""
@@ -219,14 +220,14 @@ def page(wanted: list[str], folder: Path | None) -> Iterator[str]:
         "# Accuracy",
         "",
         f"Written by `{command}`. Each drive is simulated for 10 s at 10 kHz along the",
-        "paper's trajectory and fitted by both methods with their defaults. Errors of the fluxes are NRMSE over the",
-        "map's points with data within the disc. A linear part of the inverter's curve is resistance: the slope r to",
-        "which the true curve tends at large currents is taken from it and added to the true R. The curve's error is",
-        "its root mean square over all currents, relative to the largest true value. MAD is that of the current",
-        "simulated open loop over the whole recording.",
+        "paper's trajectory and fitted by both methods with default settings. Flux errors are NRMSE over the map",
+        "points with data within the disc. A linear part of the inverter curve counts as resistance: the slope r",
+        "of the true curve at large currents is subtracted from the curve and added to the true R. The curve",
+        "error is the root mean square over all currents, relative to the largest true value. MAD is that of the",
+        "current simulated in open loop over the whole recording.",
         "",
         "Goals for `full`: fluxes 0.1 %, R 1 % (0.5 % from several speeds), curve 2 %, MAD a third of that of",
-        "`joint`, unless said otherwise; what misses its goal, or is worse than `joint`, is **bold**.",
+        "`joint`, unless stated otherwise; values that miss the goal, or are worse than `joint`, are **bold**.",
         "",
     )
     available = blocks() | ({"files": files(folder)} if folder else {})

@@ -83,8 +83,8 @@ def write(path: Path, data: Sequence[str], sections: Sequence[Section], command:
     lines = [
         "# Performance",
         "",
-        f"Written by `{command}`; all ratios are of one run on one machine. Both sides of a ratio run in turns, and",
-        "the best of several runs counts. Where other work shares the machine, the ratio of CPU times is fairer.",
+        f"Written by `{command}`; all ratios are from one run on one machine. Both sides of a ratio run alternately,",
+        "and the best of several runs counts. On a shared machine, the ratio of CPU times is more reliable.",
         "",
         *data,
     ]

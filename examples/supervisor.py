@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Run one experiment as supervisory software would: by the services of the nodes, and nothing else.
+"""Run one experiment as supervisory software would: only through the services of the nodes.
 
-Needs the nodes ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (here ``bench_simulator``)
+Requires the nodes ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (here ``bench_simulator``)
 that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows ``current_reference``::
 
-    wait until all nodes are ready and the drive is heard
+    wait until all nodes are ready and the drive publishes
     recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
-    identification/identify with the live samples, and with the recording
+    identification/identify from the live samples and from the recording
 
 All names are relative: ``--ros-args -r __ns:=/drive_1`` selects the nodes of a namespace. ``--truth`` names the file
-that ``bench_simulator`` wrote; the true values then stand beside the results.
+written by ``bench_simulator``; the true values are then shown next to the results.
 """
 
 from __future__ import annotations

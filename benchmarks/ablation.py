@@ -25,7 +25,7 @@ from drive_id.bench.drive import Simulation
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.model import PENALTIES, SENSOR_ORDERS, ModelSpec
-from drive_id.core.full.solver import Solver, correct_attenuation, thinned
+from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.result.conclusion import conclude
 from drive_id.fitting.simulated import load_machine, run_experiment
 from drive_id.types import FloatArray
@@ -208,8 +208,8 @@ def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
     """Return the fluxes (2, N, 2) at currents (N, 2), Wb, without and with what noise takes."""
     solver = Solver(data.model, data.information.folds, data.information.counts)
     solution = solver.solve(INGREDIENTS)
-    visited = np.concatenate([windows.i_dq[:, 0] for windows in data.information.kept()])
-    given_back, _ = correct_attenuation(solver, solution, thinned(visited))
+    noise = CurrentNoise.met(data.evidence.noise_variance, data.information.kept())
+    given_back, _ = correct_attenuation(solver, solution, noise)
     rows, columns = data.model.flux.rows(i_dq), data.model.map
     return np.stack([rows.dot(each.estimate[columns]) for each in (solution, given_back)])
 

@@ -13,7 +13,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.model import ModelSpec
-from drive_id.core.full.solver import Solver, noise_products
+from drive_id.core.full.solver import CurrentNoise, Solver, noise_products
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
@@ -227,8 +227,9 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     solver = Solver(once.model, once.folds, once.counts)
     solution = solver.solve(choice)
     delay, _, squares = solver.delay(solution)
-    noise = noise_products(solver, solution, np.concatenate([part.i_dq[:, 0] for part in once.kept()])[::7], squares)
-    foreseen = solver.delay(solver.solve(choice, noise))[0] - delay
+    variance = 2 / 3 * (settings.current_noise * machine.i_max) ** 2
+    products = noise_products(solver, solution, CurrentNoise.met(variance, once.kept()), squares)
+    foreseen = solver.delay(solver.solve(choice, products))[0] - delay
     solver = Solver(twice.model, twice.folds, twice.counts)
     assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)
     assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)

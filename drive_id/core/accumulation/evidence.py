@@ -243,14 +243,20 @@ class Evidence:
         return float(np.sqrt(self._turn_square / max(self.samples, 1)))
 
     @property
+    def noise_variance(self) -> float:
+        """Variance of white noise in i_d and i_q each, from second differences, A^2."""
+        return self._bend_square / max(self._bends, 1) / 6
+
+    @property
     def noise_share(self) -> float:
         """Energy that noise adds to the differences of a basis function, per energy of its rotation.
 
-        Noise of standard deviation sigma in i_dq, estimated from second differences, changes a function by about
+        Noise of standard deviation sigma in i_dq changes a function by about
         sigma / h from sample to sample, h being the width of a cell; rotation contributes omega T times the function.
         """
-        variance = self._bend_square / max(self._bends, 1) / 6
-        return float(2 * variance / max(self.turn * min(self.d.width, self.q.width), np.finfo(np.float64).tiny) ** 2)
+        return float(
+            2 * self.noise_variance / max(self.turn * min(self.d.width, self.q.width), np.finfo(np.float64).tiny) ** 2
+        )
 
     def inside(self) -> BoolArray:
         """Tell where on the grid of the visits data support a map of this resolution."""

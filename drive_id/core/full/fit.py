@@ -13,7 +13,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, select
-from drive_id.core.full.solver import FullSolution, Solver, correct_attenuation, thinned
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
@@ -84,6 +84,11 @@ class FullFit:
         """Mean square of the integrated voltages, (Vs)^2."""
         return self.selection.solver.total_voltage
 
+    def met(self, effect: str, column: int) -> bool:
+        """Tell whether the data have any of a column of an effect."""
+        at = self.model.effect(effect).start + column
+        return bool(self.selection.solver.total[at, at] > 0)
+
     def sigma(self, form: FloatArray) -> float:
         """Return the standard error of a linear function (size,) of the estimate."""
         return float(sigma(form @ self.changes))
@@ -122,7 +127,7 @@ def sigma(changes: FloatArray) -> FloatArray:
 
 
 @one_blas_thread(with_scipy=True)
-def fit_full(sums: WindowSums, settings: FitSettings, turn: float) -> FullFit:
+def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: float) -> FullFit:
     """Select a model and fit it.
 
     Parameters
@@ -132,11 +137,13 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float) -> FullFit:
     settings : FitSettings
     turn : float
         Angle turned per sample, rms, rad.
+    variance : float
+        Of white noise in i_d and i_q each, A^2.
     """
-    sums, selection = select(sums, settings, turn)
+    noise = CurrentNoise.met(variance, sums.kept())
+    sums, selection = select(sums, settings, turn, noise)
     kept, solver = sums.kept(), selection.solver
-    i_dq = np.concatenate([windows.i_dq[:, 0] for windows in kept])
-    solution, bias_bound = correct_attenuation(solver, selection.solution, thinned(i_dq))
+    solution, bias_bound = correct_attenuation(solver, selection.solution, noise)
     if settings.passive_maps:
         solution = enforce_passivity(solver, solution)
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.full.windows import LAGS, SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
@@ -41,6 +41,39 @@ MAGNET = SHIFT.stop
 COPPER = 3.93e-3
 """Temperature coefficient of the winding's resistance at 20 degrees Celsius, 1/K."""
 
+MOST_RUNS, MOST_RECORDINGS = 4, 8
+"""Runs whose mechanical angle is followed, and recordings with a temperature of their own."""
+
+
+def _layout(widths: dict[str, int]) -> dict[str, slice]:
+    ends = np.cumsum(list(widths.values())).tolist()
+    return {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
+
+
+EFFECTS = _layout(
+    {
+        "iron_loss": 1,
+        "hysteresis": 1,
+        "current_latency": 1,
+        "angle_latency": 1,
+        "flux_lag": 1,
+        **{f"flux_lag_{1e3 * lag:g}ms": 1 for lag in LAGS},
+        "copper_heating": 1,
+        "magnet_heating": 2,
+        "copper_recordings": MOST_RECORDINGS - 1,
+        "magnet_recordings": 2 * (MOST_RECORDINGS - 1),
+        "eccentricity": 2 * MOST_RUNS,
+        "resolver_first": 2,
+        "resolver_second": 2,
+        "dc_link": 1,
+        "phase_resistance": 2,
+        "voltage_gains": 2,
+    }
+)
+"""Effects beside the model that a fit tries, and their columns relative to the first one."""
+
+EFFECT_COLUMNS = max(columns.stop for columns in EFFECTS.values())
+
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Candidate weights of the map's roughness, relative to the mean diagonal of Z'Z over the map."""
 
@@ -49,6 +82,10 @@ _HARMONIC_RIDGE = 0.1
 repeats in step with the rotor, so that harmonics and map cannot be separated, the map gets the flux."""
 
 _DROP_RIDGE = 1e-7
+_FEW = 64
+"""Windows whose products are formed at once: fewer windows touch fewer columns."""
+_EFFECT_RIDGE = 1e-9
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +138,19 @@ class FullModel:
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
 
     @property
+    def effects(self) -> slice:
+        """Columns of the effects that depend on the map, see :mod:`drive_id.core.full.effects`."""
+        return slice(self.lags.stop, self.lags.stop + EFFECT_COLUMNS)
+
+    def effect(self, name: str) -> slice:
+        """Columns of one effect."""
+        own = EFFECTS[name]
+        return slice(self.effects.start + own.start, self.effects.start + own.stop)
+
+    @property
     def map(self) -> slice:
         """Columns of the flux map."""
-        return slice(self.lags.stop, self.lags.stop + self.flux.parameters)
+        return slice(self.effects.stop, self.effects.stop + self.flux.parameters)
 
     @property
     def all_orders(self) -> tuple[int, ...]:
@@ -145,6 +192,15 @@ class FullModel:
             add_end(column, value, turn, start, factor, out)
         return out
 
+    def effect_products(self, windows: Windows) -> FloatArray:
+        """Return Z'z (size, EFFECT_COLUMNS), z being the columns of the effects."""
+        out = np.zeros((self.size, EFFECT_COLUMNS))
+        for start in range(0, len(windows), _FEW):
+            rows = self.design(windows.part(slice(start, start + _FEW))).reshape(-1, self.size)
+            met = np.flatnonzero(rows.any(axis=0))
+            out[met] += rows[:, met].T @ rows[:, self.effects]
+        return out
+
     def design_times(self, windows: Windows, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
         """Return Z T (N, 2, M) for T (size, M) without forming Z; the rows of T of other ``orders`` are empty."""
         before = self.map.start
@@ -174,6 +230,8 @@ class FullModel:
         out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
         lag = windows.lag * windows.drop_scale[:, None]
         out[:, 0, self.lags], out[:, 1, self.lags] = lag.real, lag.imag
+        if windows.effects is not None:
+            out[:, 0, self.effects], out[:, 1, self.effects] = windows.effects.real, windows.effects.imag
         return out
 
     def _ends(
@@ -290,6 +348,8 @@ class ModelSpec:
         With a magnet flux that changes with temperature.
     lag : bool
         With the remainder of a compensation by the currents one sample earlier.
+    effects : tuple of str
+        Names in ``EFFECTS`` that are fitted.
     """
 
     reciprocal: bool
@@ -301,6 +361,7 @@ class ModelSpec:
     delay: float = 0.0
     magnet: bool = False
     lag: bool = False
+    effects: tuple[str, ...] = ()
 
 
 def delay_shares(delay: float) -> FloatArray:
@@ -337,6 +398,9 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         place(drops, model.drops.start)
     if spec.lag:
         place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)
+    for name in spec.effects:
+        columns = model.effect(name)
+        place(np.eye(columns.stop - columns.start), columns.start)
     gradient = model.flux.gradient
     place(gradient[:, 1:] if spec.reciprocal else sparse.eye_array(model.flux.parameters), model.map.start)
     for order in spec.orders:
@@ -354,6 +418,9 @@ def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr
     ridge = np.zeros(model.size)
     for columns in model.harmonics.values():
         ridge[columns] = _HARMONIC_RIDGE * unit
+    for name in EFFECTS:
+        columns = model.effect(name)
+        ridge[columns] = np.maximum(_EFFECT_RIDGE * diagonal[columns], _TINY)
     for inverter in (model.drops, model.lags):
         ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
     before, after = model.map.start, model.size - model.map.stop

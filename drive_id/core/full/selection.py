@@ -8,8 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.model import PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
-from drive_id.core.full.solver import FullSolution, Solver, noise_products, predictable, thinned
+from drive_id.core.full.effect_search import DELAY, EffectSearch, refined, search_effects
+from drive_id.core.full.model import (
+    EFFECTS,
+    MOST_RECORDINGS,
+    MOST_RUNS,
+    PENALTIES,
+    SENSOR_ORDERS,
+    FullModel,
+    ModelSpec,
+)
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.types import FloatArray
@@ -53,6 +62,8 @@ class Selection:
         Estimated delay of the voltages and its standard error, samples; NaN when not requested.
     advantage : float
         Share by which free maps reduce the squared error on data left out; negative when they increase it.
+    search : EffectSearch
+        What real drives do besides the model, as far as it was found.
     """
 
     solver: Solver
@@ -60,9 +71,10 @@ class Selection:
     delay: float
     sigma_delay: float
     advantage: float
+    search: EffectSearch
 
 
-def select(sums: WindowSums, settings: FitSettings, turn: float) -> tuple[WindowSums, Selection]:
+def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> tuple[WindowSums, Selection]:
     """Select and fit a variant of the model, see :func:`~drive_id.core.full.fit.fit_full`.
 
     Returns
@@ -70,43 +82,44 @@ def select(sums: WindowSums, settings: FitSettings, turn: float) -> tuple[Window
     WindowSums, Selection
         The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
-    selection = _select(sums, settings, turn)
+    selection, plain = _select(sums, settings, turn, noise), sums
     known = sums.model.all_orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
-        new = unexpected_orders(sums.model, selection.solution.estimate, sums.kept(), known, HIGHEST_ORDER)
+        found = selection.search.sums
+        new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known, HIGHEST_ORDER)
         new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
         if not new:
             break
         kept = tuple(order for order in selection.solution.spec.orders if order not in SENSOR_ORDERS)
-        sums = sums.with_orders((*kept, *new)[:MOST_ORDERS])
+        sums = plain.with_orders((*kept, *new)[:MOST_ORDERS])
         known = (*known, *new)
-        selection = _select(sums, settings, turn)
-    return sums, selection
+        selection = _select(sums, settings, turn, noise)
+    return selection.search.sums, selection
 
 
-def _select(sums: WindowSums, settings: FitSettings, turn: float) -> Selection:
+def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> Selection:
     """Select among the harmonics that the sums cover."""
     model = sums.model
-    solver = Solver(model, sums.folds, sums.counts)
     distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
     orders = tuple(order for order in model.all_orders if order in distinct)
     kept = sums.kept()
     heating = np.concatenate([windows.heating for windows in kept])
-    i_dq = thinned(np.concatenate([windows.i_dq[:, 0] for windows in kept]))
+    i_dq = noise.windows.i_dq[:, 0]
     spec = ModelSpec(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     spec = replace(spec, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
     if not settings.calibrate_delay:
         spec = replace(spec, delay=settings.voltage_delay)
-    first = _first_candidate(solver, spec, i_dq, settings, turn)
+    first = _first_candidate(sums, spec, noise, settings, turn)
+    search, solver = first.search, first.search.solver
     spec, advantage = first.spec, np.nan
     if settings.maps == "auto":
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
         advantage, clearly = _advantage(solver, free, first.error)
-        if clearly and _advantage_beyond_noise(solver, first, free, i_dq) > _CLEAR_GAIN:
+        if clearly and _advantage_beyond_noise(solver, first, free, noise) > _CLEAR_GAIN:
             everything = solver.solve(replace(free, orders=orders))
             significant = _significant_orders(model, everything, i_dq)
             spec = solver.best_penalty(replace(free, orders=significant))[0]
-    return Selection(solver, solver.solve(spec), first.delay, first.sigma_delay, advantage)
+    return Selection(solver, solver.solve(spec), first.delay, first.sigma_delay, advantage, search)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,24 +130,46 @@ class _Candidate:
     error: FloatArray
     delay: float
     sigma_delay: float
+    search: EffectSearch
 
 
 def _first_candidate(
-    solver: Solver, spec: ModelSpec, i_dq: FloatArray, settings: FitSettings, turn: float
+    sums: WindowSums, spec: ModelSpec, noise: CurrentNoise, settings: FitSettings, turn: float
 ) -> _Candidate:
-    """Detect an inverter compensation, then estimate the delay, then the harmonics, then the penalty."""
+    """Detect an inverter compensation, then further effects or a delay, then the harmonics, then the penalty."""
     delay, sigma_delay = np.nan, np.nan
+    solver = Solver(sums.model, sums.folds, sums.counts)
     solution = solver.solve(spec)
     if solver.saving(solution, solver.model.lags) > _CLEAR_GAIN:
         lagged = solver.solve(replace(spec, lag=True))
         if compensates(solver.model, lagged):
             spec, solution = lagged.spec, lagged
-    if settings.calibrate_delay and spec.reciprocal:
-        delay, sigma_delay = _delay(solver, solution, i_dq)
+    with_delay = settings.calibrate_delay and spec.reciprocal
+    allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
+    search = search_effects(sums, solution, allowed, delay=with_delay, pole_pairs=None)
+    search = refined(sums, search)
+    solver, solution = search.solver, search.solution
+    spec = solution.spec
+    if with_delay and (not spec.effects or search.taken[-1].name == DELAY):
+        delay, sigma_delay = _delay(solver, solution, noise)
         if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
             solution = solver.solve(replace(spec, delay=delay))
-    significant = _significant_orders(solver.model, solution, i_dq)
-    return _Candidate(*solver.best_penalty(replace(solution.spec, orders=significant)), delay, sigma_delay)
+    significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
+    spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
+    return _Candidate(spec, error, delay, sigma_delay, search)
+
+
+def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
+    """Return the effects that these data may show."""
+    kept = sums.kept()
+    runs, recordings = (1 + max(int(getattr(windows, name).max()) for windows in kept) for name in ("run", "recording"))
+    known = {
+        "copper_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
+        "magnet_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
+        "eccentricity": runs <= MOST_RUNS,
+        "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
+    }
+    return tuple(name for name in EFFECTS if known.get(name, True))
 
 
 def compensates(model: FullModel, solution: FullSolution) -> bool:
@@ -149,7 +184,7 @@ def compensates(model: FullModel, solution: FullSolution) -> bool:
     return bool(lag > _LEAST_COMPENSATED * (lag + abs(drop)))
 
 
-def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[float, float]:
+def _delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[float, float]:
     """Return the delay of the voltages, corrected for noise in the currents, and its standard error, samples.
 
     A controller answers noise with voltage, later. The standard error includes the correction, what may be left of the
@@ -158,8 +193,8 @@ def _delay(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[fl
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]
-    noise = noise_products(solver, solution, i_dq, squares)
-    by_noise = solver.delay(solver.solve(solution.spec, noise))[0] - found
+    products = noise_products(solver, solution, noise, squares)
+    by_noise = solver.delay(solver.solve(solution.spec, products))[0] - found
     left = _NOISE_SHARE * sigma**2 * solution.rows
     bounds = [sigma, _DELAY_BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
     if abs(found) > _USUAL_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
@@ -184,16 +219,16 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[floa
     return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
 
 
-def _advantage_beyond_noise(solver: Solver, first: _Candidate, other: ModelSpec, i_dq: FloatArray) -> float:
+def _advantage_beyond_noise(solver: Solver, first: _Candidate, other: ModelSpec, noise: CurrentNoise) -> float:
     """Return by which share another variant reduces the squared error on data left out, apart from its gain on noise.
 
     Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. The gain on noise
     doubles with the noise; the gain on a model error does not.
     """
     error, solution = first.error, solver.solve(first.spec)
-    noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
+    products = noise_products(solver, solution, noise, solution.sum_of_squares)
     by_other = solver.left_out(other)[:, 0]
-    noisy, noisy_by_other = (solver.left_out(each, noise=noise)[:, 0] for each in (first.spec, other))
+    noisy, noisy_by_other = (solver.left_out(each, noise=products)[:, 0] for each in (first.spec, other))
     saved = 2 * (error - by_other) - (noisy - noisy_by_other)
     folds = predictable(error)
     return float(saved[folds].sum() / error[folds].sum())

@@ -1,9 +1,10 @@
 """Penalized least squares on accumulated cross products, cross-validation over folds, correction for current noise.
 
 Noise n of variance sigma^2 in the currents stands in the regressors and flattens the map (regression dilution): it
-leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more
-gives the estimate at twice the noise; the step between the two is what the noise has cost already. This is
-simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation.
+leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products, and likewise to those
+of the integrals of the current and of the inverter's shapes. Adding N once more gives the estimate at twice the noise;
+the step between the two is what the noise has cost already. This is simulation-extrapolation (Cook and Stefanski 1994)
+with the expectation in place of the simulation.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
+from drive_id.core import frames
 from drive_id.core.full.model import (
     PENALTIES,
     RESISTANCE,
@@ -26,13 +28,13 @@ from drive_id.core.full.model import (
     delay_shares,
     roughness,
 )
-from drive_id.core.full.windows import SHIFTS
+from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.numerics.normal_equations import congruent, factorize, penalized, times
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _UNPREDICTABLE = 4.0
-_THINNED = 1000
+_THINNED = 2000
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -119,7 +121,7 @@ class Solver:
         return float(self.total[VOLTAGE, VOLTAGE] / max(float(self.counts.sum()), 1.0))
 
     def solve(self, spec: ModelSpec, noise: sparse.csr_array | None = None) -> FullSolution:
-        """Fit a variant to all folds, with the products (P, P) of additional noise if given."""
+        """Fit a variant to all folds, with the products (size, size) of additional noise if given."""
         t, normal = self._normal(spec)
         voltage = self._voltage(spec)
         if noise is not None:
@@ -151,7 +153,7 @@ class Solver:
             Candidates instead of the penalty of ``spec``.
         folds : sequence of int
             Folds to leave out, one at a time; default: every one.
-        noise : (P, P) sparse
+        noise : (size, size) sparse
             As in :meth:`solve`, spread evenly over the folds.
 
         Returns
@@ -232,9 +234,8 @@ class Solver:
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
     def _on_unknowns(self, t: sparse.csr_array, noise: sparse.csr_array) -> FloatArray:
-        """Return the products (P, P) of noise in the map as an addition to T'Z'ZT."""
-        in_map = t[self.model.map]
-        return np.asarray((in_map.T @ noise @ in_map).toarray())
+        """Return the products (size, size) of noise as an addition to T'Z'ZT."""
+        return np.asarray((t.T @ noise @ t).toarray())
 
     def _normal(self, spec: ModelSpec) -> tuple[sparse.csr_array, FloatArray]:
         """Return T and T'Z'ZT, which depend on neither penalty nor delay."""
@@ -263,41 +264,90 @@ def predictable(errors: FloatArray) -> BoolArray:
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
 
 
-def thinned(i_dq: FloatArray) -> FloatArray:
-    """Return some 1000 of the currents (N, 2), evenly over time: enough for a mean."""
-    return i_dq[:: -(-len(i_dq) // _THINNED)]
+@dataclass(frozen=True, eq=False)
+class CurrentNoise:
+    """White noise of the measured currents, as far as the regression feels it.
+
+    Parameters
+    ----------
+    variance : float
+        Of i_d and i_q each, A^2.
+    windows : Windows
+        Some of all, evenly over time, at whose ends the currents are met.
+    """
+
+    variance: float
+    windows: Windows
+
+    @classmethod
+    def met(cls, variance: float, kept: Sequence[Windows]) -> CurrentNoise:
+        """Thin out the windows to some 2000: enough for a mean."""
+        windows = Windows.joined(list(kept))
+        return cls(variance, windows.part(slice(None, None, -(-len(windows) // _THINNED))))
 
 
-def noise_products(solver: Solver, solution: FullSolution, i_dq: FloatArray, squares: float) -> sparse.csr_array:
-    """Return N (P, P) of the map's P coefficients, (Vs)^2, see the module.
+def noise_products(
+    solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float = np.inf
+) -> sparse.csr_array:
+    """Return N (size, size), (Vs)^2, see the module.
+
+    Noise at the ends of a window stands in the map's columns. The samples between them stand in the integrals of the
+    current and of the inverter's shapes h_j: a sample moves the integral of h_j by T times the mean slope of h_j over
+    the currents up to its neighbours, and that of the current by T.
 
     Parameters
     ----------
     solver : Solver
     solution : FullSolution
         Gives the slopes dB gamma of the map.
-    i_dq : (N, 2) float
-        Some of the measured currents, evenly over time, A.
+    noise : CurrentNoise
     squares : float
-        Sum of squared residuals caused by the noise, (Vs)^2, which scales N.
+        Upper bound of the sum of squared residuals that noise at the ends causes, (Vs)^2.
     """
     model = solver.model
+    windows = noise.windows
+    i_dq = windows.i_dq[:, 0]
     slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
     products = sum(one.T @ one for one in slopes)
     gamma = solution.estimate[model.map]
     shown = max(float(gamma @ (products @ gamma)), _TINY)
-    return sparse.csr_array(products * (max(squares, 0.0) / shown))
+    rows = float(solver.counts.sum())
+    ends = products * min(rows * noise.variance / len(i_dq), max(squares, 0.0) / shown)
+    before, after = model.map.start, model.size - model.map.stop
+    inner = rows / 2 * noise.variance * _integral_products(model, windows)
+    return sparse.csr_array(sparse.block_diag([inner, ends, sparse.csr_array((after, after))]) if before else ends)
 
 
-def correct_attenuation(solver: Solver, solution: FullSolution, i_dq: FloatArray) -> tuple[FullSolution, FloatArray]:
-    """Correct the map for the attenuation by noise in the currents, ``x + (A + N)^-1 N x``.
+def _integral_products(model: FullModel, windows: Windows) -> sparse.csr_array:
+    """Return the mean squares of what noise of unit variance in i_d and i_q does to the integrals over a window.
+
+    (map.start, map.start), s^2 for the shapes. A phase current has 3/2 of the variance of i_d.
+    """
+    i_dq = windows.i_dq[:, 0] @ np.array([1.0, 1j])
+    i_s = i_dq * np.exp(1j * windows.angle[:, 0])
+    period = float(windows.step.mean())
+    step = period * (windows.slope[:, 0] + 1j * windows.speed[:, 0] * i_dq) * np.exp(1j * windows.angle[:, 0])
+    weights = period * model.shapes.mean_slopes(frames.phases(i_s), frames.phases(step))  # (N, 3, S)
+    samples = float(np.mean(windows.duration)) / period
+    columns = model.phase_columns()  # (S, 3)
+    out = np.zeros((model.map.start, model.map.start))
+    each = 1.5 * samples * (2 / 3) ** 2
+    for phase in range(3):
+        own, mine = columns[:, phase], weights[:, phase]
+        out[np.ix_(own, own)] = each * (mine.T @ mine) / len(mine)
+        out[RESISTANCE, own] = out[own, RESISTANCE] = each * period * mine.mean(axis=0)
+    out[RESISTANCE, RESISTANCE] = 3 * each * period**2
+    return sparse.csr_array(out)
+
+
+def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[FullSolution, FloatArray]:
+    """Correct the estimate for the attenuation by noise in the currents, ``x + (A + N)^-1 N x``.
 
     Parameters
     ----------
     solver : Solver
     solution : FullSolution
-    i_dq : (N, 2) float
-        As in :func:`noise_products`.
+    noise : CurrentNoise
 
     Returns
     -------
@@ -305,9 +355,7 @@ def correct_attenuation(solver: Solver, solution: FullSolution, i_dq: FloatArray
         The corrected estimate, and a bound on the bias that is left: the attenuation of the correction itself. It is
         nearly as large as the correction where only noise moves the currents in some direction, as across a ring.
     """
-    noise = noise_products(solver, solution, i_dq, solution.sum_of_squares)
-    twice = solver.solve(solution.spec, noise)
+    products = noise_products(solver, solution, noise, solution.sum_of_squares)
+    twice = solver.solve(solution.spec, products)
     correction = solution.estimate - twice.estimate
-    gradient = np.zeros(solver.model.size)
-    gradient[solver.model.map] = noise @ correction[solver.model.map]
-    return replace(solution, estimate=solution.estimate + correction), twice.response(gradient)
+    return replace(solution, estimate=solution.estimate + correction), twice.response(products @ correction)

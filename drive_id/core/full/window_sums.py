@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from scipy.linalg.blas import dsyrk
 
-from drive_id.core.full.model import FullModel
-from drive_id.core.full.windows import WindowCutter, Windows
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
+from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.running_sums import SavedSums
 from drive_id.core.numerics.threads import in_threads, one_blas_thread
@@ -55,13 +57,15 @@ class WindowSums:
         self._last = -1  # last segment with windows
         self._kept: dict[int, Windows] = {}
         self._every = 1
+        self._recording = 0
 
     def next_recording(self, heating: float = 0.0, drop_scale: float = 1.0) -> None:
         """Begin another recording, under its own conditions, see :class:`Windows`."""
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
-        self._cutter.restart(SEGMENT * self._next_start())
+        self._recording += self.windows > 0
+        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self._cutter.set_conditions(heating, drop_scale)
 
     def add(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> None:
@@ -97,6 +101,56 @@ class WindowSums:
         other.outside = self.outside
         return other
 
+    def with_effects(self, columns: Callable[[Windows], ComplexArray]) -> WindowSums:
+        """Return sums that include the effects' columns of the kept windows.
+
+        Parameters
+        ----------
+        columns : callable
+            Returns (N, EFFECT_COLUMNS) of windows.
+
+        Notes
+        -----
+        Where not all windows are kept, the products of the effects with all columns are extrapolated from the kept
+        ones by regression, ``z = Z b + r``: only the part of the effects that no other column explains is extrapolated.
+        """
+        other = self.copy()
+        model, effects = self.model, self.model.effects
+        kept = {number: replace(windows, effects=columns(windows)) for number, windows in self._kept.items()}
+        other._kept = kept  # noqa: SLF001  # of its own class
+        rows = in_threads(model.effect_products, [kept[number] for number in sorted(kept)])
+        products = np.zeros((FOLDS, model.size, EFFECT_COLUMNS))
+        for number, product in zip(sorted(kept), rows, strict=True):
+            products[number % FOLDS] += product
+        if sum(len(windows) for windows in kept.values()) < self.windows:
+            products = self._extrapolated(products)
+        for fold, product in enumerate(products):
+            matrix = other._own(fold)  # noqa: SLF001
+            matrix[effects, :] = product.T
+            matrix[:, effects] = product
+        return other
+
+    def _extrapolated(self, products: FloatArray) -> FloatArray:
+        """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
+        effects = self.model.effects
+        some = self.with_orders(self.model.orders)
+        kept_folds, folds = some.folds, self.folds
+        total = kept_folds.sum(axis=0)
+        scale = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
+        scaled = total / scale[:, None] / scale
+        scaled[np.diag_indices_from(scaled)] += 1e-8
+        outer = products.sum(axis=0) / scale[:, None]
+        outer[effects] = 0.0
+        b = linalg.cho_solve(linalg.cho_factor(scaled, lower=True), outer) / scale[:, None]
+        out = np.empty_like(products)
+        for fold, product in enumerate(products):
+            share = self._counts[fold] / max(int(some._counts[fold]), 1)  # noqa: SLF001
+            left = share * (product - kept_folds[fold] @ b)
+            out[fold] = folds[fold] @ b + left
+            inner = share * (product[effects] - b.T @ (kept_folds[fold] @ b)) + b.T @ (folds[fold] @ b)
+            out[fold][effects] = 0.5 * (inner + inner.T)
+        return out
+
     def merge(self, other: WindowSums) -> None:
         """Add the sums over other recordings, of an equal model; ``other`` stays unchanged."""
         theirs = other.finished()
@@ -108,10 +162,16 @@ class WindowSums:
         for number, matrix in enumerate(theirs._matrices()):  # noqa: SLF001
             self._own((number + offset) % FOLDS)[...] += matrix
         self._counts = self._counts + np.roll(theirs._counts, offset)  # noqa: SLF001
-        self._kept |= {offset + number: windows for number, windows in theirs._kept.items()}  # noqa: SLF001
+        known = self._recording + 1 if self.windows else 0
+        runs = 1 + max((int(windows.run.max()) for windows in self._kept.values()), default=-1)
+        self._kept |= {
+            offset + number: replace(windows, recording=windows.recording + known, run=windows.run + runs)
+            for number, windows in theirs._kept.items()  # noqa: SLF001
+        }
+        self._recording = known + theirs._recording  # noqa: SLF001
         if theirs.windows:
             self._last = offset + theirs._last  # noqa: SLF001
-        self._cutter.restart(SEGMENT * self._next_start())
+        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self.windows += theirs.windows
         self.outside += theirs.outside
         self._thin()
@@ -125,7 +185,7 @@ class WindowSums:
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
         if kept:
             together = Windows.joined(kept)
-            out |= {f"windows.{field.name}": getattr(together, field.name) for field in fields(Windows)}
+            out |= {f"windows.{name}": getattr(together, name) for name in MEASURED}
         if done.windows > int(out["length"].sum()):
             rows, columns = np.tril_indices(self.model.size)
             out["folds"] = np.array([fold[rows, columns] for fold in done._matrices()])  # noqa: SLF001
@@ -136,7 +196,7 @@ class WindowSums:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         self.__dict__.update(WindowSums(self.model).__dict__)
         ends = np.cumsum(state["length"])
-        together = Windows(*(state[f"windows.{field.name}"] for field in fields(Windows))) if len(ends) else None
+        together = Windows(**{name: state[f"windows.{name}"] for name in MEASURED}) if len(ends) else None
         for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
             if together is not None:
                 self._segment, self._pending = int(number), [together.part(slice(int(start), int(end)))]
@@ -148,7 +208,9 @@ class WindowSums:
                 fold[rows, columns] = packed
             self._counts, self._last = np.array(state["counts"]), int(state["last"])
             self.windows = int(self._counts.sum())
-        self._cutter.restart(SEGMENT * self._next_start())
+        if together is not None:
+            self._recording = int(together.recording.max())
+        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
 
     @property
     def folds(self) -> FloatArray:

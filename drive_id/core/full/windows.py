@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy import signal
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
@@ -31,7 +32,13 @@ SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 MOST_DELAY = float(-SHIFTS[0])
 """Largest delay of the voltage in either direction, samples."""
 
+LAGS = (1e-3, 4e-3, 16e-3)
+"""Time constants of flux lags, s."""
+
 _REACH = 4
+_NEAR = np.arange(-_REACH, _REACH + 1)
+_PAST = np.arange(-8, 0)
+"""Samples around and before the end of a window over which lines are fitted by least squares."""
 _ROUNDING = 1e-9  # s
 _FEWEST = 4096
 """Samples to collect before windows are cut, so that overlaps cost little."""
@@ -70,6 +77,28 @@ class Windows:
         Temperature above the reference temperature of resistance and flux map, K.
     drop_scale : (N,) float
         DC-link voltage over the reference voltage of the inverter's curve.
+    step : (N,) float
+        Time between the samples of which the shapes are integrated, s.
+    held : (N, 2) complex
+        Mean of the voltages u_s held before and after [start, end], V.
+    slope : (N, 2) complex
+        d i_dq / dt before [start, end], A/s. It is taken from earlier samples only: a controller answers the noise of a
+        sample later, so that noise and slope are independent.
+    lagging : (N, 2, len(LAGS) + 1) complex
+        i_dq predicted at [start, end] from earlier samples, minus the same after first-order lags of LAGS seconds;
+        last, the prediction itself, A.
+    speed : (N, 2) float
+        Electrical speed at [start, end], rad/s.
+    turned : (N, 2) float
+        Electrical angle turned since the start of the run at [start, end], rad.
+    heat : (N,) float
+        int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s.
+    link : (N,) complex
+        int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known.
+    run, recording : (N,) int
+        Number of the gap-free run and of the recording.
+    effects : (N, EFFECT_COLUMNS) complex, optional
+        Columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`.
     """
 
     time: FloatArray
@@ -83,6 +112,17 @@ class Windows:
     lag: ComplexArray
     heating: FloatArray
     drop_scale: FloatArray
+    step: FloatArray
+    held: ComplexArray
+    slope: ComplexArray
+    lagging: ComplexArray
+    speed: FloatArray
+    turned: FloatArray
+    heat: FloatArray
+    link: ComplexArray
+    run: IntArray
+    recording: IntArray
+    effects: ComplexArray | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -93,12 +133,19 @@ class Windows:
 
     def part(self, selected: slice | IntArray) -> Windows:
         """Return some of the windows."""
-        return Windows(*(getattr(self, field.name)[selected] for field in fields(self)))
+        arrays = {name: getattr(self, name)[selected] for name in MEASURED}
+        return Windows(**arrays, effects=None if self.effects is None else self.effects[selected])
 
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
         """Concatenate windows."""
-        return Windows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Windows)))
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in MEASURED}
+        effects = [part.effects for part in parts if part.effects is not None]
+        return Windows(**arrays, effects=np.concatenate(effects) if effects else None)
+
+
+MEASURED = tuple(field.name for field in fields(Windows) if field.name != "effects")
+"""Arrays of windows that come from samples alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +157,10 @@ class _Stretch:
     angle: FloatArray
     speed: FloatArray
     idle: BoolArray
+    turned: FloatArray
+    heat: FloatArray
+    lagged: ComplexArray  # i_dq after each of LAGS
+    link: FloatArray  # DC-link voltage, NaN where unknown
 
     def __len__(self) -> int:
         return len(self.angle)
@@ -134,6 +185,9 @@ class WindowCutter:
     def __init__(self, shapes: CapacitiveShapes) -> None:
         self._shapes = shapes
         self._heating, self._drop_scale = 0.0, 1.0
+        self._turned = self._heat = 0.0  # up to the last sample, rad and A^2 s
+        self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
+        self._run, self._recording = -1, 0
         self._rest: _Stretch | None = None  # samples that later windows need
         self._period = 0.0
         self._origin = 0  # index of the rest's first sample within its run
@@ -148,9 +202,9 @@ class WindowCutter:
         """Set temperature rise, K, and relative DC-link voltage of the samples to come, see :class:`Windows`."""
         self._heating, self._drop_scale = heating, drop_scale
 
-    def restart(self, time: float) -> None:
-        """Continue at another time, s, after :meth:`finish`."""
-        self._time = time
+    def restart(self, time: float, recording: int) -> None:
+        """Continue at another time, s, with another recording, after :meth:`finish`."""
+        self._time, self._recording, self._heat = time, recording, 0.0
 
     def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
         """Yield the windows of further samples; the last ones follow with :meth:`finish`.
@@ -164,19 +218,57 @@ class WindowCutter:
             The first of these samples is the last one of the samples before.
         """
         idle = np.zeros(len(samples), np.bool_) if idle is None else idle
-        whole = _Stretch(samples.i_abc, samples.u_abc, samples.angle, samples.speed, idle)
         fewest = max(_FEWEST, int(2 * LONGEST_WINDOW / samples.sample_period))
         for number, run in enumerate(samples.runs()):
             if continues and number == 0 and self._rest is not None:
-                self._rest = self._rest.followed_by(whole.part(slice(run.start + 1, run.stop)))
+                self._rest = self._rest.followed_by(self._stretch(samples, idle, run, continues=True))
             else:
                 yield from self.finish()
-                self._rest, self._period = whole.part(run), samples.sample_period
+                self._rest, self._period = self._stretch(samples, idle, run, continues=False), samples.sample_period
                 self._origin = self._number = 0
+                self._run += 1
             while len(self._rest) >= 2 * fewest:
                 yield from self._cut(self._rest.part(slice(2 * fewest)))
             if len(self._rest) >= fewest:
                 yield from self._cut(self._rest)
+
+    def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
+        """Return the new samples of a run with what adds up over them."""
+        angle, turned = samples.angle[run], 0.0
+        if continues:
+            turned = self._turned
+        turn = np.angle(np.exp(1j * np.diff(angle)))
+        i_abc = samples.i_abc[run]
+        power = 2 / 3 * np.sum(np.square(i_abc[1:]), axis=1) * samples.sample_period
+        turns, heat = (np.cumsum(np.append(first, steps)) for first, steps in ((turned, turn), (self._heat, power)))
+        self._turned, self._heat = float(turns[-1]), float(heat[-1])
+        new = slice(run.start + continues, run.stop)
+        i_dq = frames.space_vector(i_abc) * np.exp(-1j * angle)
+        if not continues:
+            self._lagged = np.full(len(LAGS), i_dq[0])
+        decay = np.exp(-samples.sample_period / np.array(LAGS))
+        lagged = np.stack(
+            [
+                signal.lfilter([1 - d], [1, -d], i_dq[1:], zi=[d * start])[0]
+                for d, start in zip(decay, self._lagged, strict=True)
+            ],
+            axis=1,
+        )
+        lagged = np.concatenate([self._lagged[None], lagged])
+        self._lagged = lagged[-1]
+        return _Stretch(
+            i_abc[continues:],
+            samples.u_abc[new],
+            samples.angle[new],
+            samples.speed[new],
+            idle[new],
+            turns[continues:],
+            heat[continues:],
+            lagged[continues:],
+            np.full(new.stop - new.start, np.nan)
+            if getattr(samples, "dc_link_voltage", None) is None
+            else samples.dc_link_voltage[new],
+        )
 
     def finish(self) -> Iterator[Windows]:
         """Yield the last windows of a run."""
@@ -197,7 +289,7 @@ class WindowCutter:
             yield self._windows(stretch, begin_used[moving], end_used[moving])
         self._number += count
         grain = _grain(self._period)
-        past = max(0, int(begin[count]) - grain * -(-_REACH // grain)) if count < len(begin) else 0
+        past = max(0, int(begin[count]) - grain * -(_PAST[0] // grain)) if count < len(begin) else 0
         self._rest, self._origin = self._rest.part(slice(past, None)), self._origin + past
         self._time += past * self._period
 
@@ -211,7 +303,7 @@ class WindowCutter:
         stride = max(1.0, STRIDE / self._period / grain)
         number = self._number + np.arange(int(len(stretch) / grain / stride) + 2)
         place = np.floor((number + number * _GOLDEN % 1.0) * stride).astype(np.int64)
-        begin = grain * (place - (-_REACH // grain)) - self._origin
+        begin = grain * (place - (_PAST[0] // grain)) - self._origin
         span = max(1, round(_SPEED_SPAN / self._period))
         travelled = np.concatenate([[0.0], np.cumsum(np.abs(stretch.speed))])
         first = np.clip(begin, 0, len(stretch) - 1)
@@ -230,6 +322,16 @@ class WindowCutter:
         lag = self._lag(i_s, stretch.angle)
         ends = np.stack([begin, end], axis=1)
         i_dq = i_s[ends] * np.exp(-1j * stretch.angle[ends])
+        lines = np.linalg.pinv(np.stack([np.ones(len(_PAST)), period * _PAST], axis=1))
+        past = ends[..., None] + _PAST
+        predicted, slope = np.moveaxis((i_s[past] * np.exp(-1j * stretch.angle[past])) @ lines.T, -1, 0)
+        before = stretch.lagged[ends - 1]
+        decay = np.exp(-period / np.array(LAGS))
+        lagged = decay * before + (1 - decay) * predicted[..., None]
+        unknown = np.cumsum(np.append(0, np.isnan(stretch.link[:-1])))
+        link: ComplexArray = period * np.cumsum(
+            np.append(0j, (u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
+        )
         return Windows(
             time=self._time + period * begin.astype(np.float64),
             i_dq=np.stack([i_dq.real, i_dq.imag], axis=-1),
@@ -242,6 +344,16 @@ class WindowCutter:
             lag=lag[end // grain] - lag[begin // grain],
             heating=np.full(len(begin), self._heating),
             drop_scale=np.full(len(begin), self._drop_scale),
+            step=np.full(len(begin), grain * period),
+            held=0.5 * (u_s[ends - 1] + u_s[ends]),
+            slope=slope,
+            lagging=np.concatenate([predicted[..., None] - lagged, predicted[..., None]], axis=-1),
+            speed=stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2)),
+            turned=stretch.turned[ends],
+            heat=stretch.heat[begin],
+            link=np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan),
+            run=np.full(len(begin), self._run),
+            recording=np.full(len(begin), self._recording),
         )
 
     def _lag(self, i_s: ComplexArray, angle: FloatArray) -> ComplexArray:

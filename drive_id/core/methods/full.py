@@ -10,6 +10,7 @@ import numpy as np
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
+from drive_id.core.full.effect_report import effect_entries
 from drive_id.core.full.fit import FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
@@ -66,7 +67,7 @@ class FullMethod:
                 f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
                 "longer, or choose method joint."
             )
-        fit = fit_full(information, evidence.settings, evidence.turn)
+        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance)
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
@@ -162,6 +163,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
+    found += effect_entries(fit, several_speeds=_several_speeds(fit.speeds))
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)

@@ -55,6 +55,10 @@ class Gathered(Protocol):
         """Root mean square of the angle turned per sample, rad."""
 
     @property
+    def noise_variance(self) -> float:
+        """Variance of white noise in i_d and i_q each, A^2."""
+
+    @property
     def noise_share(self) -> float:
         """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
 

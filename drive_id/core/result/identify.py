@@ -59,8 +59,7 @@ def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress 
     total = sum(len(samples) for samples in recordings)
     for samples in recordings:
         share = partial(_tell_share, tell, evidence.samples, total)
-        if settings.conditions:
-            evidence.next_recording()
+        evidence.next_recording()
         evidence.add(samples, share)
     return evidence
 

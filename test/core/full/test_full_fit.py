@@ -14,7 +14,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.calibration import Calibration, corrected, rotated
 from drive_id.core.full.fit import fit_full
 from drive_id.core.full.model import ModelSpec, delay_shares
-from drive_id.core.full.solver import Solver, correct_attenuation
+from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.windows import SHIFTS
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
@@ -54,7 +54,7 @@ def errors(identification, flux=reciprocal_flux):
 
 def fitted(samples, settings=FULL):
     evidence = gather([samples], settings)
-    return fit_full(evidence.windows.finished(), settings, evidence.turn)
+    return fit_full(evidence.windows.finished(), settings, evidence.turn, evidence.noise_variance)
 
 
 @pytest.fixture(scope="module")
@@ -84,12 +84,12 @@ def test_what_noise_takes_from_the_map_is_given_back():
     i_dq = 290 * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
 
     def with_and_without(noise):
-        information = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL).windows.finished()
+        evidence = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL)
+        information = evidence.windows.finished()
         solver = Solver(information.model, information.folds, information.counts)
         solution = solver.solve(choice)
-        whole, _ = correct_attenuation(
-            solver, solution, np.concatenate([part.i_dq[:, 0] for part in information.kept()])
-        )
+        met = CurrentNoise.met(evidence.noise_variance, information.kept())
+        whole, _ = correct_attenuation(solver, solution, met)
         rows, columns = information.model.flux.rows(i_dq), information.model.map
         return np.array([rows.dot(each.estimate[columns]) for each in (solution, whole)])
 

@@ -1,0 +1,228 @@
+"""What the fit says of the effects that it took into the model: values with standard errors, and what is open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from drive_id.core.full.calibration import Calibration
+from drive_id.core.full.effect_search import Taken
+from drive_id.core.full.fit import FullFit
+from drive_id.core.full.fit import sigma as fitted_sigma
+from drive_id.core.full.model import COPPER, RESISTANCE
+from drive_id.core.full.windows import LAGS
+from drive_id.core.maps.flux_models import jacobian
+from drive_id.types import FloatArray
+
+NOUNS = {
+    "iron_loss": "iron loss",
+    "hysteresis": "iron loss by hysteresis",
+    "current_latency": "a filter or a latency of the currents",
+    "angle_latency": "a latency of the angle",
+    "flux_lag": "flux that lags the current (eddy currents in the magnets)",
+    **{f"flux_lag_{1e3 * lag:g}ms": f"flux that lags the current by {1e3 * lag:g} ms" for lag in LAGS},
+    "copper_heating": "heating of the winding",
+    "magnet_heating": "heating of the magnets",
+    "copper_recordings": "another winding temperature in a later recording",
+    "magnet_recordings": "another magnet temperature in a later recording",
+    "eccentricity": "an eccentric resolver",
+    "resolver_first": "a resolver error of the first electrical order",
+    "resolver_second": "a resolver error of the second electrical order",
+    "dc_link": "a varying DC-link voltage",
+    "phase_resistance": "unequal phase resistances",
+    "voltage_gains": "unequal voltage gains of the phases",
+    "voltage_delay": "a delay of the voltages",
+}
+"""What each effect is called in a sentence."""
+
+_MICRO, _MILLI = 1e6, 1e3
+
+
+def effect_entries(fit: FullFit, *, several_speeds: bool) -> list[Calibration]:
+    """Return the values of all effects in the model, in the order in which they were found."""
+    entries: list[Calibration] = []
+    for taken in fit.selection.search.taken:
+        if taken.name in fit.spec.effects:
+            entries += _entries(fit, taken, several_speeds=several_speeds)
+    return entries
+
+
+def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibration]:
+    columns = fit.model.effect(taken.name)
+    value, sigma = fit.solution.estimate[columns], fitted_sigma(fit.changes[columns])
+    name = taken.name.split("_lag_")[0] + ("_lag" if "_lag_" in taken.name else "")
+    reported = _REPORTS.get(name, _amplitude)(_Found(fit, taken.name, value, sigma))
+    open_question = _open(taken, several_speeds=several_speeds)
+    return [
+        Calibration(key, x, dx, unit, True, sentence + open_question, doubtful=bool(open_question))
+        for key, x, dx, unit, sentence in reported
+    ]
+
+
+def _open(taken: Taken, *, several_speeds: bool) -> str:
+    """Say which other effects would explain the residuals as well, and which recording would tell."""
+    if not taken.rivals:
+        return ""
+    others = " or ".join(NOUNS[name] for name in taken.rivals)
+    remedy = "a faster trajectory" if several_speeds else "a second recording at another speed, in the other direction"
+    return f" This is open: {others} would explain these data nearly as well; {remedy} would tell."
+
+
+Value = tuple[str, float, float, str, str]
+"""Name, value, standard error, unit and sentence."""
+
+
+class _Found(NamedTuple):
+    """An effect, the estimates of its columns and their standard errors."""
+
+    fit: FullFit
+    name: str
+    value: FloatArray
+    sigma: FloatArray
+
+
+Report = Callable[[_Found], list[Value]]
+
+
+def _iron(found: _Found) -> list[Value]:
+    g, dg = float(found.value[0]), float(found.sigma[0])
+    if found.name == "iron_loss":
+        sentence = (
+            f"Iron loss was identified as a conductance of {g:.4g} +- {dg:.2g} S across the induced voltage; eddy "
+            "currents and hysteresis cannot be told apart below three speeds."
+        )
+        return [("iron_loss_conductance", g, dg, "S", sentence)]
+    sentence = f"Iron loss was identified as hysteresis: a conductance of {g:.4g} +- {dg:.2g} S rad/s over the speed."
+    return [("iron_loss_hysteresis", g, dg, "S rad/s", sentence)]
+
+
+def _latency(found: _Found) -> list[Value]:
+    x, dx = _MICRO * float(found.value[0]), _MICRO * float(found.sigma[0])
+    what = "angle is" if found.name == "angle_latency" else "currents are filtered or sampled"
+    when = "late" if x > 0 else "early"
+    sentence = f"The {what} {abs(x):.3g} +- {dx:.2g} us {when}; this was corrected."
+    return [(found.name, x, dx, "us", sentence)]
+
+
+def _lag(found: _Found) -> list[Value]:
+    x, dx = float(found.value[0]), float(found.sigma[0])
+    cause = "as eddy currents in the magnets cause; this was corrected."
+    if found.name == "flux_lag":
+        sentence = f"The flux lags the current by {_MICRO * x:.3g} +- {_MICRO * dx:.2g} us, {cause}"
+        return [(found.name, _MICRO * x, _MICRO * dx, "us", sentence)]
+    time = found.name.removeprefix("flux_lag_")
+    sentence = f"A share of {100 * x:.3g} +- {100 * dx:.2g} % of the flux lags the current by about {time}, {cause}"
+    return [(found.name, x, dx, "1", sentence)]
+
+
+def _copper(found: _Found) -> list[Value]:
+    reference = float(found.fit.solution.estimate[RESISTANCE])
+    out = []
+    for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
+        if found.name == "copper_recordings" and not found.fit.met(found.name, k):
+            continue
+        kelvin = x / reference / COPPER
+        change = f"by {_MILLI * x:.4g} +- {_MILLI * dx:.2g} mohm ({100 * x / reference:+.2g} %, {kelvin:+.0f} K)"
+        if found.name == "copper_heating":
+            sentence = (
+                f"The resistance changed {change} with the heat of the longest recording; resistance and map hold at "
+                "its start."
+            )
+            out.append(("resistance_rise", float(x), float(dx), "ohm", sentence))
+        else:
+            sentence = (
+                f"In recording {k + 2} the resistance differs {change} from that of the first, which is reported."
+            )
+            out.append((f"resistance_change_{k + 2}", float(x), float(dx), "ohm", sentence))
+    return out
+
+
+def _magnet(found: _Found) -> list[Value]:
+    """Report the change of psi_d at zero current, by flux and by the current that stands for the magnet."""
+    forms = np.zeros((found.fit.model.size, len(found.value) // 2))
+    slope = jacobian(found.fit.model.flux, found.fit.solution.estimate[found.fit.model.map], np.zeros((1, 2)))[0, 0, 0]
+    first = found.fit.model.effect(found.name).start
+    for k in range(forms.shape[1]):
+        forms[first + 2 * k : first + 2 * k + 2, k] = 1.0, slope
+    out = []
+    for k, (x, dx) in enumerate(
+        zip(forms.T @ found.fit.solution.estimate, fitted_sigma(forms.T @ found.fit.changes), strict=True)
+    ):
+        if not found.fit.met(found.name, 2 * k):
+            continue
+        change = f"by {_MILLI * x:.4g} +- {_MILLI * dx:.2g} mVs"
+        if found.name == "magnet_heating":
+            sentence = (
+                f"The magnet's flux changed {change} with the heat of the longest recording; the map holds at its "
+                "start."
+            )
+            out.append(("magnet_flux_change", float(x), float(dx), "Wb", sentence))
+        else:
+            sentence = (
+                f"In recording {k + 2} the magnet's flux differs {change} from that of the first, which is reported."
+            )
+            out.append((f"magnet_flux_change_{k + 2}", float(x), float(dx), "Wb", sentence))
+    return out
+
+
+def _resolver(found: _Found) -> list[Value]:
+    pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
+    met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
+    amplitude = float(np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1))))
+    deviation = float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
+    poles = found.fit.selection.search.columns.pole_pairs
+    turn = {
+        "eccentricity": f"once per mechanical turn of {poles} pole pairs",
+        "resolver_first": "once per electrical turn",
+        "resolver_second": "twice per electrical turn",
+    }[found.name]
+    sentence = (
+        f"The angle has an error of {np.rad2deg(amplitude):.3g} +- {np.rad2deg(deviation):.2g} degrees electrical "
+        f"{turn}; this was corrected."
+    )
+    return [(f"resolver_{found.name.removeprefix('resolver_')}", amplitude, deviation, "rad", sentence)]
+
+
+def _link(found: _Found) -> list[Value]:
+    x, dx = float(found.value[0]), float(found.sigma[0])
+    sentence = (
+        f"The voltages follow {100 * x:.3g} +- {100 * dx:.2g} % of the DC link's variation (0: compensated by the "
+        "drive, 100: not); this was corrected."
+    )
+    return [("dc_link_share", x, dx, "1", sentence)]
+
+
+def _phases(found: _Found) -> list[Value]:
+    out = []
+    for phase, x, dx in zip(
+        "abc", (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma)), strict=True
+    ):
+        sentence = f"The resistance of phase {phase} is {_MILLI * x:.3g} +- {_MILLI * dx:.2g} mohm above the mean."
+        out.append((f"resistance_{phase}", float(x), float(dx), "ohm", sentence))
+    return out
+
+
+def _amplitude(found: _Found) -> list[Value]:
+    amplitude, deviation = float(np.linalg.norm(found.value)), float(np.linalg.norm(found.sigma))
+    sentence = f"The voltages' gains differ by {100 * amplitude:.3g} +- {100 * deviation:.2g} %; this was corrected."
+    return [("voltage_gain_mismatch", amplitude, deviation, "1", sentence)]
+
+
+_REPORTS: dict[str, Report] = {
+    "iron_loss": _iron,
+    "hysteresis": _iron,
+    "current_latency": _latency,
+    "angle_latency": _latency,
+    "flux_lag": _lag,
+    "copper_heating": _copper,
+    "copper_recordings": _copper,
+    "magnet_heating": _magnet,
+    "magnet_recordings": _magnet,
+    "eccentricity": _resolver,
+    "resolver_first": _resolver,
+    "resolver_second": _resolver,
+    "dc_link": _link,
+    "phase_resistance": _phases,
+}

@@ -1,0 +1,205 @@
+"""Search for effects of real drives: the one that explains the residuals best is taken, until none explains enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.model import EFFECTS, FullModel, ModelSpec
+from drive_id.core.full.solver import FullSolution, Solver, predictable
+from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import Windows
+
+DELAY = "voltage_delay"
+
+_LEAST_SAVING = 3e-3
+"""Share of the squared residuals that an effect must explain; on drives that obey the model it is below 1e-3."""
+_PER_UNKNOWN = 5.0
+"""The same, in shares of one row per unknown."""
+_LEAST_VOLTAGE = 5e-5
+"""Rms that an effect must explain, relative to that of the integrated voltages."""
+_CLOSE = 0.05
+"""Share of the best saving by which another effect may fall behind and still explain the residuals as well."""
+_PHYSICAL = 0.05
+"""Samples; half and whole periods are delays that drives have."""
+_MOST_EFFECTS, _REFINEMENTS = 6, 2
+_MOST_POLE_PAIRS = 16
+_MOST_WINDOWS = 3000
+_AT_ONE_SPEED = {"hysteresis": "iron_loss"}
+_FAMILIES = {"hysteresis": "iron_loss", "flux_lag": "flux"}
+
+
+@dataclass(frozen=True)
+class Taken:
+    """An effect that was taken into the model.
+
+    Parameters
+    ----------
+    name : str
+        In ``EFFECTS``, or ``DELAY``.
+    saving : float
+        Share by which it reduced the squared residuals.
+    rivals : tuple of str
+        Effects that would have explained nearly as much.
+    """
+
+    name: str
+    saving: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class EffectSearch:
+    """Sums with the columns of all effects, a solution with those taken, and why they were.
+
+    Parameters
+    ----------
+    sums : WindowSums
+    solver : Solver
+    solution : FullSolution
+    columns : EffectColumns
+    taken : tuple of Taken
+    """
+
+    sums: WindowSums
+    solver: Solver
+    solution: FullSolution
+    columns: EffectColumns
+    taken: tuple[Taken, ...]
+
+
+def search_effects(
+    sums: WindowSums, solution: FullSolution, allowed: Sequence[str], *, delay: bool, pole_pairs: int | None
+) -> EffectSearch:
+    """Take effects into the model one by one, best first.
+
+    Parameters
+    ----------
+    sums : WindowSums
+        Without effects.
+    solution : FullSolution
+        The fit without effects.
+    allowed : sequence of str
+        Names in ``EFFECTS`` to try.
+    delay : bool
+        Whether a delay of the voltages competes.
+    pole_pairs : int or None
+        None: the number that explains the residuals best.
+    """
+    kept = sums.kept()
+    taken: list[Taken] = []
+    columns = _columns(sums.model, solution, kept, pole_pairs)
+    extended, solver = _linearized(sums, columns)
+    solution = solver.solve(solution.spec)
+    while len(taken) < _MOST_EFFECTS:
+        savings = {name: solver.saving(solution, sums.model.effect(name)) for name in allowed}
+        savings = {name: saving for name, saving in savings.items() if name not in solution.spec.effects}
+        if delay and all(each.name != DELAY for each in taken):
+            found, _, squares = solver.delay(solution)
+            savings[DELAY] = 1.0 - squares / solution.sum_of_squares
+            physical = abs(2 * found - round(2 * found)) < 2 * _PHYSICAL and abs(found) > _PHYSICAL
+        else:
+            physical = False
+        best = _best(savings, physical=physical)
+        if best is None or not _worthwhile(solver, solution, best, savings[best]):
+            break
+        family = _family(best)
+        near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
+        rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
+        taken.append(Taken(best, savings[best], rivals))
+        if best == DELAY:
+            break
+        spec = replace(solution.spec, effects=(*solution.spec.effects, best))
+        if not _predicts(solver, solution.spec, spec):
+            taken.pop()
+            break
+        columns = replace(columns, estimate=solver.solve(spec).estimate)
+        extended, solver = _linearized(sums, columns)
+        solution = solver.solve(spec)
+    return EffectSearch(extended, solver, solution, columns, tuple(taken))
+
+
+def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
+    """Linearize the effects about the estimate with them, as Gauss-Newton does."""
+    if not search.solution.spec.effects:
+        return search
+    columns, solution = search.columns, search.solution
+    for _ in range(_REFINEMENTS):
+        columns = replace(columns, estimate=solution.estimate)
+        extended, solver = _linearized(sums, columns)
+        solution = solver.solve(solution.spec)
+    return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
+
+
+def _family(name: str) -> str:
+    """Return what effects have in common that are one cause to an engineer."""
+    return _FAMILIES.get(name, name.split("_lag_", maxsplit=1)[0])
+
+
+def _linearized(sums: WindowSums, columns: EffectColumns) -> tuple[WindowSums, Solver]:
+    extended = sums.with_effects(columns)
+    return extended, Solver(extended.model, extended.folds, extended.counts)
+
+
+def _best(savings: dict[str, float], *, physical: bool) -> str | None:
+    """Return the effect that saves most; a delay that drives do not have gives way to an effect as good."""
+    if not savings:
+        return None
+    best = max(savings, key=lambda name: savings[name])
+    if best == DELAY and not physical and len(savings) > 1:
+        second = max((name for name in savings if name != DELAY), key=lambda name: savings[name])
+        if savings[second] > (1 - _CLOSE) * savings[best]:
+            best = second
+    for name, preferred in _AT_ONE_SPEED.items():
+        if best == name and savings.get(preferred, 0.0) > (1 - 1e-3) * savings[name]:
+            best = preferred
+    return best
+
+
+def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float) -> bool:
+    unknowns = 1 if name == DELAY else EFFECTS[name].stop - EFFECTS[name].start
+    voltage = saving * solution.sum_of_squares / max(solution.rows, 1.0)
+    least = _LEAST_SAVING + _PER_UNKNOWN * unknowns / max(solution.rows, 1.0)
+    return saving > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage
+
+
+def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
+    """Tell whether another variant predicts data left out better, in all folds but one."""
+    error, by_other = (solver.left_out(each)[:, 0] for each in (spec, other))
+    folds = predictable(error)
+    return bool(
+        np.sum(by_other[folds] < error[folds]) >= max(folds.sum() - 1, 1) and by_other[folds].sum() < error[folds].sum()
+    )
+
+
+def _columns(
+    model: FullModel, solution: FullSolution, kept: Sequence[Windows], pole_pairs: int | None
+) -> EffectColumns:
+    heat = max(float(windows.heat.max()) for windows in kept)
+    link = np.concatenate([windows.link for windows in kept])
+    voltage = np.concatenate([windows.voltage for windows in kept])
+    known = np.isfinite(link)
+    mean = np.nan
+    if known.any():
+        mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
+    columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs)
+    return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))
+
+
+def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
+    """Return the number of pole pairs at which an eccentric resolver explains most of the residuals."""
+    windows = Windows.joined(list(kept))
+    windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
+    left = columns.model.design(windows) @ columns.estimate
+    error = left[:, 0] + 1j * left[:, 1]
+    own = EFFECTS["eccentricity"]
+    shares = {}
+    for pairs in range(2, _MOST_POLE_PAIRS + 1):
+        z = replace(columns, pole_pairs=pairs)(windows)[:, own]
+        rows = np.concatenate([z.real, z.imag])
+        found = np.linalg.lstsq(rows, np.concatenate([error.real, error.imag]), rcond=1e-9)[0]
+        shares[pairs] = float(np.sum((rows @ found) ** 2))
+    return max(shares, key=lambda pairs: shares[pairs])

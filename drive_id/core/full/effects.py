@@ -1,0 +1,146 @@
+"""What real drives do besides the model, each as a few columns of the same regression.
+
+With psi_s = e^{j theta} f(i) and small effects, each changes the balance over a window to first order, by a known
+vector times an unknown:
+
+==================  ==========================================================  =====================================
+effect              unknown                                                     column
+==================  ==========================================================  =====================================
+iron_loss           G, conductance parallel to the induced voltage e            -[e^{j theta} f'(i) e]
+hysteresis          G omega                                                     -[e^{j theta} f'(i) e / abs(omega)]
+current_latency     tau, time constant of the currents' filter or their delay   [e^{j theta} f'(i) (di/dt + j omega i)]
+                                                                                + R [i_s] + [drop_s]
+angle_latency       tau                                                         [omega e^{j theta} (j f - f'(i) j i)]
+flux_lag            tau times the share of the flux that lags by a short tau    -[e^{j theta} f'(i) di/dt]
+flux_lag_...ms      share of the flux that lags by this time                    -[e^{j theta} (f(i) - f(i_lag))]
+copper_heating      rise of R over the recording                                int i_s h dt, h: heat int i^2 dt
+magnet_heating      change over the recording of psi_d and of the current       h [e^{j theta}], h [e^{j theta} f'(i)]
+                    that stands for the magnet
+copper_recordings   R of a recording minus that of the first                    int i_s
+magnet_recordings   the same, of a recording minus that of the first            [e^{j theta}], [e^{j theta} f'(i)]
+eccentricity        error of the angle, cosine and sine of theta / p, per run   [e^{j theta} cos (j f - f'(i) j i)]
+resolver_first      error of the angle, cosine and sine of theta                likewise
+resolver_second     error of the angle, cosine and sine of 2 theta              likewise
+dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
+phase_resistance    R of phases a and b above the mean, c below                 of int i_a, int i_b, int i_c
+voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
+==================  ==========================================================  =====================================
+
+[x] is the difference of x at the ends of the window, f' the Jacobian of the map as far as it is known, i the current
+in the rotor frame, and e = u - R i - drop turned into it. The voltage is held, so e is taken with the mean of the
+voltages before and after the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, MOST_RECORDINGS, MOST_RUNS, RESISTANCE, FullModel
+from drive_id.core.full.windows import LAGS, Windows
+from drive_id.core.maps.flux_models import jacobian
+from drive_id.types import FloatArray
+
+_SLOWEST = 1.0
+"""Speed below which hysteresis is not told from noise, rad/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class EffectColumns:
+    """The columns of all effects, linearized about an estimate.
+
+    Parameters
+    ----------
+    model : FullModel
+    estimate : (size,) float
+        See :class:`~drive_id.core.full.solver.FullSolution`.
+    heat : float
+        Largest int i^2 dt within a recording, A^2 s, to which heating is relative.
+    link : float
+        Mean DC-link voltage, V; NaN where it is not known.
+    pole_pairs : int or None
+        For the mechanical angle.
+    """
+
+    model: FullModel
+    estimate: FloatArray
+    heat: float
+    link: float
+    pole_pairs: int | None
+
+    def __call__(self, windows: Windows) -> ComplexArray:
+        """Return the columns (N, EFFECT_COLUMNS) of N windows."""
+        model, resistance = self.model, float(self.estimate[RESISTANCE])
+        turn: ComplexArray = np.exp(1j * windows.angle)
+        i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
+        flat = windows.i_dq.reshape(-1, 2)
+        gamma = self.estimate[model.map]
+        slopes = jacobian(model.flux, gamma, flat).reshape(*i_dq.shape, 2, 2)
+        flux = model.flux.rows(flat).dot(gamma).reshape(*i_dq.shape, 2)
+        psi = flux[..., 0] + 1j * flux[..., 1]
+
+        def through(x: ComplexArray) -> ComplexArray:
+            """Return f'(i) x."""
+            d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
+            return np.asarray(d * x.real + q * x.imag)
+
+        def between(x: ComplexArray) -> ComplexArray:
+            return np.asarray(x[:, 1] - x[:, 0])
+
+        i_s = i_dq * turn
+        drop = self._drop(i_s, windows)
+        e = (windows.held - resistance * i_s - drop) / turn
+        speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
+        tilt = turn * (1j * psi - through(1j * i_dq))  # by an error of the angle
+        heat = (windows.heat / max(self.heat, 1e-12))[:, None]
+        out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
+
+        def put(name: str, *columns: ComplexArray) -> None:
+            start = EFFECTS[name].start
+            for k, column in enumerate(columns):
+                out[:, start + k] = column
+
+        put("iron_loss", -between(turn * through(e)))
+        put("hysteresis", -between(turn * through(e / speed)))
+        moved = turn * through(windows.slope + 1j * windows.speed * i_dq)
+        put("current_latency", between(moved + resistance * i_s + drop))
+        put("angle_latency", between(windows.speed * tilt))
+        put("flux_lag", -between(turn * through(windows.slope)))
+        for k, lag in enumerate(LAGS):
+            put(f"flux_lag_{1e3 * lag:g}ms", -between(turn * self._change(windows, windows.lagging[..., k])))
+        put("copper_heating", windows.current * heat[:, 0])
+        of_magnet = between(turn), between(turn * through(np.ones_like(i_dq)))
+        put("magnet_heating", *(column * heat[:, 0] for column in of_magnet))
+        later = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
+        put("copper_recordings", *(windows.current * own for own in later))
+        put("magnet_recordings", *(column * own for own in later for column in of_magnet))
+        if self.pole_pairs is not None and self.pole_pairs > 1:
+            mechanical = windows.turned / self.pole_pairs
+            runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
+            put("eccentricity", *(between(tilt * own * f(mechanical)) for own in runs for f in (np.cos, np.sin)))
+        put("resolver_first", *(between(tilt * f(windows.angle)) for f in (np.cos, np.sin)))
+        put("resolver_second", *(between(tilt * f(2 * windows.angle)) for f in (np.cos, np.sin)))
+        if np.isfinite(self.link):
+            put("dc_link", -np.nan_to_num(windows.link / self.link - windows.voltage))
+        a, b, c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
+        put("phase_resistance", a - c, b - c)
+        put("voltage_gains", -windows.voltage.conj(), -1j * windows.voltage.conj())
+        return out
+
+    def _change(self, windows: Windows, lagging: ComplexArray) -> ComplexArray:
+        """Return f(i) - f(i - lagging) (N, 2) at the predicted currents i, Wb."""
+        model, gamma = self.model, self.estimate[self.model.map]
+        now = windows.lagging[..., -1]
+        one, other = (frames.as_pairs(i.ravel()) for i in (now, now - lagging))
+        psi = model.flux.rows(one).dot(gamma) - model.flux.rows(other).dot(gamma)
+        return np.asarray((psi @ np.array([1.0, 1j])).reshape(now.shape))
+
+    def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
+        """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
+        model = self.model
+        shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
+        drops = np.einsum("nps,sp->np", shapes, self.estimate[model.phase_columns()])
+        return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])

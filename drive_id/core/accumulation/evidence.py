@@ -16,7 +16,7 @@ from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
-from drive_id.core.numerics.scans import bend_square, mark_rests
+from drive_id.core.numerics.scans import difference_square, mark_rests
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, Samples
 
@@ -29,8 +29,8 @@ _SHAPING = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
     "harmonic_orders", "grid_points",
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
-_COUNTS = ("samples", "gaps", "idle", "_bends")
-_SUMS = ("_time", "_zero_sequence_square", "_bend_square", "_turn_square")
+_COUNTS = ("samples", "gaps", "idle", "_differences")
+_SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square")
 
 
 class Evidence:
@@ -63,8 +63,8 @@ class Evidence:
         self._quiet = 0  # samples since the current was last away from zero
         self._time = 0.0
         self._zero_sequence_square = 0.0
-        self._bend_square = 0.0  # of second differences of i_dq, per component
-        self._bends = 0
+        self._difference_square = 0.0  # of fourth differences of i_dq, per component
+        self._differences = 0
         self._turn_square = 0.0
 
     @classmethod
@@ -100,8 +100,8 @@ class Evidence:
         self._zero_sequence_square += float(np.sum((a + b + c) ** 2))
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
         for run in samples.runs():
-            self._bend_square += bend_square(i_dq[run])
-            self._bends += 2 * max(run.stop - run.start - 2, 0)
+            self._difference_square += difference_square(i_dq[run])
+            self._differences += 2 * max(run.stop - run.start - 4, 0)
 
     def next_recording(self) -> None:
         """Begin another recording: adding its samples then equals merging it.
@@ -244,8 +244,8 @@ class Evidence:
 
     @property
     def noise_variance(self) -> float:
-        """Variance of white noise in i_d and i_q each, from second differences, A^2."""
-        return self._bend_square / max(self._bends, 1) / 6
+        """Variance of white noise in i_d and i_q each, from fourth differences, A^2."""
+        return self._difference_square / max(self._differences, 1) / 70
 
     @property
     def noise_share(self) -> float:

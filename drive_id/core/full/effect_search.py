@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.model import EFFECTS, FullModel, ModelSpec
-from drive_id.core.full.solver import FullSolution, Solver, predictable
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 
@@ -23,12 +24,13 @@ _LEAST_VOLTAGE = 5e-5
 """Rms that an effect must explain, relative to that of the integrated voltages."""
 _CLOSE = 0.05
 """Share of the best saving by which another effect may fall behind and still explain the residuals as well."""
-_PHYSICAL = 0.05
-"""Samples; half and whole periods are delays that drives have."""
+_RESEMBLANCE = 0.05
+"""Share of the squared residuals by which a wrong effect may exceed a true delay."""
 _MOST_EFFECTS, _REFINEMENTS = 6, 2
 _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
+_POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "flux_lag": "flux"}
 
 
@@ -62,6 +64,8 @@ class EffectSearch:
     solution : FullSolution
     columns : EffectColumns
     taken : tuple of Taken
+    delay, sigma_delay : float
+        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
     """
 
     sums: WindowSums
@@ -69,10 +73,17 @@ class EffectSearch:
     solution: FullSolution
     columns: EffectColumns
     taken: tuple[Taken, ...]
+    delay: float
+    sigma_delay: float
 
 
 def search_effects(
-    sums: WindowSums, solution: FullSolution, allowed: Sequence[str], *, delay: bool, pole_pairs: int | None
+    sums: WindowSums,
+    solution: FullSolution,
+    noise: CurrentNoise,
+    allowed: Sequence[str],
+    turn: float,
+    pole_pairs: int | None = None,
 ) -> EffectSearch:
     """Take effects into the model one by one, best first.
 
@@ -82,36 +93,37 @@ def search_effects(
         Without effects.
     solution : FullSolution
         The fit without effects.
+    noise : CurrentNoise
     allowed : sequence of str
         Names in ``EFFECTS`` to try.
-    delay : bool
-        Whether a delay of the voltages competes.
-    pole_pairs : int or None
-        None: the number that explains the residuals best.
+    turn : float
+        Electrical angle per sample, rad; 0 to leave a delay of the voltages as it is.
+    pole_pairs : int, optional
+        Default: the number at which an eccentric resolver explains most of the residuals.
     """
-    kept = sums.kept()
-    taken: list[Taken] = []
-    columns = _columns(sums.model, solution, kept, pole_pairs)
+    columns = _columns(sums.model, solution, sums.kept(), pole_pairs)
     extended, solver = _linearized(sums, columns)
     solution = solver.solve(solution.spec)
+    delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
+    taken: list[Taken] = []
     while len(taken) < _MOST_EFFECTS:
-        savings = {name: solver.saving(solution, sums.model.effect(name)) for name in allowed}
-        savings = {name: saving for name, saving in savings.items() if name not in solution.spec.effects}
-        if delay and all(each.name != DELAY for each in taken):
-            found, _, squares = solver.delay(solution)
-            savings[DELAY] = 1.0 - squares / solution.sum_of_squares
-            physical = abs(2 * found - round(2 * found)) < 2 * _PHYSICAL and abs(found) > _PHYSICAL
-        else:
-            physical = False
-        best = _best(savings, physical=physical)
-        if best is None or not _worthwhile(solver, solution, best, savings[best]):
+        savings = _savings(solver, solution, [name for name in allowed if name not in solution.spec.effects])
+        if turn > 0 and solution.spec.delay == 0:
+            if taken:
+                delay = estimate_delay(solver, solution, noise)
+            if delay.significant(turn):
+                delayed = solver.solve(replace(solution.spec, delay=delay.value))
+                savings[DELAY] = 1.0 - delayed.sum_of_squares / solution.sum_of_squares
+        best = _best(savings, physical=delay.physical)
+        if best is None or not (best == DELAY or _worthwhile(solver, solution, best, savings[best])):
             break
         family = _family(best)
         near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
         rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
         taken.append(Taken(best, savings[best], rivals))
         if best == DELAY:
-            break
+            solution = delayed
+            continue
         spec = replace(solution.spec, effects=(*solution.spec.effects, best))
         if not _predicts(solver, solution.spec, spec):
             taken.pop()
@@ -119,7 +131,7 @@ def search_effects(
         columns = replace(columns, estimate=solver.solve(spec).estimate)
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(spec)
-    return EffectSearch(extended, solver, solution, columns, tuple(taken))
+    return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma)
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
@@ -134,6 +146,15 @@ def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
     return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
 
 
+def _savings(solver: Solver, solution: FullSolution, names: Sequence[str]) -> dict[str, float]:
+    """Return the share of the squared residuals that each effect saves; 0 where its value would not be physical."""
+    savings = {}
+    for name in names:
+        saving, value = solver.saving(solution, solver.model.effect(name))
+        savings[name] = 0.0 if _family(name) in _POSITIVE and value[0] < 0 else saving
+    return savings
+
+
 def _family(name: str) -> str:
     """Return what effects have in common that are one cause to an engineer."""
     return _FAMILIES.get(name, name.split("_lag_", maxsplit=1)[0])
@@ -145,14 +166,19 @@ def _linearized(sums: WindowSums, columns: EffectColumns) -> tuple[WindowSums, S
 
 
 def _best(savings: dict[str, float], *, physical: bool) -> str | None:
-    """Return the effect that saves most; a delay that drives do not have gives way to an effect as good."""
+    """Return the effect that saves most.
+
+    A delay that drives have is preferred to an effect that saves little more, because columns that resemble it also
+    follow the noise that the controller answers; one that they do not have gives way to an effect that is nearly as good.
+    """
     if not savings:
         return None
-    best = max(savings, key=lambda name: savings[name])
-    if best == DELAY and not physical and len(savings) > 1:
-        second = max((name for name in savings if name != DELAY), key=lambda name: savings[name])
-        if savings[second] > (1 - _CLOSE) * savings[best]:
-            best = second
+    others = {name: saving for name, saving in savings.items() if name != DELAY}
+    best = max(others, key=lambda name: others[name], default=DELAY)
+    if DELAY in savings:
+        margin = _RESEMBLANCE if physical else -_CLOSE * savings[DELAY]
+        if best == DELAY or savings[DELAY] + margin > others[best]:
+            return DELAY
     for name, preferred in _AT_ONE_SPEED.items():
         if best == name and savings.get(preferred, 0.0) > (1 - 1e-3) * savings[name]:
             best = preferred

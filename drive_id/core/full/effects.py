@@ -27,8 +27,8 @@ voltage_gains       gain mismatch of the voltages, complex                      
 ==================  ==========================================================  =====================================
 
 [x] is the difference of x at the ends of the window, f' the Jacobian of the map as far as it is known, i the current
-in the rotor frame, and e = u - R i - drop turned into it. The voltage is held, so e is taken with the mean of the
-voltages before and after the sample.
+in the rotor frame, and e = u - R i - drop the induced voltage. All columns use earlier samples only, e the voltage held
+before: a controller answers the noise of a sample with voltage and current, which would bias them.
 """
 
 from __future__ import annotations
@@ -79,8 +79,7 @@ class EffectColumns:
         flat = windows.i_dq.reshape(-1, 2)
         gamma = self.estimate[model.map]
         slopes = jacobian(model.flux, gamma, flat).reshape(*i_dq.shape, 2, 2)
-        flux = model.flux.rows(flat).dot(gamma).reshape(*i_dq.shape, 2)
-        psi = flux[..., 0] + 1j * flux[..., 1]
+        psi, by_angle = self._flux(windows)
 
         def through(x: ComplexArray) -> ComplexArray:
             """Return f'(i) x."""
@@ -94,7 +93,7 @@ class EffectColumns:
         drop = self._drop(i_s, windows)
         e = (windows.held - resistance * i_s - drop) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
-        tilt = turn * (1j * psi - through(1j * i_dq))  # by an error of the angle
+        tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
         heat = (windows.heat / max(self.heat, 1e-12))[:, None]
         out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
 
@@ -129,6 +128,20 @@ class EffectColumns:
         put("phase_resistance", a - c, b - c)
         put("voltage_gains", -windows.voltage.conj(), -1j * windows.voltage.conj())
         return out
+
+    def _flux(self, windows: Windows) -> tuple[ComplexArray, ComplexArray]:
+        """Return f(i, theta) and its derivative by theta (N, 2) at the ends, Wb."""
+        model, estimate = self.model, self.estimate
+        flat, angle = windows.i_dq.reshape(-1, 2), windows.angle.reshape(-1, 1)
+        flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))
+        harmonic = model.harmonic.rows(flat)
+        for order in model.orders:
+            if estimate[model.harmonics[order]].any():
+                a, b = (harmonic.dot(half) for half in np.split(estimate[model.harmonics[order]], 2))
+                cosine, sine = np.cos(order * angle), np.sin(order * angle)
+                flux, by_angle = flux + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
+        psi, slope = ((x @ np.array([1.0, 1j])).reshape(windows.angle.shape) for x in (flux, by_angle))
+        return psi, slope
 
     def _change(self, windows: Windows, lagging: ComplexArray) -> ComplexArray:
         """Return f(i) - f(i - lagging) (N, 2) at the predicted currents i, Wb."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.effect_search import DELAY, EffectSearch, refined, search_effects
+from drive_id.core.full.effect_search import EffectSearch, refined, search_effects
 from drive_id.core.full.model import (
     EFFECTS,
     MOST_RECORDINGS,
@@ -20,7 +20,7 @@ from drive_id.core.full.model import (
 )
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import MOST_DELAY, Windows
+from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -30,18 +30,9 @@ _LEAST_SAVED = 3e-4
 """Of the voltage, rms. For a reciprocal machine the misfit of splines and inverter curves is at most half of it, and
 free maps absorb that. A machine for which free maps save no more loses 0.03 % of its flux when taken as reciprocal."""
 _LEAST_COMPENSATED, _CURVE_POINTS = 0.2, 201
-_DELAY_SIGNIFICANCE = 2.0
-_LEAST_DELAY_ANGLE = 2e-3
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _COINCIDENCE = 0.1
-_DELAY_BIAS = 0.01
-"""Samples; largest bias of an estimated delay seen in simulations."""
-_NOISE_SHARE = 0.02
-"""Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
-_USUAL_DELAY, _MOST_LEFT = 2.0, 0.7
-_SMOOTHING_BOUND = 2.0
-"""Uncertainty of a delay, in units of its change with ten times the penalty: on a ring the penalty decides it."""
 _LEAST_HEATING = 5.0
 """K between recordings from which on the magnet's temperature coefficient is estimated."""
 _SEARCHES = 2
@@ -119,7 +110,7 @@ def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: Current
             everything = solver.solve(replace(free, orders=orders))
             significant = _significant_orders(model, everything, i_dq)
             spec = solver.best_penalty(replace(free, orders=significant))[0]
-    return Selection(solver, solver.solve(spec), first.delay, first.sigma_delay, advantage, search)
+    return Selection(solver, solver.solve(spec), search.delay, search.sigma_delay, advantage, search)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +119,6 @@ class _Candidate:
 
     spec: ModelSpec
     error: FloatArray
-    delay: float
-    sigma_delay: float
     search: EffectSearch
 
 
@@ -137,26 +126,19 @@ def _first_candidate(
     sums: WindowSums, spec: ModelSpec, noise: CurrentNoise, settings: FitSettings, turn: float
 ) -> _Candidate:
     """Detect an inverter compensation, then further effects or a delay, then the harmonics, then the penalty."""
-    delay, sigma_delay = np.nan, np.nan
     solver = Solver(sums.model, sums.folds, sums.counts)
     solution = solver.solve(spec)
-    if solver.saving(solution, solver.model.lags) > _CLEAR_GAIN:
+    if solver.saving(solution, solver.model.lags)[0] > _CLEAR_GAIN:
         lagged = solver.solve(replace(spec, lag=True))
         if compensates(solver.model, lagged):
             spec, solution = lagged.spec, lagged
-    with_delay = settings.calibrate_delay and spec.reciprocal
     allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
-    search = search_effects(sums, solution, allowed, delay=with_delay, pole_pairs=None)
-    search = refined(sums, search)
+    calibrated = settings.calibrate_delay and spec.reciprocal
+    search = refined(sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0))
     solver, solution = search.solver, search.solution
-    spec = solution.spec
-    if with_delay and (not spec.effects or search.taken[-1].name == DELAY):
-        delay, sigma_delay = _delay(solver, solution, noise)
-        if abs(delay) > _DELAY_SIGNIFICANCE * sigma_delay and abs(delay) * turn > _LEAST_DELAY_ANGLE:
-            solution = solver.solve(replace(spec, delay=delay))
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
-    return _Candidate(spec, error, delay, sigma_delay, search)
+    return _Candidate(spec, error, search)
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
@@ -182,24 +164,6 @@ def compensates(model: FullModel, solution: FullSolution) -> bool:
     lag = (model.shapes.coarse(current) @ solution.estimate[model.lags]).mean()
     drop = (model.shapes(current) @ solution.estimate[model.phase_columns()]).mean()
     return bool(lag > _LEAST_COMPENSATED * (lag + abs(drop)))
-
-
-def _delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[float, float]:
-    """Return the delay of the voltages, corrected for noise in the currents, and its standard error, samples.
-
-    A controller answers noise with voltage, later. The standard error includes the correction, what may be left of the
-    bias where the data hardly determine a delay, and the effect of smoothing. A delay of more samples than usual must
-    explain a good part of the residuals to count.
-    """
-    found, sigma, squares = solver.delay(solution)
-    smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]
-    products = noise_products(solver, solution, noise, squares)
-    by_noise = solver.delay(solver.solve(solution.spec, products))[0] - found
-    left = _NOISE_SHARE * sigma**2 * solution.rows
-    bounds = [sigma, _DELAY_BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
-    if abs(found) > _USUAL_DELAY and squares > _MOST_LEFT * solution.sum_of_squares:
-        bounds.append(MOST_DELAY)
-    return float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(bounds))
 
 
 def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[float, bool]:

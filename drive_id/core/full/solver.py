@@ -188,13 +188,13 @@ class Solver:
         best = int(np.argmin(errors[predictable(errors.min(axis=1))].mean(axis=0)))
         return replace(spec, penalty=PENALTIES[best]), errors[:, best]
 
-    def saving(self, solution: FullSolution, further: slice) -> float:
-        """Return by which share unknowns in further columns would reduce the sum of squared residuals."""
+    def saving(self, solution: FullSolution, further: slice) -> tuple[float, FloatArray]:
+        """Return by which share unknowns in further columns would reduce the sum of squares, and their values (K,)."""
         left = self._left(solution, np.arange(further.start, further.stop))
         moment = self.total[further] @ solution.estimate
         scale = np.sqrt(np.maximum(np.diag(left), _TINY))
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
-        return float((moment / scale) @ found / max(solution.sum_of_squares, _TINY))
+        return float((moment / scale) @ found / max(solution.sum_of_squares, _TINY)), -found / scale
 
     def delay(self, solution: FullSolution) -> tuple[float, float, float]:
         """Estimate by how many samples the voltages act later than recorded.
@@ -284,6 +284,12 @@ class CurrentNoise:
         """Thin out the windows to some 2000: enough for a mean."""
         windows = Windows.joined(list(kept))
         return cls(variance, windows.part(slice(None, None, -(-len(windows) // _THINNED))))
+
+
+def noise_floor(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> float:
+    """Return the sum of squared residuals that noise in the currents causes by itself, (Vs)^2."""
+    estimate = solution.estimate
+    return float(estimate @ (noise_products(solver, solution, noise) @ estimate))
 
 
 def noise_products(

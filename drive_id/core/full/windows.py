@@ -80,7 +80,7 @@ class Windows:
     step : (N,) float
         Time between the samples of which the shapes are integrated, s.
     held : (N, 2) complex
-        Mean of the voltages u_s held before and after [start, end], V.
+        Voltage u_s held before [start, end], turned by the half period that has passed since its mean, V.
     slope : (N, 2) complex
         d i_dq / dt before [start, end], A/s. It is taken from earlier samples only: a controller answers the noise of a
         sample later, so that noise and slope are independent.
@@ -328,6 +328,7 @@ class WindowCutter:
         before = stretch.lagged[ends - 1]
         decay = np.exp(-period / np.array(LAGS))
         lagged = decay * before + (1 - decay) * predicted[..., None]
+        speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
         unknown = np.cumsum(np.append(0, np.isnan(stretch.link[:-1])))
         link: ComplexArray = period * np.cumsum(
             np.append(0j, (u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
@@ -345,10 +346,10 @@ class WindowCutter:
             heating=np.full(len(begin), self._heating),
             drop_scale=np.full(len(begin), self._drop_scale),
             step=np.full(len(begin), grain * period),
-            held=0.5 * (u_s[ends - 1] + u_s[ends]),
+            held=u_s[ends - 1] * np.exp(0.5j * period * speed),
             slope=slope,
             lagging=np.concatenate([predicted[..., None] - lagged, predicted[..., None]], axis=-1),
-            speed=stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2)),
+            speed=speed,
             turned=stretch.turned[ends],
             heat=stretch.heat[begin],
             link=np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan),

@@ -248,7 +248,7 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
     warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
     for c in calibrations:
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
-        if c.name.startswith("current_") and c.applied and abs(c.value) > largest:
+        if c.name.startswith(("current_offset", "current_gain")) and c.applied and abs(c.value) > largest:
             warnings.append(f"{c.sentence} This is large: check the sensor.")
     return tuple(warnings)
 

@@ -169,7 +169,7 @@ def _best(savings: dict[str, float], *, physical: bool) -> str | None:
     """Return the effect that saves most.
 
     A delay that drives have is preferred to an effect that saves little more, because columns that resemble it also
-    follow the noise that the controller answers; one that they do not have gives way to an effect that is nearly as good.
+    follow the noise that the controller answers. One that they do not have gives way to an effect nearly as good.
     """
     if not savings:
         return None

@@ -9,12 +9,12 @@ import pytest
 from synthetic import record
 
 from drive_id.core import frames
-from drive_id.core.full.windows import LONGEST_WINDOW, SHIFTS, STRIDE, WINDOW_ANGLE, WindowCutter, Windows
+from drive_id.core.full.windows import LONGEST_WINDOW, MEASURED, SHIFTS, STRIDE, WINDOW_ANGLE, WindowCutter, Windows
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import Samples
 
 SHAPES = CapacitiveShapes.up_to(300.0)
-NAMES = [field.name for field in dataclasses.fields(Windows)]
+NAMES = MEASURED
 
 
 def cut(*pieces, continues=()):

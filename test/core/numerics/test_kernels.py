@@ -63,9 +63,9 @@ def test_rests(rest, count):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
-def test_bends(count):
+def test_fourth_differences(count):
     i_dq = currents(count)[:count]
-    assert oracles.bend_square(i_dq) == pytest.approx(scans.bend_square(i_dq), rel=1e-12)
+    assert oracles.difference_square(i_dq) == pytest.approx(scans.difference_square(i_dq), rel=1e-12)
 
 
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():

@@ -6,7 +6,7 @@ import queue
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -310,7 +310,7 @@ def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, 
     found = {}
     for section, source in sources.items():
         name = f"{prefix}/{source.topic}" if section in relative else source.topic
-        needs_ours = section in SCALARS and source == our_scalar(section)
+        needs_ours = section in SCALARS and replace(source, topic=section) == our_scalar(section)
         if name in bag.topics and needs_ours and bag.topics[name].type_name != SCALAR_SAMPLES:
             continue  # somebody else's topic of the same name
         if name in bag.topics and (section in needed or bag.topics[name].count != 0):

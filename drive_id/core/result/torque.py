@@ -132,7 +132,7 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
     """Fit gain, friction and cogging to the shaft torque.
 
     Linear least squares over sums per block of time, so that memory does not grow with the samples. Standard errors
-    come from the scatter between the blocks, because neighbouring residuals are correlated.
+    come from the scatter between the blocks, because neighbouring residuals are correlated, and from those of the map.
 
     Parameters
     ----------
@@ -168,8 +168,6 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
     solution = _Solution.of(np.array(blocks), columns)
     viscous, offset = (solution.estimate(c) if c in columns else (None, None) for c in (_SPEED, _OFFSET))
     gain, friction = solution.estimate(_GAIN), solution.estimate(_FRICTION)
-    assert gain[0] is not None
-    assert friction[0] is not None
     unit = solution.coefficients.copy()
     unit[columns.index(_GAIN)] = 1.0
     return TorqueFit(
@@ -189,12 +187,13 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
     )
 
 
-_TORQUE, _GAIN, _FRICTION, _SPEED, _OFFSET, _HARMONICS = range(6)
-"""Columns of the regression: measured torque, torque of the map, direction, mechanical speed, 1, then harmonics."""
+_TORQUE, _GAIN, _FRICTION, _SPEED, _OFFSET, _MAP, _HARMONICS = range(7)
+"""Columns: measured torque, torque of the map, direction, mechanical speed, 1, standard error of the map's torque, and
+from the last one on cosines and sines of the harmonics."""
 
 
 def _rows(flux_map: FluxMap, samples: Samples, pole_pairs: int, orders: Sequence[int]) -> FloatArray:
-    """Return the rows (N, 5 + 2H) of the samples with a known torque within the map, that turn."""
+    """Return the rows (N, 6 + 2H) of the samples with a known torque within the map, that turn."""
     torque = samples.shaft_torque
     if torque is None:
         return np.zeros((0, _HARMONICS + 2 * len(orders)))
@@ -204,7 +203,10 @@ def _rows(flux_map: FluxMap, samples: Samples, pole_pairs: int, orders: Sequence
     speed = samples.speed / pole_pairs
     known = np.isfinite(torque) & np.isfinite(of_map) & (speed != 0)
     angle = samples.angle[known]
+    sigma_d, sigma_q = flux_map.sigma(i_dq[known, 0], i_dq[known, 1])
+    sigma = 1.5 * pole_pairs * np.hypot(sigma_d * i_dq[known, 1], sigma_q * i_dq[known, 0])
     columns = [torque[known], of_map[known], -np.sign(speed[known]), -speed[known], np.ones(int(known.sum()))]
+    columns.append(np.where(np.isfinite(sigma), sigma, 0.0))
     columns += [-wave(order * angle) for order in orders for wave in (np.cos, np.sin)]
     return np.column_stack(columns)
 
@@ -279,8 +281,10 @@ class _Solution:
         return int(self.total[_OFFSET, _OFFSET])
 
     def estimate(self, column: int) -> tuple[float, float]:
+        """Return a coefficient and its standard error, for which errors of the map count as common to all currents."""
         k = self.columns.index(column)
-        return float(self.coefficients[k]), float(np.sqrt(self.covariance[k, k]))
+        of_map = self.total[_MAP, _MAP] / self.total[column, column]
+        return float(self.coefficients[k]), float(np.sqrt(self.covariance[k, k] + of_map))
 
     def amplitude(self, column: int) -> tuple[float, float]:
         """Return the amplitude of a cosine and the sine behind it, and its standard error."""

@@ -132,9 +132,11 @@ def simulated() -> Samples:
 
 
 def test_a_common_gain_that_only_the_torque_can_show(simulated, tmp_path):
-    result = drive_id.fit(simulated, method="joint", output=tmp_path / "result")
+    result = drive_id.fit(simulated, output=tmp_path / "result")
     torque = result.drive.torque
-    assert torque.gain == pytest.approx(1 / 1.02, abs=2e-3)
+    assert torque.gain == pytest.approx(1 / 1.02, abs=4 * torque.sigma_gain)
+    assert torque.sigma_gain < 5e-4
+    assert abs(torque.friction) < 4 * torque.sigma_friction < 0.1
     assert torque.pole_pairs == 4
     assert any("which voltages and currents alone cannot show" in text for text in result.drive.statements)
     assert drive_id.load(tmp_path / "result").drive.torque == torque

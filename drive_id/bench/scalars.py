@@ -13,7 +13,14 @@ _TEMPERATURE = 20.0  # degrees Celsius, of a drive that does not heat up
 
 
 def logged_scalars(
-    settings: SimulationSettings, machine: Machine, i_dq: FloatArray, angle: FloatArray
+    settings: SimulationSettings,
+    machine: Machine,
+    i_dq: FloatArray,
+    angle: FloatArray,
+    *,
+    psi_dq: FloatArray | None = None,
+    u_dc: FloatArray | None = None,
+    temperature: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
     """Return the optional signals of ``log_scalars`` at the samples, (N,) each.
 
@@ -27,16 +34,24 @@ def logged_scalars(
         True currents in the true rotor frame, A.
     angle : (N,) float
         True electrical angle, rad.
+    psi_dq : (N, 2) float, optional
+        Flux linkages, Wb. Default: those of the machine at these currents.
+    u_dc : (N,) float, optional
+        DC-link voltage, V. Default: that of the machine.
+    temperature : (N, 2) float, optional
+        Of winding and magnet, degrees Celsius. Default: 20.
     """
+    if temperature is None:
+        temperature = np.full((len(i_dq), 2), _TEMPERATURE)
     found = {}
     for name in settings.log_scalars:
         if name == "dc_link_voltage":
-            found[name] = np.full(len(i_dq), machine.u_dc)
+            found[name] = np.full(len(i_dq), machine.u_dc) if u_dc is None else u_dc
         elif name == "shaft_torque":
-            psi = machine.flux(i_dq[:, 0], i_dq[:, 1], angle)
+            psi = machine.flux(i_dq[:, 0], i_dq[:, 1], angle) if psi_dq is None else psi_dq
             found[name] = 1.5 * machine.pole_pairs * (psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0])
         else:
-            found[name] = np.full(len(i_dq), _TEMPERATURE)
+            found[name] = temperature[:, int(name == "magnet_temperature")]
     return found
 
 

@@ -11,8 +11,10 @@ from drive_id.bench.bench import Bench, Pace
 from drive_id.bench.drive import Drive, build_machine, simulate
 from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
+from drive_id.bench.scalars import logged_scalars
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Level
+from drive_id.types import SCALARS
 
 MS = 1_000_000
 US = 1000
@@ -226,3 +228,15 @@ def test_the_torque_is_that_of_the_mean_power():
     power = np.mean(np.sum(samples.u_abc[turns] * i_mean, axis=1))
     copper = found.truth.resistance * np.mean(np.sum(samples.i_abc[turns] ** 2, axis=1))
     assert np.mean(samples.shaft_torque[turns]) == pytest.approx((power - copper) / speed, rel=0.01)
+
+
+def test_a_drive_that_knows_more_logs_what_it_knows():
+    machine = build_machine(machine_map("ipm"), SimulationSettings())
+    settings = SimulationSettings(log_scalars=SCALARS)
+    i_dq, psi = np.array([[-50.0, 100.0], [0.0, 200.0]]), np.array([[0.1, 0.05], [0.2, 0.1]])
+    temperature, u_dc = np.array([[40.0, 60.0], [41.0, 61.0]]), np.array([390.0, 410.0])
+    found = logged_scalars(settings, machine, i_dq, np.zeros(2), psi_dq=psi, u_dc=u_dc, temperature=temperature)
+    assert found["winding_temperature"].tolist() == [40.0, 41.0]
+    assert found["magnet_temperature"].tolist() == [60.0, 61.0]
+    assert found["dc_link_voltage"].tolist() == [390.0, 410.0]
+    np.testing.assert_allclose(found["shaft_torque"], [1.5 * 4 * (10.0 + 2.5), 1.5 * 4 * 40.0])

@@ -170,7 +170,8 @@ class StreamJoin:
     batch : int
         Samples to wait for before joining them: fewer cost more, more come later.
     capacity : int
-        Most samples of a signal to keep while others lag behind; what is older goes without partners.
+        Most samples of a signal to keep while others lag behind; what is older goes without partners. No more joined
+        samples wait for optional signals, either.
     locking : int
         Pairs of samples on which to measure the constant offset between the signals.
     recorded : bool
@@ -388,7 +389,14 @@ class StreamJoin:
         self._waiting += pieces
         newest = int(self._waiting[-1].samples.stamp[-1]) if self._waiting else 0
         decided = min(track.decided(newest) for track in self._scalars.values())
-        ready = len(self._waiting) if final else sum(int(p.samples.stamp[-1]) <= decided for p in self._waiting)
+        excess = sum(len(piece.samples) for piece in self._waiting) - self.capacity
+        ready = 0
+        while ready < len(self._waiting):
+            samples = self._waiting[ready].samples
+            if not (final or excess > 0 or int(samples.stamp[-1]) <= decided):
+                break
+            excess -= len(samples)
+            ready += 1
         chosen, self._waiting = self._waiting[:ready], self._waiting[ready:]
         complete = []
         for piece in chosen:

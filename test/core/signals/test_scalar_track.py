@@ -115,6 +115,22 @@ def test_a_sensor_that_falls_silent_does_not_stop_the_others():
     assert "/scalar is unknown for 18.490 s of data" in end.report().warnings[-1]
 
 
+def test_a_slow_sensor_is_waited_for_in_bounded_memory():
+    """Its last value is held where there is no room to wait for the next one, 20 s later."""
+    signals, values = drive_signals(5000), {0: 20.0, 2000: 30.0, 4000: 40.0}
+    joining, pieces, longest = StreamJoin(NAMES, batch=100, locking=50, capacity=500), [], 0
+    for at in range(0, 5000, 100):
+        if at in values:
+            joining.add_scalar("magnet_temperature", scalar(signals[0].stamp[[at]], [values[at]], 20.0))
+        for k, signal in enumerate(signals):
+            part = slice(at, at + 100)
+            pieces += joining.add(k, replace(signal, stamp=signal.stamp[part], values=signal.values[part]))
+        longest = max(longest, sum(len(piece.samples) for piece in joining._waiting))
+    assert longest <= 500
+    found = joined([*pieces, *joining.finished()[1]]).magnet_temperature
+    assert found[[0, 1000, 2000, 3000, 4000, 4999]].tolist() == [20.0, 20.0, 30.0, 30.0, 40.0, 40.0]
+
+
 def test_a_late_joiner_is_unknown_before():
     signals = drive_signals(1500)
     joining, pieces = StreamJoin(NAMES, batch=100, locking=50), []

@@ -47,13 +47,15 @@ class Samples:
         Current references valid at ``stamp``, A, NaN where none is known.
     truth : GroundTruth, optional
         Of a simulation. A fit never uses it, but is scored against it.
+    dc_link_voltage, winding_temperature, magnet_temperature, shaft_torque : (N,) float, optional
+        Optional signals interpolated at ``stamp``, V, degrees Celsius (twice) and Nm, NaN where unknown.
 
     Raises
     ------
     DataError
         When shapes disagree, the period is not positive, stamps do not increase or runs are not in order.
     NonFiniteError
-        When a sample is NaN or infinite.
+        When a sample is NaN or infinite; optional signals and references may be NaN.
     """
 
     stamp: IntArray
@@ -65,12 +67,18 @@ class Samples:
     run_starts: IntArray = field(default_factory=lambda: np.zeros(1, np.int64))
     i_dq_reference: FloatArray | None = None
     truth: GroundTruth | None = None
+    dc_link_voltage: FloatArray | None = None
+    winding_temperature: FloatArray | None = None
+    magnet_temperature: FloatArray | None = None
+    shaft_torque: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamp)
-        shapes = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
+        shapes: dict[str, tuple[int, ...]] = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
         if self.i_dq_reference is not None:
             shapes["i_dq_reference"] = (n, 2)
+        scalars = self.scalars()
+        shapes |= dict.fromkeys(scalars, (n,))
         for name, shape in shapes.items():
             found = getattr(self, name).shape
             if found != shape:
@@ -84,6 +92,9 @@ class Samples:
         starts = self.run_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= n:
             raise DataError("run_starts must begin with 0 and increase strictly within the samples.")
+        for name, values in scalars.items():
+            if np.isinf(values).any():
+                raise NonFiniteError(f"{name} holds infinite values: use NaN where it is unknown.")
         for name in ("i_abc", "u_abc", "angle", "speed"):
             values = getattr(self, name)
             with np.errstate(over="ignore", invalid="ignore"):
@@ -102,7 +113,9 @@ class Samples:
     def __repr__(self) -> str:
         parts = [f"{len(self)} at {1e-3 / self.sample_period:.6g} kHz", f"{self.duration:.4g} s"]
         parts += [f"{len(self.run_starts)} runs"] if len(self.run_starts) > 1 else []
-        parts += ["with references"] if self.i_dq_reference is not None else []
+        known = ["references"] if self.i_dq_reference is not None else []
+        known += [name.replace("_", " ") for name in self.scalars()]
+        parts += [f"with {' and '.join(known)}"] if known else []
         parts += [f"truth of {self.truth.machine}"] if self.truth else []
         return f"<Samples: {', '.join(parts)}>"
 
@@ -111,6 +124,11 @@ class Samples:
         """Time covered by data, gaps excluded, s."""
         return len(self) * self.sample_period
 
+    def scalars(self) -> dict[str, FloatArray]:
+        """Return the optional signals that are there, (N,) each, by name."""
+        found = {name: getattr(self, name) for name in SCALARS}
+        return {name: values for name, values in found.items() if values is not None}
+
     def runs(self) -> Iterator[slice]:
         """Yield the gap-free runs as slices, in order of time."""
         ends = np.append(self.run_starts[1:], len(self))
@@ -118,7 +136,7 @@ class Samples:
             yield slice(int(start), int(end))
 
     def part(self, start: int, stop: int, *, copy: bool = False) -> Samples:
-        """Return samples ``start`` to ``stop`` (not included) with their runs and references.
+        """Return samples ``start`` to ``stop`` (not included) with their runs, references and optional signals.
 
         Parameters
         ----------
@@ -132,13 +150,23 @@ class Samples:
         def cut(values: NDArray[Any]) -> NDArray[Any]:
             return values[start:stop].copy() if copy else values[start:stop]
 
-        arrays: dict[str, Any] = {name: cut(getattr(self, name)) for name in _SIGNALS}
-        return replace(
-            self,
-            **arrays,
-            run_starts=np.append(np.zeros(1, np.int64), inner),
-            i_dq_reference=None if self.i_dq_reference is None else cut(self.i_dq_reference),
-        )
+        arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
+        own: dict[str, Any] = {name: None if array is None else cut(array) for name, array in arrays.items()}
+        return replace(self, **own, run_starts=np.append(np.zeros(1, np.int64), inner))
+
+    def chosen(self, kept: BoolArray, begins: BoolArray) -> Samples:
+        """Return some of the samples, at least one.
+
+        Parameters
+        ----------
+        kept : (N,) bool
+            Which ones.
+        begins : (N,) bool
+            Which of them begin a run; the first one must.
+        """
+        arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
+        own: dict[str, Any] = {name: None if array is None else array[kept] for name, array in arrays.items()}
+        return replace(self, **own, run_starts=np.flatnonzero(begins[kept]))
 
     @classmethod
     def joined(cls, parts: Sequence[Samples], continues: Sequence[bool] | None = None) -> Samples:
@@ -155,7 +183,8 @@ class Samples:
         Returns
         -------
         Samples
-            References are NaN in parts without; None where no part has any. The truth is kept when all have the same.
+            References and optional signals are NaN in parts without; None where no part has any. The truth is kept
+            when all have the same.
 
         Raises
         ------
@@ -169,25 +198,34 @@ class Samples:
         def together(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate([array[skip:] for array, skip in zip(arrays, skips, strict=True)])
 
-        known = any(part.i_dq_reference is not None for part in parts)
+        known = [name for name in _OPTIONAL if any(getattr(part, name) is not None for part in parts)]
         arrays: dict[str, Any] = {name: together(getattr(part, name) for part in parts) for name in _SIGNALS}
+        arrays |= {name: together(_or_unknown(part, name) for part in parts) for name in known}
         return replace(
             parts[0],
             **arrays,
             run_starts=np.concatenate(
                 [part.run_starts[skip:] - skip + at for part, skip, at in zip(parts, skips, offsets, strict=True)]
             ),
-            i_dq_reference=together(_references(part) for part in parts) if known else None,
             truth=parts[0].truth if all(part.truth is parts[0].truth for part in parts) else None,
         )
 
 
-def _references(samples: Samples) -> FloatArray:
-    return np.full((len(samples), 2), np.nan) if samples.i_dq_reference is None else samples.i_dq_reference
+def _or_unknown(samples: Samples, name: str) -> FloatArray:
+    """Return an optional array of samples, NaN where they have none."""
+    values: FloatArray | None = getattr(samples, name)
+    shape = (len(samples), 2) if name == "i_dq_reference" else (len(samples),)
+    return np.full(shape, np.nan) if values is None else values
 
 
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed")
 """Arrays with one entry per sample that are always there."""
+
+SCALARS = ("dc_link_voltage", "winding_temperature", "magnet_temperature", "shaft_torque")
+"""Optional signals: fields of :class:`Samples` and relative topics of the same names."""
+
+_OPTIONAL = ("i_dq_reference", *SCALARS)
+"""Arrays with one entry per sample that may be missing."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
-TOPICS = ("current_reference", "phase_currents", "phase_voltages", "resolver")
+TOPICS = (
+    "current_reference", "phase_currents", "phase_voltages", "resolver", "dc_link_voltage", "winding_temperature",
+    "magnet_temperature", "shaft_torque",
+)  # fmt: skip
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -24,6 +24,7 @@ CONTRACT = {
     "msg/PhaseVoltages": BLOCK + "float32[] a; float32[] b; float32[] c",
     "msg/Resolver": BLOCK + "float32[] angle; float32[] speed",
     "msg/CurrentReference": BLOCK + "float32[] d; float32[] q",
+    "msg/ScalarSamples": BLOCK + "float32[] value",
     "msg/FluxMap": (
         "std_msgs/Header header; string method; string machine; float64[] i_d; float64[] i_q; "
         "float64[] psi_d; float64[] psi_q; float64[] sigma_d; float64[] sigma_q; bool[] inside; "

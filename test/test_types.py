@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.errors import DataError
-from drive_id.types import Samples
+from drive_id.errors import DataError, NonFiniteError
+from drive_id.types import SCALARS, Samples
 
 
-def numbered(count, run_starts=(0,), *, references=False):
+def numbered(count, run_starts=(0,), *, references=False, scalars=()):
     n = np.arange(count)
     three = n[:, None] + np.array([0.1, 0.2, 0.3])
     return Samples(
@@ -25,6 +25,7 @@ def numbered(count, run_starts=(0,), *, references=False):
         sample_period=1e-4,
         run_starts=np.array(run_starts),
         i_dq_reference=three[:, :2] + 5 if references else None,
+        **{name: 100.0 * k + n for k, name in enumerate(scalars)},
     )
 
 
@@ -33,9 +34,15 @@ def assert_equal(ours, theirs):
         np.testing.assert_array_equal(getattr(ours, field.name), getattr(theirs, field.name), err_msg=field.name)
 
 
-@given(starts=st.sets(st.integers(1, 29)), cuts=st.sets(st.integers(1, 29)), references=st.booleans(), data=st.data())
-def test_parts_that_overlap_by_a_sample_within_runs_join_to_the_whole(starts, cuts, references, data):
-    whole = numbered(30, [0, *sorted(starts)], references=references)
+@given(
+    starts=st.sets(st.integers(1, 29)),
+    cuts=st.sets(st.integers(1, 29)),
+    references=st.booleans(),
+    scalars=st.sets(st.sampled_from(SCALARS)),
+    data=st.data(),
+)
+def test_parts_that_overlap_by_a_sample_within_runs_join_to_the_whole(starts, cuts, references, scalars, data):
+    whole = numbered(30, [0, *sorted(starts)], references=references, scalars=scalars)
     bounds = [0, *sorted(cuts), 30]
     continues = [k > 0 and first not in starts for k, first in enumerate(bounds[:-1])]
     copy = data.draw(st.booleans())
@@ -58,6 +65,34 @@ def test_references_are_unknown_in_parts_without():
     joined = Samples.joined([whole.part(0, 2), replace(whole.part(2, 6), i_dq_reference=None)])
     assert np.isnan(joined.i_dq_reference[2:]).all()
     np.testing.assert_array_equal(joined.i_dq_reference[:2], whole.i_dq_reference[:2])
+
+
+def test_optional_signals_are_unknown_in_parts_without():
+    whole = numbered(6, scalars=("shaft_torque",))
+    joined = Samples.joined([replace(whole.part(0, 2), shaft_torque=None), whole.part(2, 6)])
+    assert np.isnan(joined.shaft_torque[:2]).all()
+    np.testing.assert_array_equal(joined.shaft_torque[2:], whole.shaft_torque[2:])
+    assert joined.dc_link_voltage is None
+    assert "with shaft torque" in repr(whole)
+
+
+def test_optional_signals_may_be_unknown_but_not_infinite_or_of_another_length():
+    whole = numbered(6)
+    replace(whole, dc_link_voltage=np.full(6, np.nan))
+    with pytest.raises(NonFiniteError, match="dc_link_voltage holds infinite values"):
+        replace(whole, dc_link_voltage=np.array([1.0, 2, np.inf, 4, 5, 6]))
+    with pytest.raises(DataError, match=r"shaft_torque has shape \(5,\) where 6 stamps need \(6,\)"):
+        replace(whole, shaft_torque=np.zeros(5))
+
+
+def test_chosen_samples_keep_their_runs():
+    whole = numbered(10, [0, 4], references=True, scalars=("winding_temperature",))
+    kept, begins = np.ones(10, bool), np.zeros(10, bool)
+    kept[[5, 6]] = False
+    begins[[0, 4, 7]] = True
+    chosen = whole.chosen(kept, begins)
+    assert chosen.run_starts.tolist() == [0, 4, 5]
+    assert_equal(chosen, Samples.joined([whole.part(0, 4), whole.part(4, 5), whole.part(7, 10)]))
 
 
 def test_parts_out_of_order_are_refused():

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
+from drive_id.bench.scalars import logged_scalars, scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Health, Level
-from drive_id.types import GroundTruth, MachineMap
+from drive_id.types import FloatArray, GroundTruth, MachineMap
 
 _SAMPLES_AT_ONCE = 5000
 """Most samples simulated in one call, so that references and services are served in between."""
@@ -21,6 +22,28 @@ _LARGEST_LAG = 0.5  # s, above which the diagnostics warn
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 Columns = tuple[NDArray[np.float32], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ScalarBlock:
+    """The samples of one message of an optional signal.
+
+    Parameters
+    ----------
+    stamp : int
+        Of the first sample, ns.
+    first_sample : int
+        Running count.
+    sample_period : float
+        s.
+    values : (N,) float32
+        At least one.
+    """
+
+    stamp: int
+    first_sample: int
+    sample_period: float
+    values: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +62,8 @@ class MessageBlock:
         A, V.
     resolver : tuple of two (N,) float32
         Angle, rad, and speed, rad/s.
+    scalars : dict of str to ScalarBlock
+        Optional signals that have a sample in this block, by name.
     """
 
     stamp: int
@@ -47,6 +72,7 @@ class MessageBlock:
     currents: Columns
     voltages: Columns
     resolver: Columns
+    scalars: dict[str, ScalarBlock]
 
 
 class Bench:
@@ -69,6 +95,7 @@ class Bench:
         self._drive = Drive(build_machine(machine_map, drive), drive)
         self.references = ReferenceBuffer(self._drive.machine.i_max, bench.zero_slew_rate)
         self._period = drive.sample_period
+        self._strides = scalar_strides(drive, self._period)
         self._start: int | None = None
         self._done = 0
         self._lag = 0.0
@@ -111,7 +138,9 @@ class Bench:
         first, count = self._done, blocks * size
         grid = np.arange(first, first + count, dtype=np.int64)
         stamps = self._start + np.round(grid * (self._period * NANOSECONDS)).astype(np.int64)
-        samples = self._drive.step_block(self.references.take(stamps, self._period)).samples
+        block = self._drive.step_block(self.references.take(stamps, self._period))
+        samples, machine, settings = block.samples, self._drive.machine, self._drive.settings
+        scalars = logged_scalars(settings, machine, block.i_dq_true, block.angle_true)
         self._done += count
         angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
@@ -124,9 +153,21 @@ class Bench:
                 tuple(column[k : k + size] for column in currents),
                 tuple(column[k : k + size] for column in voltages),
                 (angle[k : k + size], speed[k : k + size]),
+                self._scalar_blocks(first + k, {name: values[k : k + size] for name, values in scalars.items()}),
             )
             for k in range(0, count, size)
         ]
+
+    def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, ScalarBlock]:
+        """Return every n-th sample of the optional signals of a block that begins with sample number ``first``."""
+        found = {}
+        for name, values in scalars.items():
+            stride = self._strides[name]
+            number = -(-first // stride)
+            chosen = values[number * stride - first :: stride].astype(np.float32)
+            if len(chosen):
+                found[name] = ScalarBlock(self._stamp(number * stride), number, stride * self._period, chosen)
+        return found
 
     def health(self) -> Health:
         """Return whether the bench keeps up and follows; only what a real bench would know, too."""

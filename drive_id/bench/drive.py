@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from drive_id.bench import kernels, parameters
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.machine import Machine
 from drive_id.bench.profile import SpeedProfile
+from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
@@ -165,6 +167,7 @@ class Drive:
             field.name: value if isinstance(value, (str, int, float)) else str(value)
             for field in dataclasses.fields(self.settings)
             if (value := getattr(self.settings, field.name)) is not None
+            and (self.settings.log_scalars or field.name not in SCALAR_SETTINGS)
         } | {"u_dc": machine.u_dc}
         return GroundTruth(
             machine=machine.name,
@@ -308,7 +311,9 @@ def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_referen
     start = (float(reference[0, 0]), float(reference[0, 1]))
     drive = Drive(machine, settings, i_dq_start=start, duration=len(reference) * settings.sample_period)
     block = drive.step_block(reference)
-    return Simulation(block.samples, drive.truth(), machine, block.i_dq_true, block.angle_true)
+    scalars: dict[str, Any] = logged_scalars(settings, machine, block.i_dq_true, block.angle_true)
+    samples = dataclasses.replace(block.samples, **scalars) if scalars else block.samples
+    return Simulation(samples, drive.truth(), machine, block.i_dq_true, block.angle_true)
 
 
 def build_machine(machine_map: MachineMap, settings: SimulationSettings) -> Machine:

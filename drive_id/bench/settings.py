@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
+from drive_id.types import SCALARS
 
 INVERTERS = ("none", "tanh", "dead_time", "two_stage")
 
@@ -61,6 +62,13 @@ class SimulationSettings:
     )
     current_bandwidth: float = setting(
         200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency", unit="Hz", minimum=1.0
+    )
+    log_scalars: tuple[str, ...] = setting((), "Optional signals to log", choices=SCALARS)
+    scalar_rate: float = setting(
+        0.0, "Rate of dc_link_voltage and shaft_torque in bags and topics; 0: every sample", unit="Hz", minimum=0.0
+    )
+    temperature_rate: float = setting(
+        10.0, "Rate of temperatures in bags and topics; 0: every sample", unit="Hz", minimum=0.0
     )
 
     def __post_init__(self) -> None:

@@ -97,6 +97,13 @@ class FitSettings:
         minimum=-4.0,
         maximum=4.0,
     )
+    pole_pairs: int = setting(
+        0,
+        "number of pole pairs, to compare a recorded shaft torque with the map; 0: that of the signals file or the "
+        "simulation",
+        minimum=0,
+        maximum=1000,
+    )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
 
     def idle(self) -> list[str]:

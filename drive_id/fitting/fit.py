@@ -19,6 +19,7 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
+from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
@@ -133,7 +134,7 @@ def _fit_samples(
         check_output(output, force=force)
     settings.check_recordings(len(samples))
     truth = common_truth([part.truth for part in samples])
-    drive = identify(samples, settings, tell)
+    drive = with_torque(identify(samples, settings, tell), samples, known_pole_pairs(settings, truth))
     last_stamp = int(samples[-1].stamp[-1])
     provenance = provenance_of(
         drive,
@@ -196,6 +197,7 @@ def fit_bags(
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
     evidence, truth = recording.evidence, recording.truth
+    drive = with_torque(drive, recording.validation, known_pole_pairs(settings, truth, sources.signals))
     provenance = provenance_of(
         drive,
         settings,
@@ -213,6 +215,13 @@ def fit_bags(
         drawn = draw(result) if draw else {}
         write_results(output, drive, provenance, force=force, pictures=drawn)
     return result
+
+
+def known_pole_pairs(
+    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
+) -> int | None:
+    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
+    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
 
 
 def provenance_of(
@@ -256,7 +265,6 @@ def provenance_of(
     nrmse = score(drive, truth) if truth else None
     u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
     told = truth.details.get("u_dc") if truth else None
-    mechanical = signals.resolver.pole_pairs if signals else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
     if idle := ", ".join(settings.idle()):
         other = "full" if settings.method != "full" else "joint or psm"
@@ -269,7 +277,7 @@ def provenance_of(
         machine=truth.machine if truth else "",
         nrmse=nrmse,
         warnings=warnings,
-        pole_pairs=truth.pole_pairs if truth else mechanical,
+        pole_pairs=known_pole_pairs(settings, truth, signals),
         u_dc=u_dc or (float(told) if told else None),
         speed_range=(
             min(float(part.speed.min()) for part in excerpts),

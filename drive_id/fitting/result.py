@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.result.torque import TorqueFit
     from drive_id.report.plots import Caption
 
 _MARGIN = 1.25
@@ -127,6 +128,11 @@ class Identification:
     def calibrations(self) -> tuple[Calibration, ...]:
         """Estimated sensor faults; method ``full``."""
         return self.drive.calibrations
+
+    @property
+    def torque(self) -> TorqueFit | None:
+        """The recorded shaft torque against that of the map; None without one, or with unknown pole pairs."""
+        return self.drive.torque
 
     @property
     def i_max(self) -> float:

@@ -14,6 +14,7 @@ from drive_id.bench import drive
 from drive_id.bench.drive import Simulation
 from drive_id.bench.machine import default_amplitude
 from drive_id.bench.machines import machine_map
+from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
@@ -170,5 +171,8 @@ def simulate_bag(
     """
     check_absent(output)
     simulation = run_experiment(machine, settings, trajectory, seconds)
-    write_recording(output, simulation.samples, simulation.truth)
+    samples = simulation.samples
+    strides = scalar_strides(settings, samples.sample_period)
+    periods = {name: stride * samples.sample_period for name, stride in strides.items()}
+    write_recording(output, samples, simulation.truth, scalar_periods=periods)
     return simulation

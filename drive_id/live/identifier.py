@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -11,15 +11,16 @@ from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.errors import DriveIdError
-from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
-from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
+from drive_id.files.messages.signals_file import SignalMap, our_scalar
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.fit import Draw, fit_bags, provenance_of
+from drive_id.fitting.fit import Draw, fit_bags, known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Finding, Health, Level
@@ -27,7 +28,7 @@ from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
 from drive_id.live.publishers import Publisher, publisher_findings
-from drive_id.types import Progress
+from drive_id.types import SCALARS, Progress
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _log = logging.getLogger(__name__)
@@ -85,15 +86,23 @@ class Identifier:
     fit : FitSettings
     topics : tuple of str
         Of currents, voltages and resolver, for messages.
+    scalar_topics : mapping of str to str, optional
+        Topics of the optional signals, by their names in :class:`~drive_id.types.Samples`.
     """
 
     def __init__(
-        self, settings: IdentificationSettings, fit: FitSettings, topics: tuple[str, str, str] = TYPES
+        self,
+        settings: IdentificationSettings,
+        fit: FitSettings,
+        topics: tuple[str, str, str] = TYPES,
+        scalar_topics: Mapping[str, str] | None = None,
     ) -> None:
         self.settings = settings
         self.topics = topics
+        self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)
         self._streams = self._new_streams()
+        self._scalar_streams = self._new_scalar_streams()
         self._unreadable = 0
         self._last_error = ""
         self._forgotten = ""  # a sentence on why
@@ -103,21 +112,31 @@ class Identifier:
         try:
             self.live.add(section, self._streams[section].decode(data))
         except DriveIdError as error:
-            self._unreadable += 1
-            self._last_error = str(error)
+            self._note(error)
+
+    def receive_scalar(self, name: str, data: bytes) -> None:
+        """Take one serialized message of an optional signal, by its name in :class:`~drive_id.types.Samples`."""
+        try:
+            self.live.add_scalar(name, self._scalar_streams[name].decode(data))
+        except DriveIdError as error:
+            self._note(error)
+
+    def _note(self, error: DriveIdError) -> None:
+        self._unreadable += 1
+        self._last_error = str(error)
 
     def configure(self, fit: FitSettings) -> bool:
         """Take other settings, and tell whether the live samples had to be forgotten."""
         forgotten = self.live.configure(fit)
         if forgotten:
-            self._streams = self._new_streams()
+            self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
             self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
         return forgotten
 
     def reset(self) -> None:
         """Forget the live samples."""
         self.live.reset()
-        self._streams = self._new_streams()
+        self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
     def job(self, bags: Sequence[str], method: str) -> Job:
@@ -138,7 +157,7 @@ class Identifier:
         fit = replace(self.live.settings, method=method or self.live.settings.method)
         if bags:
             paths = [existing_recording(Path(self.settings.data_directory), name) for name in bags]
-            return partial(_guarded, partial(_fit_bags, paths, self.topics, fit, self.settings))
+            return partial(_guarded, partial(_fit_bags, paths, self._signals(), fit, self.settings))
         snapshot = self.live.snapshot(method)
         return partial(_guarded, partial(_fit_live, snapshot, fit, self.settings, self._forgotten))
 
@@ -165,6 +184,9 @@ class Identifier:
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
             values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
             findings += publisher_findings(signal.topic, kind, found)
+        for stream in self._scalar_streams.values():
+            if stream.count.samples:
+                values[f"{stream.topic}: samples"] = str(stream.count.samples)
         if report.signals[0].read:
             findings += [(Level.WARN, warning) for warning in report.warnings]
         if self._unreadable:
@@ -180,6 +202,21 @@ class Identifier:
 
     def _new_streams(self) -> tuple[BlockStream, ...]:
         return tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))
+
+    def _new_scalar_streams(self) -> dict[str, BlockStream]:
+        return {name: BlockStream(topic, SCALAR_SAMPLES) for name, topic in self._scalar_topics.items()}
+
+    def _signals(self) -> SignalMap:
+        """Return where the signals are in a bag that was recorded beside this drive, under whatever names."""
+        usual = SignalMap()
+        currents, voltages, resolver = self.topics
+        return replace(
+            usual,
+            currents=replace(usual.currents, topic=currents),
+            voltages=replace(usual.voltages, topic=voltages),
+            resolver=replace(usual.resolver, topic=resolver),
+            optional={name: replace(our_scalar(name), topic=topic) for name, topic in self._scalar_topics.items()},
+        )
 
 
 def failed(error: DriveIdError, samples: JoinReport | None = None) -> Reply:
@@ -198,11 +235,12 @@ def _guarded(work: Job, tell: Progress) -> Reply:
 
 
 def _fit_bags(
-    paths: Sequence[Path], topics: Sequence[str], fit: FitSettings, settings: IdentificationSettings, tell: Progress
+    paths: Sequence[Path], own: SignalMap, fit: FitSettings, settings: IdentificationSettings, tell: Progress
 ) -> Reply:
     output = _new_folder(settings, fit)
     tell("Reading", 0.0)
-    signals = _own_signals(topics) if all(_holds(path, topics) for path in paths) else None
+    topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
+    signals = own if all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
     result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
     return _reply(result, output)
@@ -213,21 +251,9 @@ def _reply(result: Identification, output: Path, samples: JoinReport | None = No
     return Reply("ok", _sentence(drive), drive, result.warnings, machine, result.last_stamp, str(output), samples)
 
 
-def _own_signals(topics: Sequence[str]) -> SignalMap:
-    """Return where the signals are in a bag that was recorded beside this drive, under whatever names."""
-    usual = SignalMap()
-    currents, voltages, resolver = topics
-    return replace(
-        usual,
-        currents=replace(usual.currents, topic=currents),
-        voltages=replace(usual.voltages, topic=voltages),
-        resolver=replace(usual.resolver, topic=resolver),
-    )
-
-
-def _holds(path: Path, topics: Sequence[str]) -> bool:
+def _holds(path: Path, topics: set[str]) -> bool:
     with open_bag(path) as bag:
-        return set(topics) <= set(bag.topics)
+        return topics <= set(bag.topics)
 
 
 def _fit_live(
@@ -242,6 +268,7 @@ def _fit_live(
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
     tell("Writing", None)
     excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
+    identification = with_torque(identification, excerpts, known_pole_pairs(fit))
     stamp = snapshot.join.last_stamp or 0
     provenance = provenance_of(
         identification,

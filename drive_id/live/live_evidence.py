@@ -140,6 +140,10 @@ class LiveEvidence:
             if self._gathered is not None:
                 self._gathered.add(found)
 
+    def add_scalar(self, name: str, piece: Signal) -> None:
+        """Take a further part of an optional signal, see :meth:`StreamJoin.add_scalar`."""
+        self.join.add_scalar(name, piece)
+
     def snapshot(self, method: str = "") -> Snapshot:
         """Return what has arrived so far, to be fitted in another thread.
 

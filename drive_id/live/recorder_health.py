@@ -21,12 +21,15 @@ class TopicState:
         All of the topic, of any type.
     silent_for : float or None
         Time since the last message, s; None when there was none yet.
+    optional : bool
+        It may be absent, slow or silent.
     """
 
     topic: str
     type_name: str
     publishers: Sequence[Publisher]
     silent_for: float | None
+    optional: bool = False
 
 
 def recorder_health(
@@ -39,7 +42,7 @@ def recorder_health(
     report : RecordingReport or None
         Of the current recording, which may have ended by an error; None when there is none.
     topics : sequence of TopicState
-        In the order of the report.
+        Those of the report; optional ones may be missing there.
     longest_silence : float
         Longest time without a message before a warning, s; 0: no such warning.
     queue_size : float
@@ -50,12 +53,15 @@ def recorder_health(
     if report is not None:
         findings += _recording_findings(report, queue_size)
         values |= _recording_values(report)
-    for number, state in enumerate(topics):
-        running = None if report is None or report.error else report.topics[number]
-        findings += publisher_findings(state.topic, state.type_name, state.publishers)
-        if running is not None:
-            findings += _sample_findings(state, running, longest_silence)
-        values |= _topic_values(state, None if report is None else report.topics[number])
+    reports = {} if report is None else {topic.topic: topic for topic in report.topics}
+    for state in topics:
+        if state.optional and not state.publishers and state.topic not in reports:
+            continue
+        found = publisher_findings(state.topic, state.type_name, state.publishers)
+        findings += [(min(level, Level.WARN), said) for level, said in found] if state.optional else found
+        if report is not None and not report.error and state.topic in reports:
+            findings += _sample_findings(state, reports[state.topic], longest_silence)
+        values |= _topic_values(state, reports.get(state.topic))
     doing = "Not recording." if report is None else f"Recording {report.path}."
     said = [sentence for _, sentence in sorted(findings, key=lambda finding: -finding[0])]
     level = max((level for level, _ in findings), default=Level.OK)
@@ -80,6 +86,8 @@ def _sample_findings(state: TopicState, report: TopicReport, longest_silence: fl
         findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))
     if report.unreadable:
         findings.append((Level.WARN, f"{report.unreadable} messages on {state.topic} are no blocks of samples."))
+    if state.optional:
+        return findings
     if not of_type(state.publishers, state.type_name):
         findings.append((Level.WARN, f"Nobody publishes {state.topic}."))
     elif state.silent_for is None:

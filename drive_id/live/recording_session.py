@@ -25,11 +25,22 @@ _OVERHEAD = 250  # bytes a message costs in the queue beyond its data
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic to record: its absolute name, its type, and the quality of service that it is offered with."""
+    """A topic to record.
+
+    Parameters
+    ----------
+    name, type_name : str
+        Absolute name, and ``package/msg/Name``.
+    qos : Qos, optional
+        That it is offered with.
+    optional : bool
+        It is in the bag and in the report from its first message on, and not before.
+    """
 
     name: str
     type_name: str
     qos: Qos | None = None
+    optional: bool = False
 
 
 class _Waiting(NamedTuple):
@@ -117,8 +128,11 @@ class RecordingSession:
             live=True,
             opener=opener,
         )
+        self._optional = frozenset(topic.name for topic in topics if topic.optional)
+        self._absent = {topic.name: topic for topic in topics if topic.optional}  # not in the bag yet
         for topic in topics:
-            self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
+            if not topic.optional:
+                self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
 
@@ -177,6 +191,8 @@ class RecordingSession:
         topics = []
         for name, received in self._received.items():
             count, written = received.count, self._written[name]
+            if name in self._optional and not (count.blocks or received.unreadable):
+                continue
             discarded = count.samples - written.samples - received.overflowed if self._failed else 0
             topics.append(
                 TopicReport(
@@ -218,6 +234,9 @@ class RecordingSession:
             self._writer.split()
             self._file_begin = message.log_time
             self._before = self._snapshot()
+        if message.topic in self._absent:
+            topic = self._absent.pop(message.topic)
+            self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
         self._writer.write(message.topic, message.data, message.log_time)
         self._written[message.topic].add(message.head)
         self._bytes_out += len(message.data) + _OVERHEAD

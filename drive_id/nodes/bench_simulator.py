@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -52,6 +52,9 @@ class BenchSimulator(Node):
                 (PhaseVoltages, "phase_voltages"),
                 (Resolver, "resolver"),
             )
+        }
+        self._scalar_publishers = {
+            name: self.create_publisher(ScalarSamples, name, STREAM) for name in self._drive.log_scalars
         }
         self._clock_publisher = (
             self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=1))
@@ -114,6 +117,12 @@ class BenchSimulator(Node):
             for name, column in zip(names, columns, strict=True):
                 setattr(message, name, array.array("f", column.tobytes()))
             self._publishers_kept[kind].publish(message)
+        for name, scalar in block.scalars.items():
+            message = ScalarSamples(first_sample=scalar.first_sample, sample_period=scalar.sample_period)
+            message.header.stamp = Time(nanoseconds=scalar.stamp).to_msg()
+            message.header.frame_id = self._settings.frame_id
+            message.value = array.array("f", scalar.values.tobytes())
+            self._scalar_publishers[name].publish(message)
 
     def _on_reference(self, message: CurrentReference) -> None:
         stamp = Time.from_msg(message.header.stamp).nanoseconds

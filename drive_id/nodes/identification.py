@@ -6,7 +6,7 @@ import sys
 from functools import partial
 from typing import Any
 
-from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver
+from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Identify
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -27,6 +27,7 @@ from drive_id.nodes.parameters import declare_settings, on_change
 from drive_id.nodes.qos import LATCHED
 from drive_id.nodes.replies import fill
 from drive_id.nodes.runtime import run
+from drive_id.types import SCALARS
 
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
@@ -44,7 +45,8 @@ class Identification(Node):
         self.get_logger().info("Loading the numerical kernels; the first start compiles them: about 30 s.")
         warm_up(fit)
         topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
-        self._identifier = Identifier(settings, fit, topics)
+        scalar_topics = {name: self.resolve_topic_name(name) for name in SCALARS}
+        self._identifier = Identifier(settings, fit, topics, scalar_topics)
         self._frame_id = settings.frame_id
         self._worker: Worker[Reply] = Worker()
         self._fitting = False  # not worker.busy: its thread may outlive the reply
@@ -53,6 +55,10 @@ class Identification(Node):
         self._topics = [
             MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
             for section, (name, kind) in enumerate(TOPICS.items())
+        ]
+        self._scalar_topics = [
+            MatchedSubscription(self, ScalarSamples, name, partial(self._identifier.receive_scalar, name), raw=True)
+            for name in SCALARS
         ]
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -69,7 +75,7 @@ class Identification(Node):
         self._worker.stop(_PATIENCE)
 
     def _match_topics(self) -> None:
-        for topic in self._topics:
+        for topic in (*self._topics, *self._scalar_topics):
             topic.match()
 
     def _on_settings(self, settings: FitSettings) -> None:

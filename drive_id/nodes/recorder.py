@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -25,13 +25,14 @@ from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.matched_subscription import MatchedSubscription
 from drive_id.nodes.parameters import declare_settings, on_change
 from drive_id.nodes.runtime import run
+from drive_id.types import SCALARS
 
 TOPICS = {
     "phase_currents": PhaseCurrents,
     "phase_voltages": PhaseVoltages,
     "resolver": Resolver,
     "current_reference": CurrentReference,
-}
+} | dict.fromkeys(SCALARS, ScalarSamples)
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _PATIENCE = 3.0  # s that ~/stop waits for a slow disk
 _LAST_PATIENCE = 30.0  # s, at the end of the process
@@ -55,6 +56,7 @@ class Recorder(Node):
             )
             for name, kind in TOPICS.items()
         ]  # fmt: skip
+        self._optional = {self.resolve_topic_name(name) for name in SCALARS}
         self._services_kept = [
             self.create_service(StartRecording, "~/start", self._on_start),
             self.create_service(StopRecording, "~/stop", self._on_stop),
@@ -105,7 +107,8 @@ class Recorder(Node):
         for topic in self._topics:
             last = self._last.get(topic.topic)
             silent_for = None if last is None else now - last
-            states.append(TopicState(topic.topic, topic.type_name, topic.publishers, silent_for))
+            optional = topic.topic in self._optional
+            states.append(TopicState(topic.topic, topic.type_name, topic.publishers, silent_for, optional))
         report = None if self._session is None else self._session.report()
         return recorder_health(report, states, self._settings.silence, self._settings.queue_size)
 
@@ -122,7 +125,10 @@ class Recorder(Node):
             for topic in self._topics:
                 topic.match()
             self._drain()
-            recorded = [RecordedTopic(topic.topic, topic.type_name, topic.offered()) for topic in self._topics]
+            recorded = [
+                RecordedTopic(topic.topic, topic.type_name, topic.offered(), topic.topic in self._optional)
+                for topic in self._topics
+            ]
             distro = os.environ.get("ROS_DISTRO", "jazzy")
             self._session = RecordingSession(path, recorded, self._settings, ros_distro=distro)
         except DriveIdError as error:

@@ -47,6 +47,17 @@ def fit_table(fit: Identification) -> Table:
         if math.isfinite(found.sigma):
             unit = found.unit if found.unit != "1" else ""
             row(f"{found.name} ({applied})", _number(found.value, unit), _number(found.sigma, unit))
+    if identification.torque is not None:
+        torque = identification.torque
+        row("Shaft torque / torque of the map", f"{torque.gain:.5g}", f"{torque.sigma_gain:.2g}")
+        row("Friction torque", _number(torque.friction, "Nm"), _number(torque.sigma_friction, "Nm"))
+        if torque.viscous_friction is not None:
+            sigma = _number(torque.sigma_viscous_friction or 0.0, "Nm s/rad")
+            row("Viscous friction", _number(torque.viscous_friction, "Nm s/rad"), sigma)
+        for harmonic in torque.cogging:
+            sigma = _number(harmonic.sigma, "Nm")
+            row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
+        row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
     if identification.method == "full":
         row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
     if fit.provenance.nrmse:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from drive_id.bench.bench import Bench, Pace
-from drive_id.bench.drive import Drive, build_machine
+from drive_id.bench.drive import Drive, build_machine, simulate
 from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
+from drive_id.bench.scalars import logged_scalars
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Level
+from drive_id.types import SCALARS
 
 MS = 1_000_000
 US = 1000
@@ -184,3 +186,57 @@ def test_scaled_time_waits_for_the_simulation():
     assert pace.now(101 * MS, T0 + 100 * MS) == T0 + 60 * MS
     real = Pace(T0, 0, 1.0)
     assert real.now(100 * MS, T0 + 50 * MS) == T0 + 100 * MS
+
+
+def test_optional_signals_come_at_their_rates_without_a_gap():
+    """Whatever the blocks: one count, one grid; nothing at all unless it is asked for."""
+    settings = SimulationSettings(
+        log_scalars=("dc_link_voltage", "winding_temperature", "shaft_torque"),
+        scalar_rate=1000.0,
+        temperature_rate=40.0,
+    )
+    bench = Bench(machine_map("ipm"), settings, BenchSettings(block_size=70))
+    bench.advance(T0)
+    blocks = [block for step in range(1, 40) for block in bench.advance(T0 + step * 13 * MS)]
+    assert len(blocks) > 60
+    periods = {"dc_link_voltage": 1e-3, "winding_temperature": 25e-3, "shaft_torque": 1e-3}
+    for name, period in periods.items():
+        found = [block.scalars[name] for block in blocks if name in block.scalars]
+        number = 0
+        for scalar in found:
+            assert (scalar.first_sample, scalar.stamp) == (number, T0 + round(number * period * 1e9))
+            assert scalar.sample_period == pytest.approx(period)
+            assert scalar.values.dtype == np.float32
+            number += len(scalar.values)
+        assert number == -(-len(blocks) * 70 // round(period / T))
+    assert set(np.concatenate([block.scalars["dc_link_voltage"].values for block in blocks if block.scalars])) == {
+        400.0
+    }
+    plain = Bench(machine_map("ipm"), SimulationSettings(), BenchSettings())
+    plain.advance(T0)
+    assert all(block.scalars == {} for block in plain.advance(T0 + 50 * MS))
+
+
+def test_the_torque_is_that_of_the_mean_power():
+    """Over whole turns at constant current, T times speed is the electrical power without the copper loss."""
+    settings = SimulationSettings(log_scalars=("shaft_torque",), inverter="none")
+    reference = np.tile([-60.0, 120.0], (6000, 1))
+    found = simulate(machine_map("ipm"), settings, reference)
+    samples, speed = found.samples, 500 / 60 * 2 * np.pi
+    turns = slice(3600, 4800)  # one revolution
+    i_mean = 0.5 * (samples.i_abc[turns] + samples.i_abc[turns.start + 1 : turns.stop + 1])
+    power = np.mean(np.sum(samples.u_abc[turns] * i_mean, axis=1))
+    copper = found.truth.resistance * np.mean(np.sum(samples.i_abc[turns] ** 2, axis=1))
+    assert np.mean(samples.shaft_torque[turns]) == pytest.approx((power - copper) / speed, rel=0.01)
+
+
+def test_a_drive_that_knows_more_logs_what_it_knows():
+    machine = build_machine(machine_map("ipm"), SimulationSettings())
+    settings = SimulationSettings(log_scalars=SCALARS)
+    i_dq, psi = np.array([[-50.0, 100.0], [0.0, 200.0]]), np.array([[0.1, 0.05], [0.2, 0.1]])
+    temperature, u_dc = np.array([[40.0, 60.0], [41.0, 61.0]]), np.array([390.0, 410.0])
+    found = logged_scalars(settings, machine, i_dq, np.zeros(2), psi_dq=psi, u_dc=u_dc, temperature=temperature)
+    assert found["winding_temperature"].tolist() == [40.0, 41.0]
+    assert found["magnet_temperature"].tolist() == [60.0, 61.0]
+    assert found["dc_link_voltage"].tolist() == [390.0, 410.0]
+    np.testing.assert_allclose(found["shaft_torque"], [1.5 * 4 * (10.0 + 2.5), 1.5 * 4 * 40.0])

@@ -17,7 +17,7 @@ from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError, ResultError
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag
 from drive_id.fitting.sources import Sources
 from drive_id.report.tables import fit_table
@@ -45,6 +45,29 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     psm = fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="psm"))
     assert max(psm.provenance.nrmse) > 2 * max(fit.provenance.nrmse)
     assert psm.drive.voltage_error == 0.0
+
+
+def test_a_recorded_torque_is_compared_on_every_way_from_bags_to_a_result(tmp_path):
+    """From a bag that is kept whole, an information file, and excerpts of a bag that is too long for that."""
+    settings = SimulationSettings(log_scalars=("shaft_torque",), current_gain=(1.02, 1.02, 1.02), harmonics=0.0)
+    simulate_bag(machine_map("ipm"), settings, tmp_path / "bag", TRAJECTORY, 2.0)
+    fit = FitSettings(method="joint", i_max=300.0)
+    whole = fit_bags(Sources([tmp_path / "bag"]), tmp_path / "out", fit)
+    accumulate_bags(Sources([tmp_path / "bag"]), tmp_path / "x.info", fit)
+    stored = fit_bags(Sources([tmp_path / "x.info"]), None, fit)
+    for result in (whole, stored):
+        torque = result.drive.torque
+        assert torque.gain == pytest.approx(1 / 1.02, abs=3e-3)
+        assert torque.samples > 18_000
+    tree = json.loads((tmp_path / "out" / "identification.json").read_text())["torque"]
+    assert tree["gain"] == whole.drive.torque.gain
+    assert cells(fit_table(whole))["Shaft torque / torque of the map"][0] == f"{whole.drive.torque.gain:.5g}"
+    settings = replace(settings, scalar_rate=500.0, log_scalars=("shaft_torque", "winding_temperature"))
+    simulate_bag(machine_map("ipm"), settings, tmp_path / "long", TRAJECTORY, 30.0)
+    found = fit_bags(Sources([tmp_path / "long"]), None, fit)
+    assert found.drive.torque.gain == pytest.approx(1 / 1.02, abs=3e-3)
+    assert found.drive.torque.samples < 140_000
+    assert all(piece.winding_temperature is not None for piece in found.excerpts)
 
 
 def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):

@@ -18,6 +18,7 @@ from drive_id.core.result.identify import identify
 from drive_id.core.signals.join import Piece, joined
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, CoverageError, DataError, DriveIdError, EmptyTopicError
+from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import fit_bags
@@ -71,6 +72,25 @@ def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
         assert_same(found, expected)
         assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=1e-6)
         assert snapshot.join.last_stamp == recording.stamp[-1]
+
+
+def test_optional_signals_arrive_beside_the_others(samples, tmp_path):
+    """At a rate of their own, from the middle on; the excerpt holds them, the fit is the same."""
+    identifier = Identifier(IdentificationSettings(output_directory=str(tmp_path)), SETTINGS)
+    for at in range(0, len(samples), 1000):
+        feed(identifier.live, samples, at, at + 1000)
+        if at >= 10_000:
+            values = np.arange(at, at + 1000, 100, dtype=np.float32)
+            message = encode_block(int(samples.stamp[at]), at // 100, 1e-2, [values], "drive")
+            identifier.receive_scalar("shaft_torque", message)
+    identifier.receive_scalar("shaft_torque", b"\0")
+    values = identifier.health("", [()] * 3).values
+    assert (values["shaft_torque: samples"], values["unreadable messages"]) == ("100", "1")
+    snapshot = identifier.live.snapshot("")
+    assert_same(snapshot.identify(), identify([samples], SETTINGS))
+    (kept,) = snapshot.validation()
+    assert len(kept) == len(samples)
+    np.testing.assert_allclose(kept.shaft_torque[11_000:19_901], np.arange(11_000, 19_901))
 
 
 def resting(monkeypatch, on, duration, period=2e-4):

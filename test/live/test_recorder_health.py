@@ -82,3 +82,23 @@ def test_reliability_follows_the_publishers():
         ([unreliable], True, False), ([BENCH, unreliable], True, False),
     ):  # fmt: skip
         assert reliable_wanted(publishers, KIND, now) is wanted
+
+
+def test_optional_topics_may_be_absent_or_silent():
+    running = report(messages=2, received=20, written=20)
+    torque = Publisher("/meter", "drive_id_msgs/msg/ScalarSamples")
+    states = [TopicState("/resolver", KIND, (BENCH,), 0.1)]
+    absent = TopicState("/shaft_torque", torque.type_name, (), None, optional=True)
+    found = recorder_health(running, [*states, absent], 1.0, 64.0)
+    assert (found.level, found.message) == (Level.OK, "Recording /data/bag.")
+    assert not any("shaft_torque" in name for name in found.values)
+    silent = TopicState("/shaft_torque", torque.type_name, (torque,), 60.0, optional=True)
+    assert recorder_health(running, [*states, silent], 1.0, 64.0).level == Level.OK
+    other = TopicState(
+        "/shaft_torque", torque.type_name, (Publisher("/x", "std_msgs/msg/Float64"),), None, optional=True
+    )
+    assert recorder_health(running, [*states, other], 1.0, 64.0).level == Level.WARN
+    late = RecordingReport(
+        running.path, (*running.topics, TopicReport("/shaft_torque", lost=3, losses=1)), 1, 10, 0, ""
+    )
+    assert "3 samples of /shaft_torque were lost" in recorder_health(late, [*states, silent], 1.0, 64.0).message

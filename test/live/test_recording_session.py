@@ -21,11 +21,13 @@ from rosbags.rosbag2 import Reader
 
 from drive_id.errors import ConfigurationError, OutputError
 from drive_id.files.messages.block_codec import decode_block, encode_block, read_head
+from drive_id.files.messages.messages import SCALAR_SAMPLES, type_hash
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import read_recording
 from drive_id.live.data_directory import new_recording
-from drive_id.live.recording_session import RecordingSession
+from drive_id.live.recording_session import RecordedTopic, RecordingSession
 from drive_id.live.recording_settings import RecordingSettings
+from drive_id.types import SCALARS
 
 NO_DISK = os.strerror(errno.ENOSPC)
 
@@ -48,6 +50,45 @@ def wait_for(condition, timeout=30.0):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+OPTIONAL = tuple(RecordedTopic(f"/{name}", SCALAR_SAMPLES, optional=True) for name in SCALARS)
+
+
+def test_optional_topics_are_in_the_bag_from_their_first_message_on(tmp_path):
+    """Absent ones are in neither bag nor report, and are no loss; a late one is whole."""
+    session = RecordingSession(tmp_path / "bag", (*TOPICS, *OPTIONAL), RecordingSettings())
+    feed(session, 30)
+    temperature = [
+        encode_block(START + 10**9 + k * 10**8, k, 0.1, [np.full(1, 20.0 + k, np.float32)], "drive") for k in range(5)
+    ]
+    for k, data in enumerate(temperature):
+        session.receive("/winding_temperature", data, START + 10**9 + k * 10**8)
+    feed(session, 30, first=30)
+    assert session.stop()
+    report = session.report()
+    assert [topic.topic for topic in report.topics] == [*(topic.name for topic in TOPICS), "/winding_temperature"]
+    assert report.topics[-1].written == report.topics[-1].received == 5
+    assert "no sample was lost." in report.outcome()
+    found = stock_messages(tmp_path / "bag")
+    assert [data for topic, _, data in found if topic == "/winding_temperature"] == temperature
+    with Reader(tmp_path / "bag") as reader:
+        kinds = {connection.topic: (connection.msgtype, connection.digest) for connection in reader.connections}
+    assert set(kinds) == {*(topic.name for topic in TOPICS), "/winding_temperature"}
+    assert kinds["/winding_temperature"] == (SCALAR_SAMPLES, type_hash(SCALAR_SAMPLES))
+
+
+def test_an_optional_topic_may_begin_in_a_later_file(tmp_path):
+    session = RecordingSession(tmp_path / "bag", (*TOPICS, *OPTIONAL), RecordingSettings(max_file_duration=0.1))
+    feed(session, 30)
+    wait_for(lambda: session.report().files > 1)
+    session.receive("/shaft_torque", block(SCALAR_SAMPLES, 0), START + 10**9)
+    feed(session, 5, first=30)
+    assert session.stop()
+    assert bag_info(tmp_path / "bag").complete
+    counts = {topic.name: topic.count for topic in bag_info(tmp_path / "bag").topics}
+    assert counts["/shaft_torque"] == 1
+    assert counts["/phase_currents"] == 35
 
 
 # -- messages and counts -------------------------------------------------------------------------------------------
@@ -304,7 +345,7 @@ def test_a_limit_of_the_system(tmp_path):
         import resource, sys, time
         from pathlib import Path
         from recorder_blocks import TOPICS, feed
-        from drive_id.live.recording_session import RecordingSession
+        from drive_id.live.recording_session import RecordedTopic, RecordingSession
         from drive_id.live.recording_settings import RecordingSettings
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
         session = RecordingSession(Path(sys.argv[1]), TOPICS, RecordingSettings(chunk_size=8192))

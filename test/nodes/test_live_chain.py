@@ -14,6 +14,8 @@ import pytest
 from ros_bench import DEADLINE, require_ros, ros_bench
 from simulated_time import SimulatedTime, end_of, stamp_of
 
+from drive_id.files.read.reader import read_recording
+
 ROOT = Path(__file__).parent.parent.parent
 NODES = "drive_id.nodes."
 TOPICS = ("phase_currents", "phase_voltages", "resolver")
@@ -38,6 +40,7 @@ def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
 
     data = ros.folder / "data"
     bench = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "use_sim_time": True}
+    bench |= {"log_scalars": ["dc_link_voltage", "winding_temperature"], "scalar_rate": 1000.0}
     trajectory = {
         "i_max": I_MAX, "frequency_d": 7.3, "frequency_q": 2.3, "duration": SECONDS, "lead_time": 0.8,
         "watch_timeout": 60.0, "use_sim_time": True,
@@ -91,6 +94,11 @@ def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     stopped = ros.call(StopRecording, "/recorder/stop")
     assert stopped.success, stopped.message
     assert (stopped.samples, stopped.dropped) == (samples, 0)
+    kept = read_recording(data / "bag").samples
+    np.testing.assert_array_equal(kept.dc_link_voltage, 400.0)
+    np.testing.assert_array_equal(kept.winding_temperature, 20.0)
+    assert kept.shaft_torque is None
+    assert int(values["/identification"]["/dc_link_voltage: samples"]) >= samples // 10
     live = ros.call(Identify, "/identification/identify")
     recorded = ros.call(Identify, "/identification/identify", bags=[uri])
     assert live.success, live.message

@@ -8,9 +8,10 @@ import resource
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
-from recorder_blocks import TOPICS, block
+from recorder_blocks import PERIOD, START, TOPICS, block
 from ros_bench import DEADLINE, require_ros, ros_bench
 from rosbags.rosbag2 import Reader
 
@@ -252,6 +253,36 @@ def test_a_best_effort_publisher_that_comes_later(ros):
     bench.publish(3)
     recorder.wait_for_samples(phase_currents=300, phase_voltages=300, resolver=300, current_reference=300)
     assert recorder.stop().dropped == 0
+
+
+def test_an_optional_signal_that_joins_a_running_recording(ros):
+    """Whoever publishes it comes late; the other three are not missed. Its block is one that rclpy has serialized."""
+    from drive_id_msgs.msg import ScalarSamples
+
+    from drive_id.nodes.qos import STREAM
+
+    recorder, bench = Recorder(ros), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    bench.publish(50)
+    recorder.wait_for_samples(phase_currents=5000)
+    recorder.wait_for_status("Recording", 0)
+    thermometer = ros.node.create_publisher(ScalarSamples, "/winding_temperature", STREAM)
+    ros.wait(thermometer.get_subscription_count, "the recorder's subscription")
+    message = ScalarSamples(first_sample=7, sample_period=0.25, value=[40.0, 41.0])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(START, 10**9)
+    thermometer.publish(message)
+    recorder.wait_for_samples(winding_temperature=2)
+    bench.publish(50)
+    bench.wait_until_delivered()
+    reply = recorder.stop()
+    assert (reply.success, reply.samples, reply.dropped) == (True, 10_000, 0), reply.message
+    assert "nothing came on" not in reply.message
+    with Reader(recorder.data / "bag") as reader:
+        assert {c.topic for c in reader.connections} == {*(topic.name for topic in TOPICS), "/winding_temperature"}
+    samples = read_recording(recorder.data / "bag").samples
+    expected = np.minimum(40 + 4 * PERIOD * np.arange(10_000), 41.0)
+    np.testing.assert_allclose(samples.winding_temperature, expected, rtol=1e-6)
 
 
 def test_a_namespace(ros):

@@ -265,9 +265,7 @@ class WindowCutter:
             turns[continues:],
             heat[continues:],
             lagged[continues:],
-            np.full(new.stop - new.start, np.nan)
-            if getattr(samples, "dc_link_voltage", None) is None
-            else samples.dc_link_voltage[new],
+            np.full(new.stop - new.start, np.nan) if samples.dc_link_voltage is None else samples.dc_link_voltage[new],
         )
 
     def finish(self) -> Iterator[Windows]:

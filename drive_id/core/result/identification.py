@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
 
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.maps.flux_models import FluxModel
+    from drive_id.core.result.torque import TorqueFit
 
 Outside = Literal["nan", "raise"]
 
@@ -301,6 +302,8 @@ class IdentifiedDrive:
         Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
     statements : tuple of str
         What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
+    torque : TorqueFit or None
+        The recorded shaft torque against that of the map.
     """
 
     method: str
@@ -321,6 +324,7 @@ class IdentifiedDrive:
     calibrations: tuple[Calibration, ...] = ()
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[str, ...] = ()
+    torque: TorqueFit | None = None
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

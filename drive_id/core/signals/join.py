@@ -1,4 +1,4 @@
-"""Join currents, voltages and resolver on one clock, and cut out whatever is not whole.
+"""Join currents, voltages, resolver and optional signals on one clock, and cut out whatever is not whole.
 
 The stamps of the currents are the clock; comparisons are made on integer nanoseconds and on differences of neighbours,
 so that neither the epoch nor the length of a recording costs precision. :class:`StreamJoin` joins signals as they
@@ -8,8 +8,9 @@ arrive, in bounded memory; :func:`join` gives it whole signals and no bound.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join_report import JoinReport, join_warnings
 from drive_id.core.signals.matching import Phase, constant_shift, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
+from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
@@ -51,7 +53,15 @@ def joined(pieces: Sequence[Piece]) -> Samples:
     return Samples.joined([piece.samples for piece in pieces], continues)
 
 
-def join(currents: Signal, voltages: Signal, resolver: Signal, references: Signal | None = None) -> JoinResult:
+def join(
+    currents: Signal,
+    voltages: Signal,
+    resolver: Signal,
+    references: Signal | None = None,
+    scalars: Mapping[str, Signal] | None = None,
+    *,
+    duty_cycles: bool = False,
+) -> JoinResult:
     """Join the signals of one drive.
 
     Samples with repeated or backward stamps are cut out. A current sample is kept when voltages and resolver each have
@@ -66,6 +76,10 @@ def join(currents: Signal, voltages: Signal, resolver: Signal, references: Signa
         (N, 2) values, electrical angle in rad and speed in rad/s, or (N, 1): speed is then derived from the angle.
     references : Signal, optional
         (N, 2) values, current references d, q in A; held until the next one, for at most 1.5 of their periods.
+    scalars : mapping of str to Signal, optional
+        (N, 1) values, optional signals by their names in :class:`~drive_id.types.Samples`, of any rate.
+    duty_cycles : bool
+        The voltages are fractions of ``dc_link_voltage``; samples for which it is unknown are cut out.
 
     Raises
     ------
@@ -94,7 +108,11 @@ def join(currents: Signal, voltages: Signal, resolver: Signal, references: Signa
         capacity=_UNLIMITED,
         recorded=True,
         reference=reference,
+        scalars={name: signal.name for name, signal in (scalars or {}).items()},
+        duty_cycles=duty_cycles,
     )
+    for name, signal in (scalars or {}).items():
+        joining.add_scalar(name, signal)
     for section, signal in enumerate(signals):
         joining.add(section, signal)
     end, pieces = joining.finished()
@@ -141,7 +159,9 @@ class _Rows:
 
 
 class StreamJoin:
-    """Joins currents, voltages and resolver as they arrive.
+    """Joins currents, voltages, resolver and optional signals as they arrive.
+
+    Joined samples wait for the optional signals that are expected or have arrived before, for a few seconds at most.
 
     Parameters
     ----------
@@ -150,7 +170,8 @@ class StreamJoin:
     batch : int
         Samples to wait for before joining them: fewer cost more, more come later.
     capacity : int
-        Most samples of a signal to keep while others lag behind; what is older goes without partners.
+        Most samples of a signal to keep while others lag behind; what is older goes without partners. No more joined
+        samples wait for optional signals, either.
     locking : int
         Pairs of samples on which to measure the constant offset between the signals.
     recorded : bool
@@ -158,6 +179,10 @@ class StreamJoin:
         whole, they need neither a declared period nor, in the resolver, the speed.
     reference : callable, optional
         Returns the current references (N, 2), A, at increasing stamps (N,), ns, for samples of a period, s.
+    scalars : mapping of str to str, optional
+        Optional signals that are known to come, by their names in :class:`~drive_id.types.Samples`, and their topics.
+    duty_cycles : bool
+        The voltages are fractions of ``dc_link_voltage``; samples for which it is unknown are cut out.
 
     Notes
     -----
@@ -173,6 +198,8 @@ class StreamJoin:
         locking: int = _LOCKING_PAIRS,
         recorded: bool = False,
         reference: Callable[[IntArray, float], FloatArray | None] | None = None,
+        scalars: Mapping[str, str] | None = None,
+        duty_cycles: bool = False,
     ) -> None:
         self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
         self.batch = batch
@@ -184,10 +211,13 @@ class StreamJoin:
         self.runs = 0
         self.gaps = 0
         self.time_lost = 0.0
+        self._scalars = {name: ScalarTrack(topic, capacity) for name, topic in (scalars or {}).items()}
+        self._duty_cycles = duty_cycles
+        self._waiting: list[Piece] = []  # for the optional signals
+        self._cut = 0  # samples without a DC-link voltage
         self._offsets: tuple[int, int] | None = None
         self._phases = (Phase(), Phase())
-        self.late = False
-        """Samples arrived whose partners had been given up."""
+        self._late = False
         self._given_up_to: int | None = None  # largest stamp of such partners
         self._fault: DataError | None = None
         self._taken: list[int | None] = [None, None]
@@ -215,9 +245,28 @@ class StreamJoin:
         """
         track = self.tracks[section]
         if self._given_up_to is not None and len(piece.stamp):
-            self.late |= int(piece.stamp.min()) <= self._given_up_to + self._step
+            self._late |= int(piece.stamp.min()) <= self._given_up_to + self._step
         track.add(piece)
         return self._advance(final=False) if track.fresh >= self.batch else []
+
+    def add_scalar(self, name: str, piece: Signal) -> None:
+        """Take a further part of an optional signal.
+
+        Parameters
+        ----------
+        name : str
+            Its field in :class:`~drive_id.types.Samples`.
+        piece : Signal
+            (N, 1) values.
+        """
+        if name not in self._scalars:
+            self._scalars[name] = ScalarTrack(piece.name, self.capacity)
+        self._scalars[name].add(piece)
+
+    @property
+    def late(self) -> bool:
+        """Whether samples arrived whose partners had been given up."""
+        return self._late or any(track.late for track in self._scalars.values())
 
     def advance(self) -> list[Piece]:
         """Return what can be joined by now, however little it is."""
@@ -241,6 +290,8 @@ class StreamJoin:
         other = copy.copy(self)
         other.tracks = tuple(track.copy() for track in self.tracks)
         other._taken = list(self._taken)  # noqa: SLF001  # of its own class
+        other._scalars = {name: track.copy() for name, track in self._scalars.items()}  # noqa: SLF001
+        other._waiting = list(self._waiting)  # noqa: SLF001
         return other, other._advance(final=True)  # noqa: SLF001  # of its own class
 
     def check(self) -> None:
@@ -272,6 +323,11 @@ class StreamJoin:
             raise _overlap_error([(track.name, *track.range) for track in self.tracks])
         if self._early > LARGEST_CUT * self._joined:
             raise _early_error(clock, self._early, self._first_early, self._step * 1e-9)
+        if not self.samples and self._cut:
+            raise NoOverlapError(
+                f"The voltages of {self.tracks[1].name} are duty cycles, and the DC-link voltage is unknown during all "
+                "of them: record it, or give a constant scale in the signals file."
+            )
         if not self.samples:
             raise _no_run_error(clock)
 
@@ -285,7 +341,18 @@ class StreamJoin:
             for track in self.tracks
             if track.given_up and not self._recorded
         ]
-        return report.with_warnings((*join_warnings(report), *given_up))
+        unknown = [
+            f"{track.name} is unknown for {track.unknown * self._period:.3f} s of data, before its first sample, after "
+            "its last or in gaps."
+            for track in self._scalars.values()
+            if track.unknown
+        ]
+        if self._cut:
+            unknown.append(
+                f"{self._cut} samples were cut out, for their voltages are duty cycles and the DC-link voltage is "
+                "unknown."
+            )
+        return report.with_warnings((*join_warnings(report), *given_up, *unknown))
 
     @property
     def _step(self) -> float:
@@ -313,7 +380,52 @@ class StreamJoin:
                 self._note_given_up(int(track.stamp[excess - 1]))
                 track.given_up += excess
                 track.drop(excess)
-        return pieces
+        return self._with_scalars(pieces, final=final)
+
+    def _with_scalars(self, pieces: list[Piece], *, final: bool) -> list[Piece]:
+        """Return the waiting pieces for which the optional signals are decided, with these signals."""
+        if not self._scalars:
+            return pieces
+        self._waiting += pieces
+        newest = int(self._waiting[-1].samples.stamp[-1]) if self._waiting else 0
+        decided = min(track.decided(newest) for track in self._scalars.values())
+        excess = sum(len(piece.samples) for piece in self._waiting) - self.capacity
+        ready = 0
+        while ready < len(self._waiting):
+            samples = self._waiting[ready].samples
+            if not (final or excess > 0 or int(samples.stamp[-1]) <= decided):
+                break
+            excess -= len(samples)
+            ready += 1
+        chosen, self._waiting = self._waiting[:ready], self._waiting[ready:]
+        complete = []
+        for piece in chosen:
+            scalars: dict[str, Any] = {name: track.at(piece.samples.stamp) for name, track in self._scalars.items()}
+            for name, track in self._scalars.items():
+                track.unknown += int(np.isnan(scalars[name][int(piece.continues) :]).sum())
+                if np.isnan(scalars[name]).all():
+                    del scalars[name]
+            complete += self._in_volts(replace(piece, samples=replace(piece.samples, **scalars)))
+        return complete
+
+    def _in_volts(self, piece: Piece) -> list[Piece]:
+        """Multiply duty cycles by the DC-link voltage, and cut out the samples for which it is unknown."""
+        samples = piece.samples
+        if not self._duty_cycles:
+            return [piece]
+        u_dc = samples.dc_link_voltage
+        known = np.zeros(len(samples), np.bool_) if u_dc is None else np.isfinite(u_dc)
+        cut = int((~known).sum()) - (piece.continues and not known[0])
+        self._cut += cut
+        self.samples -= cut
+        begins = np.zeros(len(samples), np.bool_)
+        begins[samples.run_starts] = True
+        begins[1:] |= known[1:] & ~known[:-1]
+        if u_dc is None or not known.any():
+            return []
+        begins[int(np.argmax(known))] = True
+        volts = replace(samples.chosen(known, begins), u_abc=samples.u_abc[known] * u_dc[known, None])
+        return [Piece(volts, bool(piece.continues and known[0]))]
 
     def _lock(self, *, final: bool) -> bool:
         """Measure the offsets once there are enough pairs; afterwards, or when they cannot be had, say which."""

@@ -1,4 +1,4 @@
-"""Codec of our sample messages, which share one CDR layout: a header and two or three float32 arrays.
+"""Codec of our sample messages, which share one CDR layout: a header and one to three float32 arrays.
 
 The tests compare it with the general deserializer of rosbags.
 """

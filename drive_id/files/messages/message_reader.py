@@ -19,6 +19,7 @@ from drive_id.files.messages.signals_file import (
     PhaseSource,
     ReferenceSource,
     RotorSource,
+    ScalarSource,
     SignalMap,
     TimeSource,
 )
@@ -69,6 +70,8 @@ Reader = Callable[[RawMessage], MessageSamples]
 def _value_paths(source: TimeSource) -> tuple[str, ...]:
     if isinstance(source, RotorSource):
         return (source.angle, source.speed) if source.speed else (source.angle,)
+    if isinstance(source, ScalarSource):
+        return (source.field,)
     assert isinstance(source, (PhaseSource, ReferenceSource))
     return source.fields
 

@@ -16,6 +16,7 @@ PHASE_CURRENTS = "drive_id_msgs/msg/PhaseCurrents"
 PHASE_VOLTAGES = "drive_id_msgs/msg/PhaseVoltages"
 RESOLVER = "drive_id_msgs/msg/Resolver"
 CURRENT_REFERENCE = "drive_id_msgs/msg/CurrentReference"
+SCALAR_SAMPLES = "drive_id_msgs/msg/ScalarSamples"
 
 _HEAD = """\
 # A block of equally spaced samples: sample k belongs to header.stamp + k * sample_period.
@@ -29,6 +30,7 @@ _BODIES = {
     PHASE_VOLTAGES: "# Commanded phase voltages, held for one period, V.\nfloat32[] a\nfloat32[] b\nfloat32[] c\n",
     RESOLVER: "# Electrical angle, rad, in [-pi, pi), and speed, rad/s.\nfloat32[] angle\nfloat32[] speed\n",
     CURRENT_REFERENCE: "# Current set-points, A, the first due at the stamp.\nfloat32[] d\nfloat32[] q\n",
+    SCALAR_SAMPLES: "# One optional signal, V, degrees Celsius or Nm, as its topic says.\nfloat32[] value\n",
 }
 
 BLOCK_FIELDS: dict[str, tuple[str, ...]] = {
@@ -36,6 +38,7 @@ BLOCK_FIELDS: dict[str, tuple[str, ...]] = {
     PHASE_VOLTAGES: ("a", "b", "c"),
     RESOLVER: ("angle", "speed"),
     CURRENT_REFERENCE: ("d", "q"),
+    SCALAR_SAMPLES: ("value",),
 }
 """The ``float32[]`` fields of each message, in order of definition."""
 

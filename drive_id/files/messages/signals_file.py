@@ -1,4 +1,4 @@
-"""Signals files: which topics and fields of a bag hold the currents, voltages and rotor position of a drive.
+"""Signals files: which topics and fields of a bag hold the currents, voltages, rotor position and optional signals.
 
 The defaults describe the messages of ``drive_id_msgs``. ``config/signals_example_stranger.yaml`` shows every field.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -16,6 +16,9 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.messages.field_path import parse_field_path
 from drive_id.files.storage.container import reason
 from drive_id.settings import check, from_mapping, setting
+from drive_id.types import SCALARS
+
+Source = TypeVar("Source")
 
 STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 ANGLE_UNITS = {"rad": 1.0, "deg": 0.017453292519943295, "rev": 6.283185307179586}
@@ -23,6 +26,7 @@ SPEED_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "rev/s": 6.283185307
 TYPESTORES = ("humble", "iron", "jazzy", "kilted", "latest")
 _LARGEST_FILE = 1 << 20
 _SECTIONS = ("currents", "voltages", "resolver", "reference")
+_BY_DC_LINK = "dc_link_voltage"
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,11 @@ class PhaseSource(TimeSource):
     """Where three phase quantities come from."""
 
     fields: tuple[str, ...] = setting((), "Paths of phases a, b, c; with two of them, c is minus their sum")
-    scale: float | tuple[float, ...] = setting(1.0, "Factor to SI units, of all phases or of each; may be negative")
+    scale: float | tuple[float, ...] | str = setting(
+        1.0,
+        "Factor to SI units, of all phases or of each, may be negative; dc_link_voltage, for voltages that are duty "
+        "cycles, multiplies them by this optional signal",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -67,14 +75,23 @@ class PhaseSource(TimeSource):
             raise ConfigurationError("fields names the same path twice: give one path per phase.")
         for path in self.fields:
             parse_field_path(path, "fields")
+        if isinstance(self.scale, str) and not self.duty_cycles:
+            raise ConfigurationError(f"scale is '{self.scale}': give numbers, or {_BY_DC_LINK} for duty cycles.")
         if 0.0 in self.factors or len(self.factors) != len(self.fields):
             raise ConfigurationError(
                 f"scale is {self.scale}: give one factor, or one per phase, and none of them zero."
             )
 
     @property
+    def duty_cycles(self) -> bool:
+        """Whether these are fractions of the DC-link voltage."""
+        return self.scale == _BY_DC_LINK
+
+    @property
     def factors(self) -> tuple[float, ...]:
-        """Factor of each phase in ``fields``."""
+        """Factor of each phase in ``fields``, besides the DC-link voltage for duty cycles."""
+        if isinstance(self.scale, str):
+            return (1.0,) * len(self.fields)
         return self.scale if isinstance(self.scale, tuple) else (self.scale,) * len(self.fields)
 
 
@@ -134,6 +151,28 @@ class ReferenceSource(TimeSource):
             parse_field_path(path, "fields")
 
 
+@dataclass(frozen=True)
+class ScalarSource(TimeSource):
+    """Where an optional signal comes from."""
+
+    field: str = setting("", "Path of the value")
+    scale: float = setting(1.0, "Factor to V, degrees Celsius or Nm; may be negative")
+    offset: float = setting(0.0, "Added after scaling, in V, degrees Celsius or Nm")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.field:
+            raise ConfigurationError("field is missing: give the path of the value.")
+        parse_field_path(self.field, "field")
+        if self.scale == 0.0:
+            raise ConfigurationError("scale is 0: give a factor that is not zero.")
+
+
+def our_scalar(name: str) -> ScalarSource:
+    """Return where our own messages hold an optional signal."""
+    return ScalarSource(name, sample_period="sample_period", first_sample="first_sample", field="value")
+
+
 def _our_phases(topic: str) -> PhaseSource:
     return PhaseSource(topic, sample_period="sample_period", first_sample="first_sample", fields=("a", "b", "c"))
 
@@ -149,6 +188,9 @@ class SignalMap:
     resolver : RotorSource
     reference : ReferenceSource or None
         Optional in the bag even when it is given here.
+    optional : dict of str to ScalarSource
+        DC-link voltage, winding and magnet temperature and shaft torque, by their names in
+        :class:`~drive_id.types.Samples`; each may be missing in the bag.
     typestore : str
         ROS distribution whose message definitions are used for bags that carry none.
     definitions : dict of str to str
@@ -167,13 +209,14 @@ class SignalMap:
             "current_reference", sample_period="sample_period", first_sample="first_sample"
         )
     )
+    optional: dict[str, ScalarSource] = field(default_factory=lambda: {name: our_scalar(name) for name in SCALARS})
     typestore: str = "jazzy"
     definitions: dict[str, str] = field(default_factory=dict)
 
     def sources(self) -> dict[str, TimeSource]:
-        """Return the sources by name of their section."""
+        """Return the sources by name of their section, or of the optional signal."""
         found: dict[str, TimeSource | None] = {name: getattr(self, name) for name in _SECTIONS}
-        return {name: source for name, source in found.items() if source is not None}
+        return {name: source for name, source in found.items() if source is not None} | self.optional
 
 
 def read_signals(path: Path) -> SignalMap:
@@ -210,10 +253,11 @@ def parse_signals(text: str, where: str) -> SignalMap:
                 raise ConfigurationError(f"{where} has no section '{name}': add it, with at least a topic.")
             values[name] = None
             continue
-        section = f"{where}, line {lines[name]}, section '{name}'"
-        if not isinstance(tree[name], dict):
-            raise ConfigurationError(f"{section} is not a mapping: write 'topic: ...' and so on below it.")
-        values[name] = from_mapping(kind, tree[name], section)
+        values[name] = _source(kind, tree[name], f"{where}, line {lines[name]}, section '{name}'")
+    values["optional"] = _optional(
+        tree.get("optional", {}), f"{where}, line {lines.get('optional')}, section 'optional'"
+    )
+    _check_scales(values, where)
     values["typestore"] = tree.get("typestore", "jazzy")
     if values["typestore"] not in TYPESTORES:
         raise ConfigurationError(
@@ -221,6 +265,31 @@ def parse_signals(text: str, where: str) -> SignalMap:
         )
     values["definitions"] = _definitions(tree.get("definitions", {}), where)
     return SignalMap(**values)
+
+
+def _source(kind: type[Source], tree: Any, section: str) -> Source:
+    if not isinstance(tree, dict):
+        raise ConfigurationError(f"{section} is not a mapping: write 'topic: ...' and so on below it.")
+    return from_mapping(kind, tree, section)
+
+
+def _optional(tree: Any, section: str) -> dict[str, ScalarSource]:
+    if not isinstance(tree, dict):
+        raise ConfigurationError(f"{section} is not a mapping: write the name of a signal and so on below it.")
+    unknown = [name for name in tree if name not in SCALARS]
+    if unknown:
+        raise ConfigurationError(f"{section} has a signal '{unknown[0]}': the signals are {', '.join(SCALARS)}.")
+    return {name: _source(ScalarSource, entry, f"{section}, signal '{name}'") for name, entry in tree.items()}
+
+
+def _check_scales(values: dict[str, Any], where: str) -> None:
+    """Check that only voltages are duty cycles, and that the DC-link voltage is there for them."""
+    if values["currents"].duty_cycles:
+        raise ConfigurationError(f"scale in section 'currents' of {where} is {_BY_DC_LINK}: give the factor to A.")
+    if values["voltages"].duty_cycles and _BY_DC_LINK not in values["optional"]:
+        raise ConfigurationError(
+            f"The voltages in {where} are scaled by {_BY_DC_LINK}, which is not there: add it in section 'optional'."
+        )
 
 
 def _definitions(tree: Any, where: str) -> dict[str, str]:

@@ -32,11 +32,18 @@ from drive_id.files.messages.message_reader import (
     message_reader,
 )
 from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.files.messages.signals_file import PhaseSource, ReferenceSource, RotorSource, SignalMap, TimeSource
+from drive_id.files.messages.signals_file import (
+    PhaseSource,
+    ReferenceSource,
+    RotorSource,
+    ScalarSource,
+    SignalMap,
+    TimeSource,
+)
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_BYTES = 1 << 21
 """Size of a part read from the chunks of MCAP files, bytes."""
@@ -60,7 +67,7 @@ def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) 
     Returns
     -------
     dict
-        Section to signal, in SI units; the reference only if its topic is there.
+        Section to signal, in SI units; reference and optional signals only if their topics are there.
 
     Raises
     ------
@@ -137,7 +144,8 @@ class SignalStream:
         """Whether every part is complete by itself: all sample periods are declared and the speed is recorded."""
         resolver = self._sources["resolver"]
         speed = isinstance(resolver, RotorSource) and bool(resolver.speed)
-        return speed and all(source.sample_period is not None for source in self._sources.values())
+        declared = (source.sample_period is not None for name, source in self._sources.items() if name not in SCALARS)
+        return speed and all(declared)
 
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals; see :func:`extract_signals`."""
@@ -145,7 +153,7 @@ class SignalStream:
         for section, piece in self._pieces():
             pieces[section].append(piece)
         self._refuse_empty(section for section in self._sources if section not in pieces)
-        return self._built({section: pieces[section] for section in self._sources})
+        return self._built({section: pieces[section] for section in self._sources if section in pieces})
 
     def parts(self) -> Generator[SignalPart, None, None]:
         """Yield the signals part by part; for the errors, see :func:`extract_signals`.
@@ -163,6 +171,8 @@ class SignalStream:
 
     def _refuse_empty(self, sections: Iterator[str]) -> None:
         for section in sections:
+            if section in SCALARS:
+                continue
             raise EmptyTopicError(
                 f"{self._topics[section].name} in {self._bag.path} holds no sample: record again while the drive "
                 "publishes it."
@@ -427,6 +437,8 @@ def _plain(source: TimeSource) -> bool:
         return len(source.fields) == 3 and set(source.factors) == {1.0}
     if isinstance(source, RotorSource):
         return (source.angle_factor, source.angle_offset, source.speed_factor) == (1.0, 0.0, 1.0)
+    if isinstance(source, ScalarSource):
+        return (source.scale, source.offset) == (1.0, 0.0)
     return isinstance(source, ReferenceSource) and source.scale == 1.0
 
 
@@ -438,5 +450,7 @@ def _in_si_units(columns: list[FloatArray], source: TimeSource) -> FloatArray:
     if isinstance(source, RotorSource):
         scaled = [columns[0] * source.angle_factor + source.angle_offset]
         return np.column_stack([*scaled, *(column * source.speed_factor for column in columns[1:])])
+    if isinstance(source, ScalarSource):
+        return np.column_stack(columns) * source.scale + source.offset
     assert isinstance(source, ReferenceSource)
     return np.column_stack(columns) * source.scale

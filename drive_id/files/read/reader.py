@@ -6,7 +6,7 @@ import queue
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,12 +16,13 @@ from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.machines.ground_truth import decode_truth
-from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.messages.messages import SCALAR_SAMPLES
+from drive_id.files.messages.signals_file import SignalMap, our_scalar
 from drive_id.files.read.extraction import SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
-from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
+from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray, Samples
 
 REQUIRED = ("currents", "voltages", "resolver")
 CAPACITY = 1 << 20
@@ -83,7 +84,7 @@ def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: s
         When it holds several drives and none was chosen.
     """
     with _opened(path, signals or SignalMap(), namespace) as (bag, topics, truth, stream):
-        result = _joined_at_once(path, stream)
+        result = _joined_at_once(path, stream, signals or SignalMap())
         digests = {str(file): file_digest(file) for file in bag.files}
         names = {section: topic.name for section, topic in topics.items()}
         warnings = (*bag.warnings, *result.report.warnings)
@@ -171,12 +172,14 @@ def bag_pieces(
     """
     with _opened(path, signals, namespace) as (bag, topics, truth, stream):
         if whole or not stream.continuous:
-            result = _joined_at_once(path, stream)
+            result = _joined_at_once(path, stream, signals)
             warnings = list(result.report.warnings)
             yield Piece(result.samples, False)
         else:
             warnings = []
-            with closing(prefetched(_joined(path, stream, topics, warnings, threads), _AHEAD, threads)) as pieces:
+            with closing(
+                prefetched(_joined(path, stream, signals, topics, warnings, threads), _AHEAD, threads)
+            ) as pieces:
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
@@ -194,10 +197,17 @@ def _opened(
         yield bag, topics, truth, SignalStream(bag, signals, topics)
 
 
-def _joined_at_once(path: Path, stream: SignalStream) -> JoinResult:
+def _joined_at_once(path: Path, stream: SignalStream, signals: SignalMap) -> JoinResult:
     found = stream.whole()
     with _naming(path):
-        return join(found["currents"], found["voltages"], found["resolver"], found.get("reference"))
+        return join(
+            found["currents"],
+            found["voltages"],
+            found["resolver"],
+            found.get("reference"),
+            {name: signal for name, signal in found.items() if name in SCALARS},
+            duty_cycles=signals.voltages.duty_cycles,
+        )
 
 
 @contextmanager
@@ -210,18 +220,33 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _joined(
-    path: Path, stream: SignalStream, topics: dict[str, TopicInfo], warnings: list[str], threads: bool
+    path: Path,
+    stream: SignalStream,
+    signals: SignalMap,
+    topics: dict[str, TopicInfo],
+    warnings: list[str],
+    threads: bool,
 ) -> Generator[tuple[Piece, float], None, None]:
     """Yield joined samples with the part of the bag that was read for them; add the warnings at the end."""
     names = (topics["currents"].name, topics["voltages"].name, topics["resolver"].name)
     references = _References()
     joining = StreamJoin(
-        names, batch=2 * CAPACITY, capacity=CAPACITY, locking=_LOCKING_PAIRS, recorded=True, reference=references.at
+        names,
+        batch=2 * CAPACITY,
+        capacity=CAPACITY,
+        locking=_LOCKING_PAIRS,
+        recorded=True,
+        reference=references.at,
+        scalars={name: topics[name].name for name in SCALARS if name in topics},
+        duty_cycles=signals.voltages.duty_cycles,
     )
     before: SignalPart | None = None
     with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:
         for part in parts:
             references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
+            for name in SCALARS:
+                if name in part.signals:
+                    joining.add_scalar(name, part.signals[name])
             if before is not None:
                 yield from ((piece, before.progress) for piece in _advanced(path, joining, before))
             before = part
@@ -278,15 +303,19 @@ def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, 
         When several namespaces hold all topics and ``namespace`` is empty.
     """
     sources = signals.sources()
+    needed = (*REQUIRED, "dc_link_voltage") if signals.voltages.duty_cycles else REQUIRED
     relative = {section: source.topic for section, source in sources.items() if not source.topic.startswith("/")}
     chosen = "/" + namespace.strip("/") if namespace.strip("/") else None
     prefix = _namespace(bag, {k: v for k, v in relative.items() if k in REQUIRED}, chosen)
     found = {}
     for section, source in sources.items():
         name = f"{prefix}/{source.topic}" if section in relative else source.topic
-        if name in bag.topics and (section in REQUIRED or bag.topics[name].count != 0):
+        needs_ours = section in SCALARS and replace(source, topic=section) == our_scalar(section)
+        if name in bag.topics and needs_ours and bag.topics[name].type_name != SCALAR_SAMPLES:
+            continue  # somebody else's topic of the same name
+        if name in bag.topics and (section in needed or bag.topics[name].count != 0):
             found[section] = bag.topics[name]
-        elif section in REQUIRED:
+        elif section in needed:
             raise _missing(bag, name, section)
     return found
 

@@ -23,6 +23,7 @@ import numpy as np
 import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
@@ -181,6 +182,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "harmonics": [harmonic.order for harmonic in identification.harmonics],
         "calibrations": [asdict(entry) for entry in identification.calibrations],
         "statements": list(identification.statements),
+        "torque": None if identification.torque is None else asdict(identification.torque),
         "metrics": {
             "nrmse_d": nrmse_d,
             "nrmse_q": nrmse_q,
@@ -296,7 +298,14 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
         ),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=tuple(map(str, tree["statements"])),
+        torque=_torque(tree.get("torque")),
     )
+
+
+def _torque(tree: Mapping[str, Any] | None) -> TorqueFit | None:
+    if tree is None:
+        return None
+    return TorqueFit(**{**tree, "cogging": tuple(Cogging(**entry) for entry in tree["cogging"])})
 
 
 def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:

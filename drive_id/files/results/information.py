@@ -29,11 +29,12 @@ from drive_id.errors import DriveIdError, InformationError, OutputError
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent
 from drive_id.settings import from_mapping
-from drive_id.types import Samples
+from drive_id.types import SCALARS, Samples
 
 FORMAT = "drive_id/information"
 FORMAT_VERSION = 2
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
+_OPTIONAL = ("i_dq_reference", *SCALARS)
 _DAMAGE = (
     DriveIdError,
     ValueError,
@@ -145,7 +146,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
     }
     arrays = prefixed("evidence", evidence.state())
     for number, piece in enumerate(validation):
-        signals = {name: getattr(piece, name) for name in (*_SIGNALS, "i_dq_reference")}
+        signals = {name: getattr(piece, name) for name in (*_SIGNALS, *_OPTIONAL)}
         arrays |= prefixed(f"validation/{number}", {name: x for name, x in signals.items() if x is not None})
     if accumulated.truth is not None:
         arrays["truth"] = np.frombuffer(encode_truth(accumulated.truth), np.uint8)
@@ -237,4 +238,5 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
 
 def _piece(arrays: SavedSums, period: float) -> Samples:
     signals: dict[str, Any] = {name: arrays[name] for name in _SIGNALS}
-    return Samples(**signals, sample_period=float(period), i_dq_reference=arrays.get("i_dq_reference"))
+    optional: dict[str, Any] = {name: arrays.get(name) for name in _OPTIONAL}
+    return Samples(**signals, **optional, sample_period=float(period))

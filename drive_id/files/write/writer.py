@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import ConfigurationError
@@ -18,10 +17,11 @@ from drive_id.files.messages.messages import (
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
     RESOLVER,
+    SCALAR_SAMPLES,
 )
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, RawMessage
 from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
-from drive_id.types import FloatArray, GroundTruth, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray, Samples
 
 BLOCK_SIZE = 100
 """Samples per message: 100 messages a second at 10 kHz."""
@@ -31,7 +31,7 @@ _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 @dataclass(frozen=True)
 class Topics:
-    """Names of the topics in a namespace (empty, or like ``drive_1``)."""
+    """Names of the topics in a namespace (empty, or like ``drive_1``); optional signals have their own names."""
 
     namespace: str = ""
     currents: str = "phase_currents"
@@ -51,6 +51,7 @@ def write_recording(
     *,
     topics: Topics | None = None,
     block_size: int = BLOCK_SIZE,
+    scalar_periods: Mapping[str, float] | None = None,
     start_stamp: int | None = None,
     compression: str = "zstd",
     chunk_size: int = CHUNK_SIZE,
@@ -68,6 +69,8 @@ def write_recording(
     topics : Topics, optional
     block_size : int
         Samples per message.
+    scalar_periods : mapping of str to float, optional
+        Time between the stored values of optional signals, s, by name; default: that of the samples.
     start_stamp : int, optional
         Stamp of the first sample, ns; default: stamps are not shifted.
     compression, chunk_size
@@ -83,12 +86,14 @@ def write_recording(
     if block_size < 1:
         raise ConfigurationError(f"block_size is {block_size}: it must be at least 1 sample.")
     shift = 0 if start_stamp is None else start_stamp - int(samples.stamp[0])
-    messages = sorted(_messages(samples, shift, topics or Topics(), block_size), key=lambda message: message.log_time)
+    names, periods = topics or Topics(), scalar_periods or {}
+    messages = [*_messages(samples, shift, names, block_size), *_scalars(samples, shift, names, block_size, periods)]
+    messages.sort(key=lambda message: message.log_time)
     with (
         whole_or_nothing(path) as folder,
         Rosbag2McapWriter(folder, compression=compression, chunk_size=chunk_size) as writer,
     ):
-        _fill(writer, messages, topics or Topics(), samples, truth)
+        _fill(writer, messages, names, samples, truth)
 
 
 def _fill(
@@ -99,6 +104,8 @@ def _fill(
     writer.add_topic(topics.absolute(topics.resolver), RESOLVER)
     if samples.i_dq_reference is not None:
         writer.add_topic(topics.absolute(topics.reference), CURRENT_REFERENCE)
+    for name in samples.scalars():
+        writer.add_topic(topics.absolute(name), SCALAR_SAMPLES)
     for message in messages:
         writer.write(message.topic, bytes(message.data), message.log_time)
     if truth is not None:
@@ -122,7 +129,9 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> 
         )
     for name, values, when_full in signals:
         known = finite_rows(values.astype(np.float64))
-        for start, end in zip(*_blocks(samples, known, block_size), strict=True):
+        begins = np.zeros(len(samples), np.bool_)
+        begins[samples.run_starts] = True
+        for start, end in zip(*_blocks(every, known, begins, samples.sample_period, block_size), strict=True):
             stamp = int(every[start])
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
@@ -130,20 +139,37 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> 
             yield RawMessage(topics.absolute(name), end_time if when_full else stamp, data)
 
 
-def _blocks(samples: Samples, known: NDArray[np.bool_], block_size: int) -> tuple[IntArray, IntArray]:
+def _scalars(
+    samples: Samples, shift: int, topics: Topics, block_size: int, periods: Mapping[str, float]
+) -> Iterator[RawMessage]:
+    """Yield the messages of the optional signals: blocks of known values, of which each run holds every n-th."""
+    for name, values in samples.scalars().items():
+        stride = max(1, round(periods.get(name, 0.0) / samples.sample_period))
+        since = np.arange(len(samples)) - np.repeat(
+            samples.run_starts, [run.stop - run.start for run in samples.runs()]
+        )
+        chosen = np.flatnonzero(since % stride == 0)
+        stamp, sparse, period = samples.stamp[chosen] + shift, values[chosen], stride * samples.sample_period
+        known = np.isfinite(sparse)
+        size = max(1, block_size // stride)
+        for start, end in zip(*_blocks(stamp, known, since[chosen] == 0, period, size), strict=True):
+            end_time = int(stamp[end - 1]) + round(samples.sample_period * NANOSECONDS)
+            data = encode_block(int(stamp[start]), int(start), period, [sparse[start:end].astype(np.float32)], _FRAME)
+            yield RawMessage(topics.absolute(name), end_time, data)
+
+
+def _blocks(
+    stamp: IntArray, known: BoolArray, begins: BoolArray, period: float, block_size: int
+) -> tuple[IntArray, IntArray]:
     """Return begins and ends of blocks of known samples; no block spans a gap, an unknown sample or an uneven stamp."""
-    index = np.arange(len(samples))
-    uneven = (
-        np.abs(np.diff(samples.stamp) - samples.sample_period * NANOSECONDS)
-        > 0.01 * samples.sample_period * NANOSECONDS
-    )
-    breaks = np.zeros(len(samples), bool)
+    index = np.arange(len(stamp))
+    uneven = np.abs(np.diff(stamp) - period * NANOSECONDS) > 0.01 * period * NANOSECONDS
+    breaks = begins.copy()
     breaks[0] = True
-    breaks[samples.run_starts] = True
     breaks[1:] |= uneven | (known[1:] != known[:-1])
     since = index - np.maximum.accumulate(np.where(breaks, index, 0))
     starts = np.flatnonzero(since % block_size == 0)
-    ends = np.append(starts[1:], len(samples))
+    ends = np.append(starts[1:], len(stamp))
     return starts[known[starts]], ends[known[starts]]
 
 

@@ -271,3 +271,15 @@ def test_a_full_disk_leaves_what_was_there(accumulated, encoded, tmp_path, monke
         write_information(path, accumulated)
     assert path.read_bytes() == encoded
     assert [file.name for file in tmp_path.iterdir()] == ["x.info"]
+
+
+def test_optional_signals_of_the_excerpt_come_back(accumulated):
+    count = len(accumulated.validation[0])
+    torque = np.where(np.arange(count) < 10, np.nan, 3.0)
+    piece = replace(accumulated.validation[0], shaft_torque=torque, winding_temperature=np.full(count, 40.0))
+    (found,) = decode_information(
+        encode_information(replace(accumulated, validation=(piece,))), "x"
+    ).accumulated.validation
+    np.testing.assert_array_equal(found.shaft_torque, torque[: len(found)])
+    np.testing.assert_array_equal(found.winding_temperature, 40.0)
+    assert found.dc_link_voltage is None

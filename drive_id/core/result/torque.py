@@ -1,0 +1,328 @@
+"""The measured shaft torque against that of the flux map: common gain, friction, cogging."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.types import FloatArray, Samples
+
+MOST_ORDER = 24
+"""Highest electrical order of cogging that is looked for."""
+_CHUNK = 1 << 15
+_BLOCKS, _FEWEST_BLOCKS = 40, 8
+_SIGNIFICANT = 30.0
+"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
+_SAME_GAIN = 2e-3
+_LARGEST_GAIN_ERROR = 0.05
+_SPEEDS_APART = 1.2
+_SAMPLES_PER_PERIOD = 8.0
+"""Samples of the torque signal per period of the highest order, so that interpolation takes away less than 5 %."""
+
+
+@dataclass(frozen=True)
+class Cogging:
+    """One harmonic of the cogging torque.
+
+    Parameters
+    ----------
+    order : int
+        Electrical.
+    amplitude, sigma : float
+        And its standard error, Nm.
+    """
+
+    order: int
+    amplitude: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class TorqueFit:
+    """What the shaft torque says of a flux map.
+
+    The model is ``T = g 3/2 p (psi_d i_q - psi_q i_d) - T_f sign(w) - b w - T_c(theta) + T_0`` with the mechanical
+    speed w; b and T_0 only where the speeds in the recording tell them from T_f.
+
+    Parameters
+    ----------
+    gain, sigma_gain : float
+        g and its standard error. A common gain error of voltages or currents, which the electrical signals do not show,
+        makes it differ from 1.
+    friction, sigma_friction : float
+        T_f and its standard error, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
+        where ``offset`` is None, it includes the offset of the torque sensor.
+    viscous_friction, sigma_viscous_friction : float or None
+        b and its standard error, Nm s/rad.
+    offset, sigma_offset : float or None
+        T_0 of the torque sensor and its standard error, Nm.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    rms_map : float
+        Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
+        offset, Nm.
+    rms_residual : float
+        The same with the gain, Nm.
+    pole_pairs : int
+    samples : int
+        In the fit.
+    """
+
+    gain: float
+    sigma_gain: float
+    friction: float
+    sigma_friction: float
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    offset: float | None
+    sigma_offset: float | None
+    cogging: tuple[Cogging, ...]
+    rms_map: float
+    rms_residual: float
+    pole_pairs: int
+    samples: int
+
+
+def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs: int | None) -> IdentifiedDrive:
+    """Return the drive with what the shaft torque in the excerpts says of it; the same drive where there is none.
+
+    Parameters
+    ----------
+    drive : IdentifiedDrive
+    excerpts : sequence of Samples
+    pole_pairs : int or None
+        None when unknown: a statement then says so.
+    """
+    pieces = [piece for piece in excerpts if piece.shaft_torque is not None]
+    if not pieces:
+        return drive
+    if pole_pairs is None:
+        said = (
+            "The shaft torque was recorded but not compared with the map, for the number of pole pairs is unknown: set "
+            "pole_pairs."
+        )
+        return replace(drive, statements=(*drive.statements, said))
+    if drive.calibrations:
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+        pieces = [corrected(piece, drive.calibrations) for piece in pieces]
+    found = fit_torque(drive.flux_map, pieces, pole_pairs)
+    if found is None:
+        said = (
+            "The shaft torque was recorded but not compared with the map, for it is known for too few samples within "
+            "the map: record it longer."
+        )
+        return replace(drive, statements=(*drive.statements, said))
+    warnings = (*drive.report.warnings, *_warnings(found))
+    return replace(
+        drive,
+        torque=found,
+        statements=(*drive.statements, _statement(found)),
+        report=replace(drive.report, warnings=warnings),
+    )
+
+
+@one_blas_thread(with_scipy=False)
+def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) -> TorqueFit | None:
+    """Fit gain, friction and cogging to the shaft torque.
+
+    Linear least squares over sums per block of time, so that memory does not grow with the samples. Standard errors
+    come from the scatter between the blocks, because neighbouring residuals are correlated, and from those of the map.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    pieces : sequence of Samples
+        Those with a shaft torque count.
+    pole_pairs : int
+
+    Returns
+    -------
+    TorqueFit or None
+        None with too few samples of known torque within the map.
+    """
+    total = sum(len(piece) for piece in pieces)
+    size = max(total // _BLOCKS, 1)
+    speeds, orders = _Speeds(), _resolved_orders(pieces)
+    blocks: list[FloatArray] = []
+    for piece in pieces:
+        for start in range(0, len(piece), min(size, _CHUNK)):
+            part = piece.part(start, min(start + min(size, _CHUNK), len(piece)))
+            rows = _rows(flux_map, part, pole_pairs, orders)
+            if len(rows):
+                blocks.append(rows.T @ rows)
+                speeds.add(rows[:, _SPEED])
+    blocks = _grouped(blocks)
+    if len(blocks) < _FEWEST_BLOCKS:
+        return None
+    base = [_GAIN, _FRICTION, *([_SPEED] if speeds.apart else []), *([_OFFSET] if speeds.reversed else [])]
+    every = [*base, *range(_HARMONICS, _HARMONICS + 2 * len(orders))]
+    solution = _Solution.of(np.array(blocks), every)
+    kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > _SIGNIFICANT]
+    columns = [*base, *(_HARMONICS + 2 * k + part for k, _ in kept for part in (0, 1))]
+    solution = _Solution.of(np.array(blocks), columns)
+    viscous, offset = (solution.estimate(c) if c in columns else (None, None) for c in (_SPEED, _OFFSET))
+    gain, friction = solution.estimate(_GAIN), solution.estimate(_FRICTION)
+    unit = solution.coefficients.copy()
+    unit[columns.index(_GAIN)] = 1.0
+    return TorqueFit(
+        gain=gain[0],
+        sigma_gain=gain[1],
+        friction=friction[0],
+        sigma_friction=friction[1],
+        viscous_friction=viscous[0],
+        sigma_viscous_friction=viscous[1],
+        offset=offset[0],
+        sigma_offset=offset[1],
+        cogging=tuple(Cogging(order, *solution.amplitude(_HARMONICS + 2 * k)) for k, order in kept),
+        rms_map=solution.rms(unit),
+        rms_residual=solution.rms(solution.coefficients),
+        pole_pairs=pole_pairs,
+        samples=solution.samples,
+    )
+
+
+_TORQUE, _GAIN, _FRICTION, _SPEED, _OFFSET, _MAP, _HARMONICS = range(7)
+"""Columns: measured torque, torque of the map, direction, mechanical speed, 1, standard error of the map's torque, and
+from the last one on cosines and sines of the harmonics."""
+
+
+def _rows(flux_map: FluxMap, samples: Samples, pole_pairs: int, orders: Sequence[int]) -> FloatArray:
+    """Return the rows (N, 6 + 2H) of the samples with a known torque within the map, that turn."""
+    torque = samples.shaft_torque
+    if torque is None:
+        return np.zeros((0, _HARMONICS + 2 * len(orders)))
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    psi_d, psi_q = flux_map.psi_dq(i_dq[:, 0], i_dq[:, 1])
+    of_map = 1.5 * pole_pairs * (psi_d * i_dq[:, 1] - psi_q * i_dq[:, 0])
+    speed = samples.speed / pole_pairs
+    known = np.isfinite(torque) & np.isfinite(of_map) & (speed != 0)
+    angle = samples.angle[known]
+    sigma_d, sigma_q = flux_map.sigma(i_dq[known, 0], i_dq[known, 1])
+    sigma = 1.5 * pole_pairs * np.hypot(sigma_d * i_dq[known, 1], sigma_q * i_dq[known, 0])
+    columns = [torque[known], of_map[known], -np.sign(speed[known]), -speed[known], np.ones(int(known.sum()))]
+    columns.append(np.where(np.isfinite(sigma), sigma, 0.0))
+    columns += [-wave(order * angle) for order in orders for wave in (np.cos, np.sin)]
+    return np.column_stack(columns)
+
+
+def _resolved_orders(pieces: Sequence[Samples]) -> list[int]:
+    """Return the electrical orders that the torque signal resolves: between its own samples it is a straight line."""
+    bends = count = turned = time = 0.0
+    for piece in pieces:
+        torque = piece.shaft_torque
+        if torque is None:
+            continue
+        second = np.abs(np.diff(torque[np.isfinite(torque)], 2))
+        bends += float(np.sum(second > 1e-9 * np.nanmax(np.abs(torque), initial=0.0)))
+        count += len(second)
+        turned += float(np.sum(np.abs(piece.speed))) * piece.sample_period
+        time += piece.duration
+    if not (bends and turned):
+        return []
+    rate, turns = bends / max(count, 1.0) / (time / sum(map(len, pieces))), turned / time / (2 * np.pi)
+    highest = int(min(MOST_ORDER, rate / (_SAMPLES_PER_PERIOD * turns)))
+    return list(range(1, highest + 1))
+
+
+class _Speeds:
+    """Which directions and speeds a recording has."""
+
+    def __init__(self) -> None:
+        self._low, self._high = np.inf, 0.0
+        self._signs: set[float] = set()
+
+    def add(self, speed: FloatArray) -> None:
+        self._low = min(self._low, float(np.percentile(np.abs(speed), 5)))
+        self._high = max(self._high, float(np.percentile(np.abs(speed), 95)))
+        self._signs |= set(np.sign(speed).tolist())
+
+    @property
+    def apart(self) -> bool:
+        return self._high > _SPEEDS_APART * self._low
+
+    @property
+    def reversed(self) -> bool:
+        return len(self._signs) > 1
+
+
+def _grouped(blocks: list[FloatArray]) -> list[FloatArray]:
+    """Merge neighbouring blocks to about the number wanted."""
+    group = max(1, round(len(blocks) / _BLOCKS))
+    return [np.sum(blocks[k : k + group], axis=0) for k in range(0, len(blocks), group)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Coefficients (K,) of some columns of the regression, their covariance (K, K), and the sums over all blocks."""
+
+    columns: list[int]
+    coefficients: FloatArray
+    covariance: FloatArray
+    total: FloatArray
+
+    @classmethod
+    def of(cls, blocks: FloatArray, columns: list[int]) -> _Solution:
+        total = blocks.sum(axis=0)
+        inverse = np.linalg.pinv(total[np.ix_(columns, columns)], hermitian=True)
+        coefficients = inverse @ total[columns, _TORQUE]
+        scores = blocks[:, columns, _TORQUE] - blocks[:, columns][:, :, columns] @ coefficients
+        count = len(blocks)
+        covariance = count / max(count - 1, 1) * inverse @ (scores.T @ scores) @ inverse
+        return cls(columns, coefficients, covariance, total)
+
+    @property
+    def samples(self) -> int:
+        return int(self.total[_OFFSET, _OFFSET])
+
+    def estimate(self, column: int) -> tuple[float, float]:
+        """Return a coefficient and its standard error, for which errors of the map count as common to all currents."""
+        k = self.columns.index(column)
+        of_map = self.total[_MAP, _MAP] / self.total[column, column]
+        return float(self.coefficients[k]), float(np.sqrt(self.covariance[k, k] + of_map))
+
+    def amplitude(self, column: int) -> tuple[float, float]:
+        """Return the amplitude of a cosine and the sine behind it, and its standard error."""
+        k = self.columns.index(column)
+        both = self.coefficients[k : k + 2]
+        amplitude = float(np.hypot(*both))
+        direction = both / max(amplitude, np.finfo(np.float64).tiny)
+        return amplitude, float(np.sqrt(direction @ self.covariance[k : k + 2, k : k + 2] @ direction))
+
+    def wald(self, column: int) -> float:
+        """Return the Wald statistic of a cosine and the sine behind it."""
+        k = self.columns.index(column)
+        both = self.coefficients[k : k + 2]
+        return float(both @ np.linalg.pinv(self.covariance[k : k + 2, k : k + 2]) @ both)
+
+    def rms(self, coefficients: FloatArray) -> float:
+        """Return the rms of the torque minus the columns with these coefficients, Nm."""
+        every = [_TORQUE, *self.columns]
+        weights = np.append(1.0, -coefficients)
+        return float(np.sqrt(max(weights @ self.total[np.ix_(every, every)] @ weights, 0.0) / self.samples))
+
+
+def _statement(found: TorqueFit) -> str:
+    gain = f"{found.gain:.4f} +- {found.sigma_gain:.4f}"
+    errors = f"rms torque error of the map {found.rms_map:.3g} Nm, {found.rms_residual:.3g} Nm with this gain"
+    if abs(found.gain - 1.0) <= max(2 * found.sigma_gain, _SAME_GAIN):
+        return f"The shaft torque confirms the common gain of voltages and currents: {gain} of the map's; {errors}."
+    return (
+        f"The shaft torque is {gain} of the map's, which voltages and currents alone cannot show: their gains, or that "
+        f"of the torque sensor, are off by {100 * abs(found.gain - 1):.2g} % together; {errors}."
+    )
+
+
+def _warnings(found: TorqueFit) -> list[str]:
+    if found.gain < 0:
+        remedy = "reverse its sign by scale in the signals file, for it counts in the positive direction of rotation."
+    elif abs(found.gain - 1.0) > max(_LARGEST_GAIN_ERROR, 3 * found.sigma_gain):
+        remedy = f"check its scale, those of voltages and currents, and the {found.pole_pairs} pole pairs."
+    else:
+        return []
+    return [f"The shaft torque is {found.gain:.3g} times that of the map: {remedy}"]

@@ -68,7 +68,8 @@ class Bench:
         self._settings = bench
         self._drive = Drive(build_machine(machine_map, drive), drive)
         self.references = ReferenceBuffer(self._drive.machine.i_max, bench.zero_slew_rate)
-        self._period = drive.sample_period
+        self._every = drive.log_decimation
+        self._period = self._every * drive.sample_period
         self._start: int | None = None
         self._done = 0
         self._lag = 0.0
@@ -105,13 +106,14 @@ class Bench:
         size = self._settings.block_size
         exist = int((now - self._stamp(self._done)) // (self._period * NANOSECONDS))
         self._lag = max(0.0, (exist // size - 1) * size * self._period)
-        blocks = min(exist // size, max(1, _SAMPLES_AT_ONCE // size))
+        blocks = min(exist // size, max(1, _SAMPLES_AT_ONCE // (size * self._every)))
         if blocks < 1:
             return []
         first, count = self._done, blocks * size
-        grid = np.arange(first, first + count, dtype=np.int64)
-        stamps = self._start + np.round(grid * (self._period * NANOSECONDS)).astype(np.int64)
-        samples = self._drive.step_block(self.references.take(stamps, self._period)).samples
+        grid = np.arange(first * self._every, (first + count) * self._every, dtype=np.int64)
+        period = self._drive.settings.sample_period
+        stamps = self._start + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
+        samples = self._drive.step_block(self.references.take(stamps, period)).samples
         self._done += count
         angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drive_id.bench.effect_settings import InverterEffects, MachineEffects, SensorEffects
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 
@@ -11,7 +12,7 @@ INVERTERS = ("none", "tanh", "dead_time", "two_stage")
 
 
 @dataclass(frozen=True)
-class SimulationSettings:
+class SimulationSettings(MachineEffects, InverterEffects, SensorEffects):
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
@@ -72,6 +73,15 @@ class SimulationSettings:
                 f"segment_durations has {len(self.segment_durations)} entries for {len(self.speeds)} speeds: give one "
                 "for each, or none for equal shares."
             )
+        for kind in ("electrical", "mechanical"):
+            errors, phases = (len(getattr(self, f"resolver_{kind}_{what}")) for what in ("errors", "phases"))
+            if phases > errors:
+                raise ConfigurationError(
+                    f"resolver_{kind}_phases has {phases} entries for {errors} resolver_{kind}_errors: give at most "
+                    "one for each."
+                )
+        if sum(abs(amplitude) for amplitude in self.eccentricity) > 0.5:
+            raise ConfigurationError("The amplitudes of eccentricity sum up to more than 0.5: reduce them.")
         if self.i_max == 0.0:
             raise ConfigurationError("i_max is 0 A: it must be positive.")
 

@@ -1,0 +1,382 @@
+"""The drive with the effects of real drives, compiled; the plain drive of :mod:`drive_id.bench.kernels` stays apart.
+
+The state is again the stator flux linkage in the stator frame. With the induced voltage e, the current i_m that
+magnetises the machine, the rotor position theta, the magnet temperature t and the mechanical angle theta_m,
+
+    d/dt psi = e = u - R(t_copper) i - drop(i),                 i = i_m + G v + h v / sqrt(|v|^2 + s^2),
+    d/dt v = (e - v) / tau_iron,
+    e^(-J theta) psi = m(theta_m) ((1 - k) f(i_m, theta) + k l) + (offset(t_magnet), 0),
+    d/dt l = (f(i_m, theta) - l) / tau_lag,                     m = 1 + sum_n a_n cos(n theta_m),
+
+where i flows in the terminals and G v + h v/... is the iron current; v is the induced voltage, slightly late, as the
+field diffuses into the laminations. Temperatures and the energies that heat them are carried on after each step.
+
+numba's cache notices only changes of a kernel's own file: after a change in kernels.py, touch this one.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from drive_id.bench.effect_settings import REFERENCE_TEMPERATURE
+from drive_id.bench.effects import Course, Effects, EffectState
+from drive_id.bench.kernels import control, current_of_flux, phase_drop, with_ripple, wrap
+from drive_id.bench.parameters import Controller, DriveState, Noise, Plant, Sensors, Signals
+from drive_id.core.numerics.compiled import compiled
+from drive_id.types import FloatArray
+
+_FINEST = 1024
+_SQRT3 = math.sqrt(3.0)
+
+Pair = tuple[float, float]
+Six = tuple[float, float, float, float, float, float]
+
+
+@compiled
+def _modulation(effects: Effects, theta: float) -> float:
+    """Return the factor of the eccentric rotor on the flux."""
+    factor = 1.0
+    for n in range(len(effects.eccentricity)):
+        factor += effects.eccentricity[n] * math.cos((n + 1) * theta / effects.pole_pairs)
+    return factor
+
+
+@compiled
+def _machine_current(
+    plant: Plant, effects: Effects, offset: float, y: Six, theta: float, guess: Pair
+) -> tuple[Pair, Pair, bool]:
+    """Return the machine's current and the flux f of the map there, rotor frame, from the state ``y``."""
+    c, s = math.cos(theta), math.sin(theta)
+    factor, k = _modulation(effects, theta), effects.lag_share
+    f_d = ((c * y[0] + s * y[1] - offset) / factor - k * y[4]) / (1.0 - k)
+    f_q = ((c * y[1] - s * y[0]) / factor - k * y[5]) / (1.0 - k)
+    i_d, i_q, good = current_of_flux(plant.table, f_d, f_q, theta, guess[0], guess[1], plant.current_tolerance)
+    return (i_d, i_q), (f_d, f_q), good
+
+
+@compiled
+def terminal_current(effects: Effects, i_dq: Pair, v: Pair, theta: float) -> tuple[Pair, Pair]:
+    """Return the current in the terminals and the iron current in it, stator frame."""
+    c, s = math.cos(theta), math.sin(theta)
+    g = effects.iron_conductance
+    if effects.iron_hysteresis > 0.0:
+        g += effects.iron_hysteresis / math.sqrt(v[0] ** 2 + v[1] ** 2 + effects.iron_hysteresis_voltage**2)
+    iron = (g * v[0], g * v[1])
+    return (c * i_dq[0] - s * i_dq[1] + iron[0], s * i_dq[0] + c * i_dq[1] + iron[1]), iron
+
+
+@compiled
+def _rates(
+    plant: Plant, effects: Effects, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
+) -> tuple[Six, Pair, Pair, tuple[float, float, float, float]]:
+    """Return d/dt y, the terminal current, the drop (stator frame) and the powers into terminals and losses, W."""
+    (i_alpha, i_beta), iron = terminal_current(effects, i_dq, (y[2], y[3]), theta)
+    i_b, i_c = -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta
+    factors = effects.resistance_factor
+    r_a, r_b, r_c = resistance * factors[0] * i_alpha, resistance * factors[1] * i_b, resistance * factors[2] * i_c
+    d_a, d_b, d_c = phase_drop(plant.drop, i_alpha), phase_drop(plant.drop, i_b), phase_drop(plant.drop, i_c)
+    drop = ((2 * d_a - d_b - d_c) / 3, (d_b - d_c) / _SQRT3)
+    e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
+    e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
+    powers = (
+        1.5 * (u[0] * i_alpha + u[1] * i_beta),
+        r_a * i_alpha + r_b * i_b + r_c * i_c,
+        d_a * i_alpha + d_b * i_b + d_c * i_c,
+        1.5 * (e_alpha * iron[0] + e_beta * iron[1]),
+    )
+    y_rate = (
+        e_alpha,
+        e_beta,
+        effects.iron_rate * (e_alpha - y[2]),
+        effects.iron_rate * (e_beta - y[3]),
+        effects.lag_rate * (f[0] - y[4]),
+        effects.lag_rate * (f[1] - y[5]),
+    )
+    return y_rate, (i_alpha, i_beta), drop, powers
+
+
+@compiled
+def _lag_loss(plant: Plant, effects: Effects, y: Six, i_dq: Pair, f: Pair, theta: float) -> float:
+    """Return the eddy-current loss in the magnets, W: the lagging share's flux belongs to another current than i_m."""
+    if effects.lag_share == 0.0:
+        return 0.0
+    l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
+    share = 1.5 * effects.lag_share * _modulation(effects, theta) * effects.lag_rate
+    return share * ((i_dq[0] - l_d) * (f[0] - y[4]) + (i_dq[1] - l_q) * (f[1] - y[5]))
+
+
+@compiled
+def _moved(y: Six, rate: Six, h: float) -> Six:
+    return (
+        y[0] + h * rate[0],
+        y[1] + h * rate[1],
+        y[2] + h * rate[2],
+        y[3] + h * rate[3],
+        y[4] + h * rate[4],
+        y[5] + h * rate[5],
+    )
+
+
+@compiled
+def _filtered(pole: complex, z: complex, i: tuple[float, float, float], h: float) -> complex:
+    """Return z after dz/dt = pole z + i, exactly for a parabola through the currents at start, middle and end."""
+    slope = (-3 * i[0] + 4 * i[1] - i[2]) / h
+    bend = 2 * (i[0] - 2 * i[1] + i[2]) / h**2
+    c = -bend / pole
+    b = (2 * c - slope) / pole
+    a = (b - i[0]) / pole
+    return a + b * h + c * h**2 + (z - a) * cmath.exp(pole * h)
+
+
+@compiled
+def _step(
+    plant: Plant,
+    effects: Effects,
+    warm: Pair,
+    u: Pair,
+    y: Six,
+    i_dq: Pair,
+    f: Pair,
+    thetas: tuple[float, float, float],
+    h: float,
+) -> tuple[Six, Pair, Pair, tuple[Pair, Pair, Pair], tuple[float, float, float, float], float, bool]:
+    """Make one step of Runge-Kutta's rule of order 4; ``warm`` is resistance and flux offset at their temperatures.
+
+    Returns y, the machine's current and f at the end; the terminal current at start, middle and end; the energies of
+    the step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged.
+    """
+    resistance, offset = warm
+    k1, i_start, drop1, power1 = _rates(plant, effects, resistance, u, y, i_dq, f, thetas[0])
+    at = _moved(y, k1, 0.5 * h)
+    i_2, f_2, good_2 = _machine_current(plant, effects, offset, at, thetas[1], i_dq)
+    k2, _, _, _ = _rates(plant, effects, resistance, u, at, i_2, f_2, thetas[1])
+    at = _moved(y, k2, 0.5 * h)
+    i_3, f_3, good_3 = _machine_current(plant, effects, offset, at, thetas[1], i_2)
+    k3, i_middle, drop3, power3 = _rates(plant, effects, resistance, u, at, i_3, f_3, thetas[1])
+    at = _moved(y, k3, h)
+    guess = (2 * i_3[0] - i_dq[0], 2 * i_3[1] - i_dq[1])
+    i_4, f_4, good_4 = _machine_current(plant, effects, offset, at, thetas[2], guess)
+    k4, _, drop4, _ = _rates(plant, effects, resistance, u, at, i_4, f_4, thetas[2])
+    y = _moved(_moved(_moved(_moved(y, k1, h / 6), k2, h / 3), k3, h / 3), k4, h / 6)
+    i_dq, f, good_5 = _machine_current(plant, effects, offset, y, thetas[2], i_4)
+    _, i_stop, _, power5 = _rates(plant, effects, resistance, u, y, i_dq, f, thetas[2])
+    energies = (
+        h / 6 * (power1[0] + 4 * power3[0] + power5[0]),
+        h / 6 * (power1[1] + 4 * power3[1] + power5[1]),
+        h / 6 * (power1[2] + 4 * power3[2] + power5[2]),
+        h / 6 * (power1[3] + 4 * power3[3] + power5[3]),
+    )
+    bend = abs(drop1[0] - 2 * drop3[0] + drop4[0]) + abs(drop1[1] - 2 * drop3[1] + drop4[1])
+    return y, i_dq, f, (i_start, i_middle, i_stop), energies, h / 6 * bend, good_2 and good_3 and good_4 and good_5
+
+
+@compiled
+def integrate(
+    plant: Plant, effects: Effects, state: DriveState, more: EffectState, u: Pair, speeds: Pair, span: Pair
+) -> bool:
+    """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
+
+    Arguments and the halving of steps where the drop bends are those of :func:`drive_id.bench.kernels.hold`.
+    """
+    steps = max(1, math.ceil((span[1] - span[0]) / effects.largest_step - 1e-9))
+    tick = (span[1] - span[0]) / (steps * _FINEST)
+    slope = (speeds[1] - speeds[0]) / plant.period
+    mean = state.mean_angle[0]
+    warmer = (more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE)
+    resistance = plant.resistance * (1.0 + effects.thermal_coefficient[0] * warmer[0])
+    offset = effects.magnet_flux * effects.thermal_coefficient[1] * warmer[1]
+    y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
+    theta = with_ripple(plant, mean + span[0] * (speeds[0] + 0.5 * slope * span[0]))
+    i_dq, f, good = _machine_current(plant, effects, offset, y, theta, (state.current[0], state.current[1]))
+    if not good:
+        return False
+    lag_loss = _lag_loss(plant, effects, y, i_dq, f, theta)
+    energy = (0.0, 0.0, 0.0, 0.0, 0.0)
+    now, size = 0, _FINEST
+    while now < steps * _FINEST:
+        h = size * tick
+        middle, stop = span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
+        thetas = (
+            theta,
+            with_ripple(plant, mean + middle * (speeds[0] + 0.5 * slope * middle)),
+            with_ripple(plant, mean + stop * (speeds[0] + 0.5 * slope * stop)),
+        )
+        new_y, new_i, new_f, i, energies, estimate, good = _step(
+            plant, effects, (resistance, offset), u, y, i_dq, f, thetas, h
+        )
+        if estimate > plant.flux_tolerance and size > 1:
+            size //= 2
+            continue
+        if not good:
+            return False
+        y, i_dq, f, theta = new_y, new_i, new_f, thetas[2]
+        before, lag_loss = lag_loss, _lag_loss(plant, effects, y, i_dq, f, theta)
+        energy = (
+            energy[0] + energies[0],
+            energy[1] + energies[1],
+            energy[2] + energies[2],
+            energy[3] + energies[3],
+            energy[4] + h / 2 * (before + lag_loss),
+        )
+        if effects.filter_pole != 0.0:
+            for j in range(2):
+                more.filter[j] = _filtered(effects.filter_pole, more.filter[j], (i[0][j], i[1][j], i[2][j]), h)
+        now += size
+        if estimate < plant.flux_tolerance / 16 and size < _FINEST and now % (2 * size) == 0:
+            size *= 2
+    state.flux[0], state.flux[1] = y[0], y[1]
+    more.iron_voltage[0], more.iron_voltage[1] = y[2], y[3]
+    more.lagged[0], more.lagged[1] = y[4], y[5]
+    state.current[0], state.current[1] = i_dq
+    _heat(effects, more, energy, span[1] - span[0])
+    return True
+
+
+@compiled
+def _heat(effects: Effects, more: EffectState, energy: tuple[float, float, float, float, float], time: float) -> None:
+    """Count the losses and warm copper and magnets by them."""
+    for k in range(5):
+        more.energy[k] += energy[k]
+    for k, heat in ((0, energy[1]), (1, energy[1] + energy[3] + energy[4])):
+        if effects.heat_rate[k] > 0.0:
+            cooled = effects.cooling_rate[k] * (more.temperature[k] - effects.ambient) * time
+            more.temperature[k] += effects.heat_rate[k] * heat - cooled
+
+
+@compiled
+def _angle_error(effects: Effects, theta: float) -> float:
+    """Return the resolver's error at the electrical angle ``theta``, rad."""
+    error = 0.0
+    for n in range(len(effects.resolver_electrical)):
+        amplitude, phase = effects.resolver_electrical[n]
+        error += amplitude * math.cos((n + 1) * theta - phase)
+    for n in range(len(effects.resolver_mechanical)):
+        amplitude, phase = effects.resolver_mechanical[n]
+        error += amplitude * math.cos((n + 1) * theta / effects.pole_pairs - phase)
+    return error
+
+
+@compiled
+def _measure(
+    plant: Plant,
+    effects: Effects,
+    sensors: Sensors,
+    state: DriveState,
+    more: EffectState,
+    speed: float,
+    noise: Noise,
+    out: Signals,
+    k: int,
+) -> None:
+    for j in range(3):
+        i = sensors.current_gain[j] * more.sampled[j] + sensors.current_offset[j] + noise.current[k, j]
+        if sensors.current_quantum > 0.0:
+            i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
+        out.i_abc[k, j] = i
+    mean, late = state.mean_angle[0], effects.latency
+    theta = with_ripple(plant, mean)
+    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope[0] * late))
+    out.angle[k] = wrap(seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k])
+    out.speed[k] = speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean)) + noise.speed[k]
+    (i_alpha, i_beta), _ = terminal_current(
+        effects, (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1]), theta
+    )
+    c, s = math.cos(theta), math.sin(theta)
+    out.i_dq_true[k, 0], out.i_dq_true[k, 1] = c * i_alpha + s * i_beta, c * i_beta - s * i_alpha
+    out.angle_true[k] = theta
+
+
+@compiled
+def _note(state: DriveState, more: EffectState, theta: float, u_dc: float, course: Course, k: int) -> None:
+    c, s = math.cos(theta), math.sin(theta)
+    course.psi_dq[k, 0] = c * state.flux[0] + s * state.flux[1]
+    course.psi_dq[k, 1] = c * state.flux[1] - s * state.flux[0]
+    for j in range(2):
+        course.i_dq_machine[k, j] = state.current[j]
+        course.lagged[k, j] = more.lagged[j]
+        course.temperature[k, j] = more.temperature[j]
+    for j in range(5):
+        course.energy[k, j] = more.energy[j]
+    course.u_dc[k] = u_dc
+
+
+@compiled
+def _sense(effects: Effects, state: DriveState, more: EffectState, theta: float, j: int) -> None:
+    """Hold what the sensor of phase ``j`` sees now for the next sample."""
+    if effects.filter_pole != 0.0:
+        alpha = (effects.filter_gain * more.filter[0]).real
+        beta = (effects.filter_gain * more.filter[1]).real
+    else:
+        i_dq, v = (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1])
+        (alpha, beta), _ = terminal_current(effects, i_dq, v, theta)
+    turn = j * 2 * math.pi / 3
+    more.sampled[j] = math.cos(turn) * alpha + math.sin(turn) * beta
+
+
+@compiled
+def _period(
+    plant: Plant, effects: Effects, sensors: Sensors, state: DriveState, more: EffectState, speeds: Pair, u_dc: float
+) -> bool:
+    """Carry the plant over one sample period, and sample the phase currents at its end."""
+    change = sensors.held_fraction * plant.period
+    scale = u_dc / effects.u_dc
+    for row, start, stop in ((2, 0.0, change), (1, change, plant.period)):
+        if stop > start:
+            u_a = state.commands[row, 0] + state.compensations[row, 0]
+            u_b = state.commands[row, 1] + state.compensations[row, 1]
+            u_c = state.commands[row, 2] + state.compensations[row, 2]
+            u = scale * (2 * u_a - u_b - u_c) / 3, scale * (u_b - u_c) / _SQRT3
+            if not integrate(plant, effects, state, more, u, speeds, (start, stop)):
+                return False
+    theta = with_ripple(plant, state.mean_angle[0] + 0.5 * plant.period * (speeds[0] + speeds[1]))
+    for j in range(3):
+        _sense(effects, state, more, theta, j)
+    return True
+
+
+@compiled
+def run_with_effects(
+    plant: Plant,
+    effects: Effects,
+    controller: Controller,
+    sensors: Sensors,
+    state: DriveState,
+    more: EffectState,
+    revolution: float,
+    first: int,
+    i_dq_reference: FloatArray,
+    mean_speed: FloatArray,
+    noise: Noise,
+    out: Signals,
+    course: Course,
+) -> int:
+    """Run the drive over a block of N samples, of which the first is sample ``first``, and carry its state on.
+
+    Other arguments and result as for :func:`drive_id.bench.kernels.run`.
+    """
+    period = plant.period
+    for k in range(len(i_dq_reference)):
+        _measure(plant, effects, sensors, state, more, mean_speed[k], noise, out, k)
+        i_a, i_b, i_c = out.i_abc[k, 0], out.i_abc[k, 1], out.i_abc[k, 2]
+        i_alpha, i_beta = (2 * i_a - i_b - i_c) / 3, (i_b - i_c) / _SQRT3
+        c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
+        i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
+        reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
+        control(controller, plant.drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
+        for j in range(3):
+            out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
+        u_dc = effects.u_dc
+        for n in range(2):
+            amplitude, frequency = effects.u_dc_waves[n]
+            u_dc += amplitude * effects.u_dc * math.sin(2 * math.pi * frequency * (first + k + 0.5) * period)
+        _note(state, more, out.angle_true[k], u_dc, course, k)
+        speeds = (mean_speed[k], mean_speed[k + 1])
+        if not _period(plant, effects, sensors, state, more, speeds, u_dc):
+            return k
+        more.slope[0] = (speeds[1] - speeds[0]) / period
+        angle = state.mean_angle[0] + 0.5 * period * (speeds[0] + speeds[1])
+        state.mean_angle[0] = angle - revolution * math.floor(angle / revolution)
+    return -1

@@ -1,0 +1,171 @@
+"""Effects of real drives, from the settings to constants and state of :mod:`drive_id.bench.effect_kernels`."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.bench import kernels
+from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, REFERENCE_TEMPERATURE
+from drive_id.bench.machine import Machine
+from drive_id.bench.parameters import DriveState, Plant
+from drive_id.bench.settings import SimulationSettings
+from drive_id.types import FloatArray
+
+
+class Effects(NamedTuple):
+    """Constants of all effects inside the loop."""
+
+    iron_conductance: float  # S
+    iron_hysteresis: float  # A
+    iron_hysteresis_voltage: float  # V
+    iron_rate: float  # 1/s, 0 without iron loss
+    lag_share: float
+    lag_rate: float  # 1/s
+    eccentricity: FloatArray  # (E,) of the mechanical orders 1 to E
+    pole_pairs: int
+    resistance_factor: FloatArray  # (3,)
+    magnet_flux: float  # psi_d at zero current and 20 degrees, Wb
+    thermal_coefficient: FloatArray  # (2,) of copper and magnet, 1/K
+    heat_rate: FloatArray  # (2,) 1 / heat capacity, 0 for constant temperature, K/J
+    cooling_rate: FloatArray  # (2,) 1/s
+    ambient: float  # degC
+    u_dc: float  # that the commands are made for, V
+    u_dc_waves: FloatArray  # (2, 2) amplitude as a fraction and frequency, Hz, of ripple and drift
+    filter_pole: complex  # of the current filter, 1/s; 0 without
+    filter_gain: complex  # the output is Re(gain z) with dz/dt = pole z + i
+    latency: float  # of the angle, s
+    resolver_electrical: FloatArray  # (N, 2) amplitude and phase of the orders 1 to N, rad
+    resolver_mechanical: FloatArray  # (M, 2)
+    largest_step: float  # of the integration, s
+
+
+class EffectState(NamedTuple):
+    """What the effects carry from sample to sample, beside :class:`DriveState`."""
+
+    iron_voltage: FloatArray  # (2,) induced voltage as the iron current sees it, stator frame, V
+    lagged: FloatArray  # (2,) flux linkage of the lagging share, rotor frame, Wb
+    temperature: FloatArray  # (2,) of copper and magnet, degC
+    filter: NDArray[np.complex128]  # (2,) in the stator frame
+    sampled: FloatArray  # (3,) phase currents that the sensors see at the next sample, A
+    slope: FloatArray  # (1,) d/dt of the mean speed before the next sample, rad/s^2
+    energy: FloatArray  # (5,) into the terminals, and lost in copper, inverter, iron, magnets, J
+
+
+class Course(NamedTuple):
+    """What a simulation with effects knows at the samples, and no sensor."""
+
+    i_dq_machine: FloatArray  # (N, 2) true rotor frame, without the iron current, A
+    psi_dq: FloatArray  # (N, 2) true rotor frame, Wb
+    lagged: FloatArray  # (N, 2) flux linkage that the lagging share has reached, Wb
+    temperature: FloatArray  # (N, 2) of copper and magnet, degC
+    u_dc: FloatArray  # (N,) of the period that begins, V
+    energy: FloatArray  # (N, 5) so far: into the terminals, and lost in copper, inverter, iron, magnets, J
+
+    @classmethod
+    def empty(cls, n: int) -> Course:
+        """Return room for ``n`` samples."""
+        return cls(*(np.empty(shape) for shape in ((n, 2), (n, 2), (n, 2), (n, 2), (n,), (n, 5))))
+
+
+def active(settings: SimulationSettings) -> dict[str, object]:
+    """Return the effects whose settings differ from their defaults."""
+    fields = SimulationSettings.__dataclass_fields__
+    values = {name: getattr(settings, name) for name in EFFECT_NAMES}
+    return {name: value for name, value in values.items() if value != fields[name].default}
+
+
+def acts_inside(settings: SimulationSettings) -> bool:
+    """Return whether an effect acts inside the loop, so that the plain kernels do not serve."""
+    return bool(active(settings).keys() - LOG_ONLY)
+
+
+def effects_of(machine: Machine, s: SimulationSettings) -> Effects:
+    """Return the constants for settings ``s``."""
+    iron = s.iron_conductance > 0 or s.iron_hysteresis > 0
+    steps = [s.sample_period / s.substeps]
+    steps += [0.5 * s.iron_time_constant] if iron else []
+    steps += [0.5 * s.flux_lag_time] if s.flux_lag > 0 else []
+    pole, gain = _filter(s.current_filter, s.current_filter_order)
+    capacities = (s.copper_heat_capacity, s.magnet_heat_capacity)
+    return Effects(
+        iron_conductance=s.iron_conductance,
+        iron_hysteresis=s.iron_hysteresis,
+        iron_hysteresis_voltage=s.iron_hysteresis_voltage or 0.005 * machine.u_dc,
+        iron_rate=1 / s.iron_time_constant if iron else 0.0,
+        lag_share=s.flux_lag,
+        lag_rate=1 / s.flux_lag_time if s.flux_lag > 0 else 0.0,
+        eccentricity=np.array(s.eccentricity, np.float64),
+        pole_pairs=machine.pole_pairs,
+        resistance_factor=np.array(s.resistance_factor),
+        magnet_flux=float(machine.mean_flux(0.0, 0.0)[0]),
+        thermal_coefficient=np.array((s.copper_coefficient, -s.magnet_coefficient)),
+        heat_rate=np.array([1 / capacity if capacity > 0 else 0.0 for capacity in capacities]),
+        cooling_rate=np.array((1 / s.copper_time_constant, 1 / s.magnet_time_constant)),
+        ambient=s.ambient_temperature,
+        u_dc=machine.u_dc,
+        u_dc_waves=np.array(((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency))),
+        filter_pole=pole,
+        filter_gain=gain,
+        latency=s.resolver_latency,
+        resolver_electrical=_orders(s.resolver_electrical_errors, s.resolver_electrical_phases),
+        resolver_mechanical=_orders(s.resolver_mechanical_errors, s.resolver_mechanical_phases),
+        largest_step=min(steps),
+    )
+
+
+def _filter(cut_off: float, order: int) -> tuple[complex, complex]:
+    """Return pole and gain of a low-pass: w/(s + w), or w^2/(s^2 + sqrt(2) w s + w^2) in partial fractions."""
+    w = 2 * math.pi * cut_off
+    if order == 1 or cut_off == 0.0:
+        return complex(-w), complex(w)
+    return w * complex(-1, 1) / math.sqrt(2), complex(0, -math.sqrt(2) * w)
+
+
+def _orders(amplitudes: tuple[float, ...], phases: tuple[float, ...]) -> FloatArray:
+    return np.array([*zip(amplitudes, (*phases, *(0.0,) * len(amplitudes)), strict=False)], np.float64).reshape(-1, 2)
+
+
+def effect_state(settings: SimulationSettings, effects: Effects, plant: Plant, start: DriveState) -> EffectState:
+    """Return the state at rest on the currents of ``start``, at angle 0 and the temperatures of the settings."""
+    i_d, i_q = start.current
+    flux = kernels.evaluate(plant.table, i_d, i_q, 0.0)[:2]
+    phases = 2 * np.pi / 3 * np.arange(3)
+    no_filter = effects.filter_pole == 0
+    return EffectState(
+        iron_voltage=np.zeros(2),
+        lagged=np.array(flux),
+        temperature=np.array((settings.copper_temperature, settings.magnet_temperature)),
+        filter=np.zeros(2, np.complex128) if no_filter else -np.array((i_d, i_q)) / effects.filter_pole,
+        sampled=np.cos(phases) * i_d + np.sin(phases) * i_q,
+        slope=np.zeros(1),
+        energy=np.zeros(5),
+    )
+
+
+def truth_of(settings: SimulationSettings, machine: Machine, state: EffectState, duration: float) -> dict[str, float]:
+    """Return what a fit of the ``duration``, s, simulated so far is scored against, for the truth's details."""
+    powers = dict(zip(("input", "copper", "inverter", "iron", "magnet"), state.energy, strict=True))
+    warm = {"start": settings.copper_temperature, "end": float(state.temperature[0])}
+    means = {f"{name}_power_mean": float(value) / duration for name, value in powers.items()} if duration else {}
+    return {
+        **{
+            f"resistance_{when}": machine.resistance
+            * (1 + settings.copper_coefficient * (value - REFERENCE_TEMPERATURE))
+            for when, value in warm.items()
+        },
+        "copper_temperature_end": warm["end"],
+        "magnet_temperature_end": float(state.temperature[1]),
+        "magnet_flux": float(machine.mean_flux(0.0, 0.0)[0]),
+        **means,
+    }
+
+
+def recorded(settings: SimulationSettings) -> set[str]:
+    """Return the names of the settings that the truth records: those of effects only when one is active."""
+    names = {field.name for field in dataclasses.fields(settings)}
+    return names if active(settings) else names - set(EFFECT_NAMES)

@@ -1,0 +1,422 @@
+"""The effects of real drives: each against an independent calculation, and all inside the balance of energy."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from drive_id.bench import effect_kernels
+from drive_id.bench.bench import Bench
+from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
+from drive_id.bench.machines import MACHINES, CoEnergyMachine, machine_map
+from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.errors import ConfigurationError
+from drive_id.types import MachineMap
+
+T = 1e-4
+PHASES = 2 * np.pi / 3 * np.arange(3)
+CLARKE = 2 / 3 * np.exp(1j * PHASES)
+IPM = machine_map("ipm")
+POLE_PAIRS = 4
+
+
+def lissajous(i_max: float, count: int) -> np.ndarray:
+    t = np.arange(count) * T
+    q, d = 2 * np.pi * 3.65 * t, 2 * np.pi * 1.7 * t
+    return i_max * np.stack((np.cos(q) * np.sin(d), np.sin(q)), axis=-1)
+
+
+def run(count: int = 2000, source: MachineMap = IPM, **settings: object) -> Simulation:
+    chosen = SimulationSettings(**settings)  # type: ignore[arg-type]
+    return simulate(source, chosen, lissajous(build_machine(source, chosen).i_max, count))
+
+
+def hold(i_d: float, i_q: float, count: int, source: MachineMap = IPM, **settings: object) -> Simulation:
+    return simulate(source, SimulationSettings(**settings), np.tile((i_d, i_q), (count, 1)))  # type: ignore[arg-type]
+
+
+def stator(simulation: Simulation) -> np.ndarray:
+    """Return the true terminal currents as complex numbers in the stator frame."""
+    return (simulation.i_dq_true @ (1, 1j)) * np.exp(1j * simulation.angle_true)
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.angle(np.exp(1j * angle))
+
+
+# --- the plant
+
+
+def test_an_effect_without_strength_leaves_the_plain_drive():
+    plain, same = run(inverter="two_stage"), run(inverter="two_stage", resolver_latency=1e-15)
+    assert plain.course is None
+    assert same.course is not None
+    for name in ("i_abc", "u_abc", "speed"):
+        np.testing.assert_allclose(getattr(same.samples, name), getattr(plain.samples, name), atol=1e-6)
+    np.testing.assert_allclose(wrapped(same.samples.angle - plain.samples.angle), 0.0, atol=1e-9)
+
+
+def test_without_effects_the_plain_kernel_runs(monkeypatch):
+    def never(*_arguments):
+        raise AssertionError
+
+    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", never)
+    run(10, log_decimation=2)
+    with pytest.raises(AssertionError):
+        run(10, flux_lag=0.01)
+
+
+def test_block_by_block_equals_the_whole_bit_for_bit():
+    settings = SimulationSettings(
+        speeds=(500.0, -300.0), segment_durations=(0.1, 0.1), iron_conductance=0.3, flux_lag=0.03, current_filter=3e3,
+        copper_heat_capacity=50.0, resolver_latency=3e-5, u_dc_drift=0.01, log_decimation=3, voltage_delay=-0.4,
+    )  # fmt: skip
+    machine = build_machine(IPM, settings)
+    i_ref = lissajous(machine.i_max, 1500)
+    whole = Drive(machine, settings).step_block(i_ref)
+    drive = Drive(machine, settings)
+    blocks = [drive.step_block(i_ref[a:b]) for a, b in ((0, 1), (1, 700), (700, 731), (731, 1500))]
+    for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference"):
+        pieces = np.concatenate([getattr(block.samples, name) for block in blocks])
+        np.testing.assert_array_equal(pieces, getattr(whole.samples, name))
+
+
+def slopes(machine: CoEnergyMachine, i: np.ndarray, theta: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return f, df/di and df/dtheta of the analytic machine by central differences."""
+
+    def flux(d: float, q: float, at: float) -> np.ndarray:
+        return np.array(machine.flux(np.asarray(d), np.asarray(q), np.asarray(at)))
+
+    d, q = i
+    by_d = (flux(d + 0.05, q, theta) - flux(d - 0.05, q, theta)) / 0.1
+    by_q = (flux(d, q + 0.05, theta) - flux(d, q - 0.05, theta)) / 0.1
+    by_theta = (flux(d, q, theta + 1e-4) - flux(d, q, theta - 1e-4)) / 2e-4
+    return flux(d, q, theta), np.stack((by_d, by_q), axis=-1), by_theta
+
+
+@pytest.mark.parametrize("rpm", [1000.0, -400.0])
+def test_the_machine_matches_a_high_order_integrator_in_rotor_coordinates(rpm):
+    """Iron loss with hysteresis, lagging flux, eccentricity, unequal phases, warm copper and magnets at once."""
+    settings = SimulationSettings(
+        speeds=(rpm,), inverter="tanh", inverter_voltage=4.0, inverter_current=30.0, iron_conductance=0.4,
+        iron_hysteresis=3.0, iron_hysteresis_voltage=2.0, iron_time_constant=8e-5, flux_lag=0.05, flux_lag_time=6e-4,
+        eccentricity=(0.02, -0.01), resistance_factor=(1.1, 1.0, 0.8), copper_temperature=70.0,
+        magnet_temperature=60.0, magnet_coefficient=2e-3,
+    )  # fmt: skip
+    analytic, machine = MACHINES["ipm"], build_machine(IPM, settings)
+    i_ref = lissajous(machine.i_max, 60) + np.array((-40.0, 60.0))
+    drive = Drive(machine, settings, i_dq_start=tuple(i_ref[0]))
+    first_v = drive._more.iron_voltage.copy()
+    block = drive.step_block(i_ref)
+    omega = rpm * np.pi / 30 * POLE_PAIRS
+    resistances = machine.resistance * (1 + 3.93e-3 * 50) * np.array(settings.resistance_factor)
+    offset = -2e-3 * 40 * machine.mean_flux(0, 0)[0]
+
+    def rate(t, y, u, start):
+        theta = start + omega * t
+        turn = np.exp(-1j * theta)
+        f, by_i, by_theta = slopes(analytic, y[:2], theta)
+        a, b = settings.eccentricity
+        m = 1 + a * np.cos(theta / POLE_PAIRS) + b * np.cos(2 * theta / POLE_PAIRS)
+        by_angle = -(a * np.sin(theta / POLE_PAIRS) + 2 * b * np.sin(2 * theta / POLE_PAIRS)) / POLE_PAIRS
+        l_rate = (f - y[4:]) / 6e-4
+        v = y[2] + 1j * y[3]
+        i_iron = 0.4 * v + 3.0 * v / np.hypot(abs(v), 2.0)
+        phase = np.real(((y[0] + 1j * y[1]) / turn + i_iron) * np.exp(-1j * PHASES))
+        e = CLARKE @ (u - resistances * phase - 4.0 * np.tanh(phase / 30.0))
+        mixed = 0.95 * f + 0.05 * y[4:]
+        psi = m * mixed + (offset, 0)
+        known = m * (0.95 * by_theta * omega + 0.05 * l_rate) + by_angle * omega * mixed
+        known += omega * np.array((-psi[1], psi[0]))
+        e_dq = np.array(((e * turn).real, (e * turn).imag))
+        v_rate = (e - v) / 8e-5
+        i_rate = np.linalg.solve(0.95 * m * by_i, e_dq - known)
+        return np.concatenate((i_rate, (v_rate.real, v_rate.imag), l_rate))
+
+    y = np.concatenate((block.course.i_dq_machine[0], first_v, block.course.lagged[0]))
+    for k in range(len(i_ref) - 1):
+        theta = block.angle_true[k]
+        arguments = (block.samples.u_abc[k], theta)
+        y = solve_ivp(rate, (0, T), y, "DOP853", args=arguments, rtol=1e-10, atol=1e-10).y[:, -1]
+        np.testing.assert_allclose(block.course.i_dq_machine[k + 1], y[:2], rtol=0, atol=1e-4 * machine.i_max)
+        np.testing.assert_allclose(block.course.lagged[k + 1], y[4:], rtol=0, atol=3e-6)
+    v = y[2] + 1j * y[3]
+    total = y[0] + 1j * y[1] + (0.4 * v + 3.0 * v / np.hypot(abs(v), 2.0)) * np.exp(-1j * block.angle_true[-1])
+    assert block.i_dq_true[-1] @ (1, 1j) == pytest.approx(total, abs=0.03)
+
+
+def current_of(machine: CoEnergyMachine, psi: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Invert the analytic map by Newton's method with differences."""
+    i = np.zeros_like(psi)
+    for _ in range(40):
+        f = np.stack(machine.flux(i[:, 0], i[:, 1], theta), axis=-1)
+        columns = [np.stack(machine.flux(i[:, 0] + d, i[:, 1] + q, theta), -1) - f for d, q in ((1e-4, 0), (0, 1e-4))]
+        i = i + np.linalg.solve(np.stack(columns, -1) / 1e-4, (psi - f)[..., None])[..., 0]
+    return i
+
+
+COMBINATIONS = {
+    "plain": {"resolver_latency": 1e-15},
+    "iron": {"iron_conductance": 0.5, "iron_hysteresis": 4.0},
+    "lag": {"flux_lag": 0.1, "flux_lag_time": 5e-4},
+    "eccentric": {"eccentricity": (0.03, 0.02)},
+    "heating": {"copper_heat_capacity": 10.0, "magnet_heat_capacity": 50.0, "magnet_coefficient": 5e-3},
+    "sensors": {"current_filter": 2000.0, "resolver_latency": 5e-5, "resolver_mechanical_errors": (0.01,)},
+    "all": {
+        "iron_conductance": 0.3, "iron_hysteresis": 2.0, "flux_lag": 0.05, "eccentricity": (0.02,),
+        "copper_heat_capacity": 20.0, "magnet_heat_capacity": 100.0, "magnet_coefficient": 5e-3,
+        "resistance_factor": (1.2, 1.0, 0.9), "u_dc_ripple": 0.02, "u_dc_drift": 0.01, "current_filter": 3000.0,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COMBINATIONS)
+def test_energy_is_conserved(name):
+    """Input = copper + iron + inverter + magnets + torque x speed + change of the stored energy.
+
+    Torque and stored energy come from the analytic co-energy W: T = 3/2 p (psi x i + dW/dtheta), E = i psi - W.
+    """
+    settings = {"speeds": (1000.0,), "inverter": "two_stage", **COMBINATIONS[name]}
+    simulation = run(4001, **settings)
+    course, machine, chosen = simulation.course, MACHINES["ipm"], SimulationSettings(**settings)
+    theta, (i_d, i_q) = simulation.angle_true, course.i_dq_machine.T
+    omega, k = 1000 * np.pi / 30 * POLE_PAIRS, chosen.flux_lag
+    orders = np.arange(1, len(chosen.eccentricity) + 1) / POLE_PAIRS
+    m = 1 + np.cos(theta[:, None] * orders) @ np.array(chosen.eccentricity)
+    by_angle = -np.sin(theta[:, None] * orders) @ (orders * chosen.eccentricity)
+
+    def energies(d, q):
+        """Return W, dW/dtheta and E."""
+        by_theta = (machine.co_energy(d, q, theta + 1e-5) - machine.co_energy(d, q, theta - 1e-5)) / 2e-5
+        psi_d, psi_q = machine.flux(d, q, theta)
+        w = machine.co_energy(d, q, theta)
+        return w, by_theta, d * psi_d + q * psi_q - w
+
+    w, by_theta, stored = energies(i_d, i_q)
+    torque = (1 - k) * (m * by_theta + by_angle * w)
+    total = m * (1 - k) * stored
+    if k > 0:
+        late = current_of(machine, course.lagged, theta)
+        _, by_theta, stored = energies(*late.T)
+        torque += k * (m * by_theta + by_angle * (np.sum(course.i_dq_machine * course.lagged, axis=1) - stored))
+        total += m * k * stored
+    torque += course.psi_dq[:, 0] * i_q - course.psi_dq[:, 1] * i_d
+    mechanical = 1.5 * omega * np.trapezoid(torque, dx=T)
+    offset = -chosen.magnet_coefficient * (course.temperature[:, 1] - 20) * simulation.truth.details["magnet_flux"]
+    magnet_work = 1.5 * np.sum(0.5 * (i_d[1:] + i_d[:-1]) * np.diff(offset))
+    into, *lost = course.energy[-1] - course.energy[0]
+    assert into > 300
+    assert sum(lost) + mechanical + 1.5 * (total[-1] - total[0]) + magnet_work == pytest.approx(into, rel=5e-4)
+    for power, active in zip(lost[2:], ("iron_conductance", "flux_lag"), strict=True):
+        assert (power > 0.2) == (getattr(chosen, active) > 0)
+
+
+def test_the_terminals_take_what_the_log_says():
+    """The energy into the terminals is the integral of u i, by the trapezoidal rule on the samples."""
+    simulation = run(4001, speeds=(200.0,), iron_conductance=0.5, harmonics=0.0, inverter="none")
+    i = stator(simulation)
+    u = simulation.samples.u_abc[:-1] @ CLARKE
+    expected = 1.5 * T * np.sum(np.real(u * np.conj(i[1:] + i[:-1]) / 2))
+    assert simulation.course.energy[-1, 0] == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("rpm", [300.0, -1500.0])
+def test_iron_current_in_the_steady_state(rpm):
+    """i_machine = i - G v - h v/|v|, where the induced voltage v is omega J psi, late by its time constant."""
+    options = {"speeds": (rpm,), "harmonics": 0.0, "inverter": "none", "iron_time_constant": 5e-5}
+    simulation = hold(
+        -60.0, 80.0, 3000, iron_conductance=0.2, iron_hysteresis=2.0, iron_hysteresis_voltage=1e-3, **options
+    )
+    late = slice(2500, None)
+    psi = (simulation.course.psi_dq @ (1, 1j))[late].mean()
+    iron = (simulation.i_dq_true @ (1, 1j) - simulation.course.i_dq_machine @ (1, 1j))[late].mean()
+    omega = rpm * np.pi / 30 * POLE_PAIRS
+    v = 1j * omega * psi / (1 + 1j * omega * 5e-5)
+    assert iron == pytest.approx(0.2 * v + 2.0 * v / abs(v), rel=abs(omega) * 5e-5)
+    power = np.diff(simulation.course.energy[late, 3]).mean() / T
+    induced = abs(omega * psi)
+    assert power == pytest.approx(1.5 * (0.2 * induced**2 + 2.0 * induced), rel=0.02)
+
+
+def test_lagging_flux_follows_a_step_with_its_time_constant():
+    simulation = hold(0.0, 100.0, 200, speeds=(0.0,), harmonics=0.0, inverter="none", flux_lag=0.2, flux_lag_time=2e-3)
+    step = simulate(
+        IPM,
+        SimulationSettings(speeds=(0.0,), harmonics=0.0, inverter="none", flux_lag=0.2, flux_lag_time=2e-3),
+        np.concatenate((np.zeros((1, 2)), np.tile((0.0, 100.0), (999, 1)))),
+    )
+    f = step.machine.flux(*step.course.i_dq_machine.T, 0.0)
+    mixed = 0.8 * f + 0.2 * step.course.lagged
+    np.testing.assert_allclose(mixed, step.course.psi_dq, rtol=0, atol=1e-9)
+    time = np.arange(1000) * T
+    expected = solve_ivp(
+        lambda t, y: (np.interp(t, time, f[:, 1]) - y) / 2e-3, (0, 0.0999), [0.0], t_eval=time, max_step=T
+    ).y[0]
+    np.testing.assert_allclose(step.course.lagged[:, 1], expected, rtol=0, atol=2e-3 * f[-1, 1])
+    np.testing.assert_allclose(simulation.course.lagged, f[-1] * np.ones((200, 1)), rtol=0, atol=1e-4)
+
+
+def test_copper_and_magnet_warm_by_their_losses_and_cool():
+    """At a held current: C dT/dt = 3/2 R(T) I^2 - C (T - T_ambient) / tau, for the magnets likewise."""
+    options = {
+        "copper_heat_capacity": 20.0, "copper_time_constant": 0.8, "copper_temperature": 40.0,
+        "magnet_heat_capacity": 90.0, "magnet_time_constant": 1.5, "magnet_temperature": 30.0,
+        "ambient_temperature": 25.0, "inverter": "none", "speeds": (300.0,), "harmonics": 0.0,
+    }  # fmt: skip
+    simulation = hold(-120.0, 200.0, 10000, **options)
+    amplitude = np.mean(np.sum(simulation.i_dq_true**2, axis=1))
+
+    def rate(_t, y):
+        loss = 1.5 * 10e-3 * (1 + 3.93e-3 * (y[0] - 20)) * amplitude
+        return loss / 20 - (y[0] - 25) / 0.8, loss / 90 - (y[1] - 25) / 1.5
+
+    time = np.arange(0, 10000, 500) * T
+    expected = solve_ivp(rate, (0, 1.0), [40.0, 30.0], t_eval=time, rtol=1e-8).y.T
+    np.testing.assert_allclose(simulation.course.temperature[::500], expected, rtol=0, atol=0.02)
+    details = simulation.truth.details
+    assert details["copper_temperature_end"] == pytest.approx(simulation.course.temperature[-1, 0], abs=0.02)
+    assert details["resistance_end"] == pytest.approx(10e-3 * (1 + 3.93e-3 * (details["copper_temperature_end"] - 20)))
+    assert details["resistance_start"] == pytest.approx(10e-3 * (1 + 3.93e-3 * 20))
+
+
+def test_a_warm_drive_needs_the_voltage_of_its_resistance_and_weaker_magnets():
+    options = {"harmonics": 0.0, "inverter": "none", "copper_temperature": 70.0, "magnet_temperature": 120.0}
+    still = hold(0.0, 100.0, 2000, speeds=(0.0,), **options)
+    u = still.samples.u_abc[-1] @ CLARKE
+    assert u == pytest.approx(1j * 100.0 * 10e-3 * (1 + 3.93e-3 * 50), abs=1e-3)
+    turning = hold(0.0, 0.0, 2000, speeds=(1000.0,), **options)
+    magnet = turning.machine.mean_flux(0.0, 0.0)[0]
+    psi = turning.course.psi_dq[-1]
+    expected = turning.machine.mean_flux(*turning.course.i_dq_machine[-1]) - (0.1 * magnet, 0)
+    np.testing.assert_allclose(psi, expected, rtol=0, atol=1e-9)
+
+
+def test_an_eccentric_rotor_modulates_the_flux_at_mechanical_orders():
+    simulation = run(3000, eccentricity=(0.03, -0.01))
+    theta = simulation.angle_true / POLE_PAIRS
+    factor = 1 + 0.03 * np.cos(theta) - 0.01 * np.cos(2 * theta)
+    flux = simulation.machine.flux(*simulation.course.i_dq_machine.T, simulation.angle_true)
+    np.testing.assert_allclose(simulation.course.psi_dq, factor[:, None] * flux, rtol=0, atol=1e-9)
+
+
+def test_the_dc_link_scales_what_the_log_says():
+    """Without resistance and drop, each flux step is the voltage truly held."""
+    source = dataclasses.replace(machine_map("spm"), resistance=0.0)
+    waves = {"u_dc_ripple": 0.03, "u_dc_ripple_frequency": 300.0, "u_dc_drift": 0.02, "u_dc_drift_frequency": 2.3}
+    simulation = run(2000, source, inverter="none", **waves)
+    time = (np.arange(2000) + 0.5) * T
+    scale = 1 + 0.03 * np.sin(2 * np.pi * 300 * time) + 0.02 * np.sin(2 * np.pi * 2.3 * time)
+    np.testing.assert_allclose(simulation.course.u_dc, 325.0 * scale, rtol=1e-12)
+    psi = (simulation.course.psi_dq @ (1, 1j)) * np.exp(1j * simulation.angle_true)
+    logged = simulation.samples.u_abc @ CLARKE
+    np.testing.assert_allclose(np.diff(psi), T * (scale * logged)[:-1], rtol=0, atol=1e-12)
+
+
+# --- sensors
+
+
+@pytest.mark.parametrize(("order", "cut_off"), [(1, 400.0), (2, 500.0), (1, 50e3)])
+def test_the_current_filter_has_its_transfer_function(order, cut_off):
+    simulation = hold(
+        -50.0, 90.0, 3000, speeds=(600.0,), harmonics=0.0, inverter="none", current_filter=cut_off,
+        current_filter_order=order, current_bandwidth=40.0,
+    )  # fmt: skip
+    s = 1j * 600 * np.pi / 30 * POLE_PAIRS / (2 * np.pi * cut_off)
+    expected = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
+    measured = simulation.samples.i_abc @ CLARKE / stator(simulation)
+    assert measured[2000:].mean() == pytest.approx(expected, abs=2e-3)  # the currents ripple within each period
+
+
+@pytest.mark.parametrize("pole", [-3e4 + 0j, 2e4 * (-1 + 1j)])
+def test_the_filter_is_exact_for_a_parabola(pole):
+    h, (a, b, c) = 5e-5, (3.0, 2e4, -4e8)
+
+    def i(t):
+        return a + b * t + c * t**2
+
+    expected = solve_ivp(lambda t, z: pole * z + i(t), (0, h), [1e-4 + 2e-5j], rtol=1e-11, atol=1e-16).y[0, -1]
+    got = effect_kernels._filtered(pole, 1e-4 + 2e-5j, (i(0), i(h / 2), i(h)), h)
+    assert got == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("latency", [3e-5, 2.5e-4])
+def test_a_late_angle_is_the_angle_of_earlier(latency):
+    simulation = run(
+        3000, speeds=(500.0, -900.0), ramp_time=0.1, segment_durations=(0.1, 0.2), speed_ripple=0.02,
+        resolver_latency=latency,
+    )  # fmt: skip
+    theta = np.unwrap(simulation.angle_true)
+    time = np.arange(3000) * T
+    expected = np.interp(time - latency, time, theta)
+    np.testing.assert_allclose(
+        wrapped(simulation.samples.angle - expected)[10:], 0.0, atol=1e-4
+    )  # rad, at the ramps' ends
+    lag = wrapped(simulation.angle_true - simulation.samples.angle)
+    assert lag[500] == pytest.approx(simulation.samples.speed[500] * latency, rel=1e-2)
+
+
+def test_resolver_errors_of_electrical_and_mechanical_orders():
+    simulation = run(
+        3000, resolver_electrical_errors=(0.01, 0.004), resolver_electrical_phases=(0.3,),
+        resolver_mechanical_errors=(0.02, 0.0, 0.005), resolver_mechanical_phases=(0.1, 0.0, -2.0),
+        resolver_offset=0.05,
+    )  # fmt: skip
+    theta = simulation.angle_true
+    turn = theta / POLE_PAIRS
+    expected = 0.05 + 0.01 * np.cos(theta - 0.3) + 0.004 * np.cos(2 * theta)
+    expected += 0.02 * np.cos(turn - 0.1) + 0.005 * np.cos(3 * turn + 2.0)
+    np.testing.assert_allclose(wrapped(simulation.samples.angle - theta), expected, rtol=0, atol=1e-9)
+
+
+def test_a_decimated_log_is_every_nth_sample_of_the_full_one():
+    full, thin = run(1001, current_noise=1e-3), run(1001, current_noise=1e-3, log_decimation=5)
+    assert thin.samples.sample_period == pytest.approx(5e-4)
+    for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference"):
+        np.testing.assert_array_equal(getattr(thin.samples, name), getattr(full.samples, name)[::5])
+    np.testing.assert_array_equal(thin.i_dq_true, full.i_dq_true[::5])
+
+
+def test_the_bench_in_real_time_decimates_too():
+    settings = SimulationSettings(log_decimation=4, flux_lag=0.02)
+    bench = Bench(IPM, settings, BenchSettings(block_size=50))
+    bench.advance(0)
+    blocks = bench.advance(70_000_000)
+    assert [block.first_sample for block in blocks] == [0, 50, 100]
+    assert [block.stamp for block in blocks] == [0, 20_000_000, 40_000_000]
+    assert {block.sample_period for block in blocks} == {4e-4}
+    settings = dataclasses.replace(settings, log_decimation=1)
+    expected = Drive(build_machine(IPM, settings), settings).step_block(np.zeros((600, 2))).samples
+    measured = np.concatenate([np.stack(block.voltages, axis=-1) for block in blocks])
+    np.testing.assert_array_equal(measured, expected.u_abc[::4].astype(np.float32))
+
+
+# --- settings and truth
+
+
+def test_the_truth_records_active_effects_and_what_a_fit_is_scored_against():
+    assert "iron_conductance" not in run(10).truth.details
+    details = run(100, iron_conductance=0.3, eccentricity=(0.01,)).truth.details
+    assert details["iron_conductance"] == 0.3
+    assert details["eccentricity"] == "(0.01,)"
+    assert details["iron_time_constant"] == 5e-5
+    assert details["iron_power_mean"] > 0
+    assert details["copper_temperature_end"] == 20.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"iron_conductance": -0.1}, r"iron_conductance is -0\.1 S: it must be at least 0"),
+        ({"flux_lag": 0.6}, r"flux_lag is 0\.6: it must be at least 0\.0 and at most 0\.5"),
+        ({"current_filter_order": 3}, "current_filter_order is 3: it must be at least 1 and at most 2"),
+        ({"eccentricity": (0.2, 0.2, -0.2)}, "amplitudes of eccentricity sum up to more than 0.5"),
+        ({"resolver_mechanical_phases": (0.1,)}, "resolver_mechanical_phases has 1 entries for 0"),
+        ({"log_decimation": 0}, "log_decimation is 0"),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    with pytest.raises(ConfigurationError, match=message):
+        SimulationSettings(**settings)

@@ -108,7 +108,7 @@ class Drive:
         self.drop = phase_drop_of(settings, machine.u_dc, machine.i_max)
         self._plant, self._controller, self._sensors = _kernel_parameters(machine, settings, self.drop)
         self._generators = [
-            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(3)
+            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(4)
         ]
         self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start)
         self._effects: effects.Effects | None = None
@@ -161,10 +161,15 @@ class Drive:
         every = self.settings.log_decimation
         logged = slice(-self._next % every, None, every)
         self._next += n
+        stamp, u_abc = ticks[:-1][logged] * (period * 1e9), out.u_abc[logged]
+        if self.settings.stamp_jitter > 0:
+            stamp += self._generators[3].uniform(0, self.settings.stamp_jitter * 1e9, len(stamp))
+        if self.settings.log_zero_sequence:
+            u_abc = u_abc - 0.5 * (u_abc.max(axis=1, keepdims=True) + u_abc.min(axis=1, keepdims=True))
         samples = Samples(
-            stamp=np.round(ticks[:-1][logged] * (period * 1e9)).astype(np.int64),
+            stamp=np.round(stamp).astype(np.int64),
             i_abc=out.i_abc[logged],
-            u_abc=out.u_abc[logged],
+            u_abc=u_abc,
             angle=out.angle[logged],
             speed=out.speed[logged],
             sample_period=period * every,
@@ -179,6 +184,7 @@ class Drive:
         axis = np.linspace(-machine.i_max, machine.i_max, _TRUTH_NODES)
         psi = machine.mean_flux(axis[:, None], axis[None, :])
         current, voltage = drop_curve(self.drop, machine.i_max)
+        voltage *= np.mean(self.settings.drop_factor)
         recorded = effects.recorded(self.settings)
         details = {
             field.name: value if isinstance(value, (str, int, float)) else str(value)
@@ -212,7 +218,7 @@ class Drive:
         noise = parameters.Noise(
             *(
                 deviation * generator.standard_normal(shape) if deviation > 0 else np.zeros(shape)
-                for deviation, generator, shape in zip(deviations, self._generators, shapes, strict=True)
+                for deviation, generator, shape in zip(deviations, self._generators[:3], shapes, strict=True)
             )
         )
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
@@ -270,7 +276,7 @@ def _kernel_parameters(
     plant = parameters.Plant(
         table=machine.table,
         resistance=machine.resistance,
-        drop=drop,
+        drop=drop._replace(dead_time_voltage=0.0) if settings.inverter == "switching" else drop,
         ripple=settings.speed_ripple,
         ripple_order=settings.ripple_order / machine.pole_pairs,
         period=settings.sample_period,
@@ -284,7 +290,7 @@ def _kernel_parameters(
         resistance=machine.resistance,
         bandwidth=bandwidth,
         integral_rate=0.2 * bandwidth,
-        u_max=machine.u_dc / math.sqrt(3),
+        u_max=settings.voltage_limit * machine.u_dc / math.sqrt(3),
         compensate=settings.inverter_compensation,
     )
     lead = math.floor(settings.voltage_delay)

@@ -69,6 +69,13 @@ def terminal_current(effects: Effects, i_dq: Pair, v: Pair, theta: float) -> tup
 
 
 @compiled
+def _drop(plant: Plant, effects: Effects, j: int, i: float) -> float:
+    """Return the drop of phase ``j`` at its current, V."""
+    drop = phase_drop(plant.drop, i)
+    return float(effects.drop_factor[j] * (drop + effects.drop_asymmetry[j] * abs(drop)))
+
+
+@compiled
 def _rates(
     plant: Plant, effects: Effects, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
 ) -> tuple[Six, Pair, Pair, tuple[float, float, float, float]]:
@@ -77,7 +84,7 @@ def _rates(
     i_b, i_c = -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta
     factors = effects.resistance_factor
     r_a, r_b, r_c = resistance * factors[0] * i_alpha, resistance * factors[1] * i_b, resistance * factors[2] * i_c
-    d_a, d_b, d_c = phase_drop(plant.drop, i_alpha), phase_drop(plant.drop, i_b), phase_drop(plant.drop, i_c)
+    d_a, d_b, d_c = _drop(plant, effects, 0, i_alpha), _drop(plant, effects, 1, i_b), _drop(plant, effects, 2, i_c)
     drop = ((2 * d_a - d_b - d_c) / 3, (d_b - d_c) / _SQRT3)
     e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
     e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
@@ -272,14 +279,20 @@ def _measure(
     k: int,
 ) -> None:
     for j in range(3):
-        i = sensors.current_gain[j] * more.sampled[j] + sensors.current_offset[j] + noise.current[k, j]
+        i = more.sampled[j]
+        i += effects.cubic * i**3
+        i = math.copysign(max(abs(i) - effects.dead_band, 0.0), i)
+        i = sensors.current_gain[j] * i + sensors.current_offset[j] + noise.current[k, j]
         if sensors.current_quantum > 0.0:
             i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
         out.i_abc[k, j] = i
     mean, late = state.mean_angle[0], effects.latency
     theta = with_ripple(plant, mean)
     seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope[0] * late))
-    out.angle[k] = wrap(seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k])
+    angle = seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k]
+    if effects.angle_quantum > 0.0:
+        angle = effects.angle_quantum * np.rint(angle / effects.angle_quantum)
+    out.angle[k] = wrap(angle)
     out.speed[k] = speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean)) + noise.speed[k]
     (i_alpha, i_beta), _ = terminal_current(
         effects, (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1]), theta
@@ -304,36 +317,99 @@ def _note(state: DriveState, more: EffectState, theta: float, u_dc: float, cours
 
 
 @compiled
-def _sense(effects: Effects, state: DriveState, more: EffectState, theta: float, j: int) -> None:
-    """Hold what the sensor of phase ``j`` sees now for the next sample."""
-    if effects.filter_pole != 0.0:
-        alpha = (effects.filter_gain * more.filter[0]).real
-        beta = (effects.filter_gain * more.filter[1]).real
-    else:
-        i_dq, v = (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1])
-        (alpha, beta), _ = terminal_current(effects, i_dq, v, theta)
+def _on_phase(pair: Pair, j: int) -> float:
+    """Return the part of a vector in the stator frame on phase ``j``."""
     turn = j * 2 * math.pi / 3
-    more.sampled[j] = math.cos(turn) * alpha + math.sin(turn) * beta
+    return math.cos(turn) * pair[0] + math.sin(turn) * pair[1]
+
+
+@compiled
+def _sensed(effects: Effects, more: EffectState, i: Pair) -> Pair:
+    """Return the current behind the sensors' filter, stator frame."""
+    if effects.filter_pole == 0.0:
+        return i
+    return (effects.filter_gain * more.filter[0]).real, (effects.filter_gain * more.filter[1]).real
+
+
+@compiled
+def _edge_delay(effects: Effects, u_dc: float, i: float) -> float:
+    """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
+
+    A positive current discharges the output at once, or within the dead time t_d as far as u = i t / C; a negative one
+    keeps it high by the diode until the other switch turns on. A rising edge is the falling one of -i.
+    """
+    if i <= 0.0:
+        return effects.dead_time
+    x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
+    return effects.dead_time * (1.0 - 0.5 * x if x < 1.0 else 0.5 / x)
+
+
+@compiled
+def _set_marks(effects: Effects, sensors: Sensors, legs: FloatArray, period: float, marks: FloatArray) -> None:
+    """Set the times in the period at which something changes, s.
+
+    ``marks`` (16,): sampling of the three phases; change of the command; commanded rising edges and falling edges of
+    the legs; their real rising and falling edges, known when the commanded ones come.
+    """
+    marks[:] = math.inf
+    for j in range(3):
+        marks[j] = period - effects.skew[j]
+    marks[3] = sensors.held_fraction * period
+    if effects.switching:
+        for j in range(3):
+            duty = 0.5 + legs[j] / effects.u_dc
+            if duty >= 1.0:
+                marks[10 + j] = -1.0
+            elif duty > 0.0:
+                marks[4 + j], marks[7 + j] = 0.5 * period * (1.0 - duty), 0.5 * period * (1.0 + duty)
+
+
+@compiled
+def _command(effects: Effects, state: DriveState, row: int, legs: FloatArray) -> None:
+    """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection where the legs' limits count."""
+    for j in range(3):
+        legs[j] = state.commands[row, j] + state.compensations[row, j]
+    if effects.switching or effects.hexagon:
+        middle = 0.5 * (max(legs[0], legs[1], legs[2]) + min(legs[0], legs[1], legs[2]))
+        for j in range(3):
+            legs[j] = min(max(legs[j] - middle, -0.5 * effects.u_dc), 0.5 * effects.u_dc)
 
 
 @compiled
 def _period(
     plant: Plant, effects: Effects, sensors: Sensors, state: DriveState, more: EffectState, speeds: Pair, u_dc: float
 ) -> bool:
-    """Carry the plant over one sample period, and sample the phase currents at its end."""
-    change = sensors.held_fraction * plant.period
-    scale = u_dc / effects.u_dc
-    for row, start, stop in ((2, 0.0, change), (1, change, plant.period)):
-        if stop > start:
-            u_a = state.commands[row, 0] + state.compensations[row, 0]
-            u_b = state.commands[row, 1] + state.compensations[row, 1]
-            u_c = state.commands[row, 2] + state.compensations[row, 2]
-            u = scale * (2 * u_a - u_b - u_c) / 3, scale * (u_b - u_c) / _SQRT3
-            if not integrate(plant, effects, state, more, u, speeds, (start, stop)):
-                return False
-    theta = with_ripple(plant, state.mean_angle[0] + 0.5 * plant.period * (speeds[0] + speeds[1]))
-    for j in range(3):
-        _sense(effects, state, more, theta, j)
+    """Carry the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
+    period, slope = plant.period, (speeds[1] - speeds[0]) / plant.period
+    legs, marks = np.empty(3), np.empty(16)
+    _command(effects, state, 1 if sensors.held_fraction == 0.0 else 2, legs)
+    _set_marks(effects, sensors, legs, period, marks)
+    now = 0.0
+    while now < period:
+        stop = period
+        for mark in marks:
+            if now < mark < stop:
+                stop = mark
+        if effects.switching:
+            for j in range(3):
+                legs[j] = 0.5 * effects.u_dc if marks[10 + j] <= now < marks[13 + j] else -0.5 * effects.u_dc
+        scale = u_dc / effects.u_dc
+        u = scale * (2 * legs[0] - legs[1] - legs[2]) / 3, scale * (legs[1] - legs[2]) / _SQRT3
+        if not integrate(plant, effects, state, more, u, speeds, (now, stop)):
+            return False
+        theta = with_ripple(plant, state.mean_angle[0] + stop * (speeds[0] + 0.5 * slope * stop))
+        v = (more.iron_voltage[0], more.iron_voltage[1])
+        i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
+        for j in range(3):
+            if marks[j] == stop:
+                more.sampled[j] = _on_phase(_sensed(effects, more, i), j)
+            if marks[4 + j] == stop:
+                marks[10 + j] = stop + _edge_delay(effects, u_dc, -_on_phase(i, j))
+            if marks[7 + j] == stop:
+                marks[13 + j] = stop + _edge_delay(effects, u_dc, _on_phase(i, j))
+        if marks[3] == stop:
+            _command(effects, state, 1, legs)
+        now = stop
     return True
 
 
@@ -365,7 +441,7 @@ def run_with_effects(
         c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
         i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
         reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
-        control(controller, plant.drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
+        control(controller, effects.mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
         for j in range(3):
             out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
         u_dc = effects.u_dc

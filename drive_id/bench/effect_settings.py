@@ -72,7 +72,33 @@ class MachineEffects:
 
 @dataclass(frozen=True)
 class InverterEffects:
-    """DC-link voltage that the log does not know."""
+    """What the inverter applies and the log does not know, beside the laws of ``inverter``.
+
+    ``inverter: switching`` switches the legs at edges from a symmetric carrier of one sample period and min-max
+    injection, with ``dead_time``, ``output_capacitance``, ``device_voltage`` and ``device_resistance``.
+    """
+
+    dead_time: float = setting(
+        1e-6, "Dead time of the legs of a switching inverter", unit="s", minimum=0.0, maximum=1e-3
+    )
+    output_capacitance: float = setting(
+        0.0, "Capacitance of each leg's output that the current charges within the dead time", unit="F", minimum=0.0
+    )
+    drop_factor: tuple[float, float, float] = setting(
+        (1.0, 1.0, 1.0), "Factor on the voltage drop of each phase", minimum=0.0, maximum=10.0
+    )
+    drop_asymmetry: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "Excess of each phase's drop at positive current over its mean, lacking at negative current, as a fraction",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    hexagon_limit: bool = setting(
+        False, "Limit the applied voltages to the hexagon of the DC link; the log stays unlimited"
+    )
+    voltage_limit: float = setting(
+        1.0, "Largest voltage that the controller commands, of u_dc / sqrt(3)", minimum=0.1, maximum=3.0
+    )
 
     u_dc_ripple: float = setting(
         0.0, "Amplitude of a DC-link ripple unknown to the log, fraction of u_dc", minimum=0.0, maximum=0.5
@@ -94,6 +120,15 @@ class SensorEffects:
     current_filter_order: int = setting(
         1, "Order of current_filter: 1, or 2 for a Butterworth filter", minimum=1, maximum=2
     )
+    current_skew: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), "Age of each phase current when it is sampled, below one period", unit="s", minimum=0.0
+    )
+    current_dead_band: float = setting(
+        0.0, "Current below which the sensors measure zero, and by which they measure too little", unit="A", minimum=0.0
+    )
+    current_cubic: float = setting(
+        0.0, "Gain error of the current sensors at i_max, growing with the square", minimum=-0.3, maximum=0.3
+    )
     resolver_latency: float = setting(
         0.0, "Age of the measured angle when it is sampled", unit="s", minimum=0.0, maximum=1e-2
     )
@@ -113,11 +148,16 @@ class SensorEffects:
     resolver_mechanical_phases: tuple[float, ...] = setting(
         (), "Phases of resolver_mechanical_errors, a cos(n theta / p - phase); missing ones are 0", unit="rad"
     )
+    resolver_quantization: float = setting(
+        0.0, "Quantization step of the electrical angle", unit="rad", minimum=0.0, maximum=1.0
+    )
+    log_zero_sequence: bool = setting(False, "Log the voltages with their min-max zero sequence")
+    stamp_jitter: float = setting(0.0, "Random delay of the stamps, uniform up to this", unit="s", minimum=0.0)
     log_decimation: int = setting(1, "Log only every n-th sample; the control runs on", minimum=1, maximum=1000)
 
 
 EFFECT_GROUPS = (MachineEffects, InverterEffects, SensorEffects)
 EFFECT_NAMES = tuple(field.name for group in EFFECT_GROUPS for field in fields(group))
 """Names of all effects, in the order of the groups."""
-LOG_ONLY = frozenset({"log_decimation"})
+LOG_ONLY = frozenset({"log_decimation", "log_zero_sequence", "stamp_jitter"})
 """Effects on the log alone, which leave the simulated drive as it is."""

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from drive_id.bench import kernels
 from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, REFERENCE_TEMPERATURE
+from drive_id.bench.inverter import phase_drop_of
 from drive_id.bench.machine import Machine
-from drive_id.bench.parameters import DriveState, Plant
+from drive_id.bench.parameters import DriveState, PhaseDrop, Plant
 from drive_id.bench.settings import SimulationSettings
 from drive_id.types import FloatArray
 
@@ -34,11 +35,22 @@ class Effects(NamedTuple):
     heat_rate: FloatArray  # (2,) 1 / heat capacity, 0 for constant temperature, K/J
     cooling_rate: FloatArray  # (2,) 1/s
     ambient: float  # degC
+    drop_factor: FloatArray  # (3,)
+    drop_asymmetry: FloatArray  # (3,)
+    mean_drop: PhaseDrop  # as a compensation knows it
+    hexagon: bool  # limit the average voltages of the legs to the DC link
+    switching: bool
+    dead_time: float  # s
+    capacitance: float  # F
     u_dc: float  # that the commands are made for, V
     u_dc_waves: FloatArray  # (2, 2) amplitude as a fraction and frequency, Hz, of ripple and drift
     filter_pole: complex  # of the current filter, 1/s; 0 without
     filter_gain: complex  # the output is Re(gain z) with dz/dt = pole z + i
+    skew: FloatArray  # (3,) s
+    dead_band: float  # A
+    cubic: float  # 1/A^2
     latency: float  # of the angle, s
+    angle_quantum: float  # rad, 0 for none
     resolver_electrical: FloatArray  # (N, 2) amplitude and phase of the orders 1 to N, rad
     resolver_mechanical: FloatArray  # (M, 2)
     largest_step: float  # of the integration, s
@@ -81,7 +93,7 @@ def active(settings: SimulationSettings) -> dict[str, object]:
 
 def acts_inside(settings: SimulationSettings) -> bool:
     """Return whether an effect acts inside the loop, so that the plain kernels do not serve."""
-    return bool(active(settings).keys() - LOG_ONLY)
+    return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
 
 
 def effects_of(machine: Machine, s: SimulationSettings) -> Effects:
@@ -107,11 +119,22 @@ def effects_of(machine: Machine, s: SimulationSettings) -> Effects:
         heat_rate=np.array([1 / capacity if capacity > 0 else 0.0 for capacity in capacities]),
         cooling_rate=np.array((1 / s.copper_time_constant, 1 / s.magnet_time_constant)),
         ambient=s.ambient_temperature,
+        drop_factor=np.array(s.drop_factor),
+        drop_asymmetry=np.array(s.drop_asymmetry),
+        mean_drop=phase_drop_of(s, machine.u_dc, machine.i_max),
+        hexagon=s.hexagon_limit,
+        switching=s.inverter == "switching",
+        dead_time=s.dead_time,
+        capacitance=s.output_capacitance,
         u_dc=machine.u_dc,
         u_dc_waves=np.array(((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency))),
         filter_pole=pole,
         filter_gain=gain,
+        skew=np.array(s.current_skew),
+        dead_band=s.current_dead_band,
+        cubic=s.current_cubic / machine.i_max**2,
         latency=s.resolver_latency,
+        angle_quantum=s.resolver_quantization,
         resolver_electrical=_orders(s.resolver_electrical_errors, s.resolver_electrical_phases),
         resolver_mechanical=_orders(s.resolver_mechanical_errors, s.resolver_mechanical_phases),
         largest_step=min(steps),
@@ -168,4 +191,4 @@ def truth_of(settings: SimulationSettings, machine: Machine, state: EffectState,
 def recorded(settings: SimulationSettings) -> set[str]:
     """Return the names of the settings that the truth records: those of effects only when one is active."""
     names = {field.name for field in dataclasses.fields(settings)}
-    return names if active(settings) else names - set(EFFECT_NAMES)
+    return names if active(settings) or acts_inside(settings) else names - set(EFFECT_NAMES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -169,20 +170,53 @@ COMBINATIONS = {
         "iron_conductance": 0.3, "iron_hysteresis": 2.0, "flux_lag": 0.05, "eccentricity": (0.02,),
         "copper_heat_capacity": 20.0, "magnet_heat_capacity": 100.0, "magnet_coefficient": 5e-3,
         "resistance_factor": (1.2, 1.0, 0.9), "u_dc_ripple": 0.02, "u_dc_drift": 0.01, "current_filter": 3000.0,
+        "current_skew": (0.0, 1e-5, 2e-5), "drop_asymmetry": (0.2, -0.1, 0.0), "drop_factor": (1.0, 0.9, 1.3),
+    },
+    "switching": {"inverter": "switching", "dead_time": 4e-6, "device_voltage": 2.0},
+    "all, switching": {
+        "inverter": "switching", "dead_time": 2e-6, "output_capacitance": 2e-9, "iron_conductance": 0.2,
+        "flux_lag": 0.05, "copper_heat_capacity": 20.0, "u_dc_ripple": 0.02, "eccentricity": (0.02,),
     },
 }  # fmt: skip
 
 
+@pytest.fixture
+def instants(monkeypatch):
+    """Return a list to which every simulation adds time, angle, state and effects' state, several in each period."""
+    rows: list[np.ndarray] = []
+    integrate, parts, begin = effect_kernels.integrate, 3, [-1.0]
+
+    def observed(plant, effects, state, more, u, speeds, span):
+        if span[0] == 0.0:
+            begin[0] += 1
+        edges = np.linspace(*span, parts + 1)
+        for start, stop in pairwise(edges):
+            if not integrate(plant, effects, state, more, u, speeds, (start, stop)):
+                return False
+            angle = state.mean_angle[0] + stop * speeds[0]
+            time = begin[0] * plant.period + stop
+            rows.append(np.concatenate(([time, angle], state.flux, state.current, *more[1:3], more.energy)))
+        return True
+
+    monkeypatch.setattr(effect_kernels, "integrate", observed)
+    monkeypatch.setattr(effect_kernels, "_period", effect_kernels._period.py_func)
+    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", effect_kernels.run_with_effects.py_func)
+    return rows
+
+
 @pytest.mark.parametrize("name", COMBINATIONS)
-def test_energy_is_conserved(name):
+def test_energy_is_conserved(name, instants):
     """Input = copper + iron + inverter + magnets + torque x speed + change of the stored energy.
 
     Torque and stored energy come from the analytic co-energy W: T = 3/2 p (psi x i + dW/dtheta), E = i psi - W.
     """
-    settings = {"speeds": (1000.0,), "inverter": "two_stage", **COMBINATIONS[name]}
-    simulation = run(4001, **settings)
-    course, machine, chosen = simulation.course, MACHINES["ipm"], SimulationSettings(**settings)
-    theta, (i_d, i_q) = simulation.angle_true, course.i_dq_machine.T
+    chosen = SimulationSettings(**{"speeds": (1000.0,), "inverter": "two_stage", **COMBINATIONS[name]})
+    machine = MACHINES["ipm"]
+    drive = Drive(build_machine(IPM, chosen), chosen, i_dq_start=(0.0, 50.0))
+    instants.clear()
+    drive.step_block(lissajous(300.0, 700)[200:])
+    time, theta, flux_a, flux_b, i_d, i_q, lag_d, lag_q, _, magnet, *energy = np.array(instants).T
+    psi = (flux_a + 1j * flux_b) * np.exp(-1j * theta)
     omega, k = 1000 * np.pi / 30 * POLE_PAIRS, chosen.flux_lag
     orders = np.arange(1, len(chosen.eccentricity) + 1) / POLE_PAIRS
     m = 1 + np.cos(theta[:, None] * orders) @ np.array(chosen.eccentricity)
@@ -196,22 +230,20 @@ def test_energy_is_conserved(name):
         return w, by_theta, d * psi_d + q * psi_q - w
 
     w, by_theta, stored = energies(i_d, i_q)
-    torque = (1 - k) * (m * by_theta + by_angle * w)
+    torque = psi.real * i_q - psi.imag * i_d + (1 - k) * (m * by_theta + by_angle * w)
     total = m * (1 - k) * stored
     if k > 0:
-        late = current_of(machine, course.lagged, theta)
-        _, by_theta, stored = energies(*late.T)
-        torque += k * (m * by_theta + by_angle * (np.sum(course.i_dq_machine * course.lagged, axis=1) - stored))
+        _, by_theta, stored = energies(*current_of(machine, np.stack((lag_d, lag_q), -1), theta).T)
+        torque += k * (m * by_theta + by_angle * (i_d * lag_d + i_q * lag_q - stored))
         total += m * k * stored
-    torque += course.psi_dq[:, 0] * i_q - course.psi_dq[:, 1] * i_d
-    mechanical = 1.5 * omega * np.trapezoid(torque, dx=T)
-    offset = -chosen.magnet_coefficient * (course.temperature[:, 1] - 20) * simulation.truth.details["magnet_flux"]
+    mechanical = 1.5 * omega * np.trapezoid(torque, time)
+    offset = -chosen.magnet_coefficient * (magnet - 20) * drive.truth().details["magnet_flux"]
     magnet_work = 1.5 * np.sum(0.5 * (i_d[1:] + i_d[:-1]) * np.diff(offset))
-    into, *lost = course.energy[-1] - course.energy[0]
-    assert into > 300
-    assert sum(lost) + mechanical + 1.5 * (total[-1] - total[0]) + magnet_work == pytest.approx(into, rel=5e-4)
-    for power, active in zip(lost[2:], ("iron_conductance", "flux_lag"), strict=True):
-        assert (power > 0.2) == (getattr(chosen, active) > 0)
+    into, *lost = (course[-1] - course[0] for course in energy)
+    assert into > 100
+    assert sum(lost) + mechanical + 1.5 * (total[-1] - total[0]) + magnet_work == pytest.approx(into, rel=3e-4)
+    for power, strength in zip(lost[2:], (chosen.iron_conductance, chosen.flux_lag), strict=True):
+        assert (power > 0.02) == (strength > 0)
 
 
 def test_the_terminals_take_what_the_log_says():
@@ -315,7 +347,152 @@ def test_the_dc_link_scales_what_the_log_says():
     np.testing.assert_allclose(np.diff(psi), T * (scale * logged)[:-1], rtol=0, atol=1e-12)
 
 
+# --- the inverter
+
+
+def linear_machine(resistance: float, inductance: float, i_max: float, u_dc: float) -> MachineMap:
+    """Return a machine without magnets, saturation and saliency: three resistances and inductances in star."""
+    axis = np.linspace(-1.5 * i_max, 1.5 * i_max, 31)
+    d, q = np.meshgrid(axis, axis, indexing="ij")
+    return MachineMap("linear", axis, axis, inductance * d, inductance * q, resistance, 1, i_max, u_dc)
+
+
+def fine_legs(u_abc, i, dead_time, capacitance, machine):
+    """Simulate three legs with capacitive outputs on three inductances in steps of 20 ns, from period to period."""
+    step, out, u_dc = 2e-8, [], machine.u_dc
+    inductance = machine.psi_d[-1, 0] / machine.i_d[-1]
+    count = round(T / step)
+    carrier = np.abs(np.arange(count) + 0.5 - 0.5 * count) / (0.5 * count)  # 1, down to 0, up to 1
+    upper_on, lower_on = np.full(3, np.inf), np.full(3, -1.0)  # since when commanded on
+    v, now = np.zeros(3), 0.0
+    for u in u_abc:
+        out.append(i)
+        duty = 0.5 + (u - 0.5 * (u.max() + u.min())) / u_dc
+        for k in range(count):
+            upper = carrier[k] < duty
+            upper_on = np.where(upper, np.minimum(upper_on, now), np.inf)
+            lower_on = np.where(upper, np.inf, np.minimum(lower_on, now))
+            v = np.minimum(np.maximum(v - i * step / capacitance, 0.0), u_dc)
+            v = np.where(now - upper_on >= dead_time - 1e-12, u_dc, v)
+            v = np.where(now - lower_on >= dead_time - 1e-12, 0.0, v)
+            i = i + step / inductance * (v - v.sum() / 3 - machine.resistance * i)
+            now += step
+    return np.array(out)
+
+
+@pytest.mark.parametrize("capacitance", [3e-8, 1e-13])
+def test_a_switching_inverter_matches_legs_with_capacitances(capacitance):
+    machine = linear_machine(0.5, 2e-3, 20.0, 300.0)
+    settings = SimulationSettings(
+        inverter="switching", dead_time=4e-6, output_capacitance=capacitance, device_voltage=0.0, device_resistance=0.0,
+        speeds=(1500.0,), i_max=20.0,
+    )  # fmt: skip
+    drive = Drive(build_machine(machine, settings), settings, i_dq_start=(0.0, 4.0))
+    block = drive.step_block(np.tile((0.0, 4.0), (16, 1)))
+    i_abc = np.real(((block.i_dq_true @ (1, 1j)) * np.exp(1j * block.angle_true))[:, None] * np.exp(-1j * PHASES))
+    expected = fine_legs(block.samples.u_abc, i_abc[0], 4e-6, capacitance, machine)
+    assert np.abs(i_abc - expected).max() < 0.02
+    ideal = fine_legs(block.samples.u_abc, i_abc[0], 0.0, capacitance, machine)
+    assert np.abs(ideal - expected).max() > 0.5
+
+
+def test_with_capacitance_the_mean_voltage_error_of_switching_is_the_average_law():
+    """Dead time u_td = u_dc t_d / T, and all charge moved within it at i_c = C u_dc / t_d."""
+    options = {"speeds": (0.0,), "harmonics": 0.0, "device_voltage": 0.0, "device_resistance": 0.0}
+    for i_d in (-200.0, -40.0, 15.0, 60.0):
+        switching = {"inverter": "switching", "dead_time": 2e-6, "output_capacitance": 2e-7}
+        average = {"inverter": "dead_time", "inverter_voltage": 8.0, "inverter_current": 40.0}
+        u = [hold(i_d, 0.0, 600, **options, **law).samples.u_abc[400:].mean(axis=0) for law in (switching, average)]
+        np.testing.assert_allclose(u[0], u[1], rtol=0, atol=0.05)
+
+
+def test_hard_dead_time_costs_its_volt_seconds_at_any_current():
+    options = {"speeds": (0.0,), "device_voltage": 0.0, "device_resistance": 0.0, "dead_time": 4e-6}
+    for i_d in (-50.0, 100.0):
+        simulation = hold(i_d, 0.0, 600, inverter="switching", **options)
+        u = (simulation.samples.u_abc[400:] @ CLARKE).mean()
+        assert u == pytest.approx(i_d * 10e-3 + 4 / 3 * 16.0 * np.sign(i_d), abs=0.02)
+        curve = np.interp(i_d, simulation.truth.inverter_current, simulation.truth.inverter_voltage)
+        assert curve == pytest.approx(16.0 * np.sign(i_d), rel=1e-3)
+
+
+def test_devices_differ_between_phases_and_directions():
+    """At standstill the log holds R i and each phase's own drop; its zero sequence is free."""
+    options = {
+        "speeds": (0.0,), "inverter": "tanh", "inverter_voltage": 5.0, "inverter_current": 1.0,
+        "drop_factor": (1.0, 1.2, 0.7), "drop_asymmetry": (0.1, -0.2, 0.3), "resistance_factor": (1.1, 0.8, 1.0),
+    }  # fmt: skip
+    simulation = hold(90.0, 40.0, 3000, **options)
+    i = np.real(stator(simulation)[-1] * np.exp(-1j * PHASES))
+    drop = 5.0 * np.tanh(i)
+    expected = np.array((1.1, 0.8, 1.0)) * 10e-3 * i
+    expected += np.array((1.0, 1.2, 0.7)) * (drop + np.array((0.1, -0.2, 0.3)) * np.abs(drop))
+    assert simulation.samples.u_abc[-1] @ CLARKE == pytest.approx(expected @ CLARKE, abs=2e-3)
+
+
+def test_the_hexagon_limits_what_is_applied_and_not_what_is_logged():
+    """Without resistance and drop, each flux step is the voltage truly held."""
+    source = dataclasses.replace(machine_map("spm"), resistance=0.0)
+    simulation = run(4000, source, inverter="none", speeds=(4500.0,), hexagon_limit=True, voltage_limit=1.3)
+    psi = (simulation.course.psi_dq @ (1, 1j)) * np.exp(1j * simulation.angle_true)
+    applied = np.diff(psi) / T
+    u = simulation.samples.u_abc[:-1]
+    beyond = np.ptp(u, axis=1) > 325.0
+    assert 0.02 < beyond.mean() < 0.9
+    np.testing.assert_allclose(applied[~beyond], u[~beyond] @ CLARKE, rtol=0, atol=1e-7)
+    phases = np.real(applied[:, None] * np.exp(-1j * PHASES))
+    assert np.ptp(phases, axis=1).max() <= 325.0 * (1 + 1e-9)  # line to line
+    np.testing.assert_allclose(np.ptp(phases, axis=1)[beyond], 325.0)
+
+
+def test_a_logged_zero_sequence_centres_the_phases_and_changes_nothing_else():
+    plain, injected = run(log_zero_sequence=False), run(log_zero_sequence=True)
+    u = injected.samples.u_abc
+    np.testing.assert_allclose(u.max(axis=1) + u.min(axis=1), 0.0, atol=1e-9)
+    np.testing.assert_allclose(u @ CLARKE, plain.samples.u_abc @ CLARKE, rtol=0, atol=1e-9)
+    assert np.abs(u.sum(axis=1)).max() > 1.0
+    np.testing.assert_array_equal(injected.samples.i_abc, plain.samples.i_abc)
+
+
 # --- sensors
+
+
+def test_phases_sampled_at_different_times():
+    simulation = run(2000, current_skew=(0.0, 4e-5, 9e-5))
+    i_abc = np.real(stator(simulation)[:, None] * np.exp(-1j * PHASES))
+    time = np.arange(2000) * T
+    seen = np.stack([np.interp(time - age, time, i) for age, i in zip((0.0, 4e-5, 9e-5), i_abc.T, strict=True)], -1)
+    np.testing.assert_allclose(simulation.samples.i_abc[1:, 0], i_abc[1:, 0], rtol=0, atol=1e-9)
+    assert np.abs(simulation.samples.i_abc - seen)[1:].max() < 0.3  # A, the currents' bend between samples
+    assert np.abs(simulation.samples.i_abc - i_abc)[1:, 2].max() > 3.0
+
+
+def test_dead_band_and_cubic_gain_of_the_sensors():
+    simulation = run(current_dead_band=1.5, current_cubic=-0.01, current_gain=(1.0, 1.02, 1.0))
+    i = np.real(stator(simulation)[:, None] * np.exp(-1j * PHASES))
+    bent = i * (1 - 0.01 * (i / 300.0) ** 2)
+    expected = np.where(np.abs(bent) > 1.5, bent - 1.5 * np.sign(bent), 0.0) * (1.0, 1.02, 1.0)
+    np.testing.assert_allclose(simulation.samples.i_abc, expected, rtol=0, atol=1e-9)
+    assert (simulation.samples.i_abc == 0.0).any()
+
+
+def test_angle_quantization():
+    step = 2 * np.pi / 1024
+    simulation = run(resolver_quantization=step)
+    turns = simulation.samples.angle / step
+    np.testing.assert_allclose(turns, np.rint(turns), atol=1e-9)
+    error = wrapped(simulation.samples.angle - simulation.angle_true)
+    assert 0.4 * step < np.abs(error).max() <= 0.5 * step * (1 + 1e-9)
+
+
+def test_jittered_stamps_are_late_by_a_random_time():
+    plain, late = run(2000), run(2000, stamp_jitter=5e-5)
+    delay = late.samples.stamp - plain.samples.stamp
+    assert delay.min() >= 0
+    assert delay.max() <= 50_000
+    assert delay.std() == pytest.approx(50_000 / np.sqrt(12), rel=0.05)
+    assert abs(np.corrcoef(delay[1:], delay[:-1])[0, 1]) < 0.08
+    np.testing.assert_array_equal(late.samples.i_abc, plain.samples.i_abc)
 
 
 @pytest.mark.parametrize(("order", "cut_off"), [(1, 400.0), (2, 500.0), (1, 50e3)])
@@ -415,6 +592,10 @@ def test_the_truth_records_active_effects_and_what_a_fit_is_scored_against():
         ({"eccentricity": (0.2, 0.2, -0.2)}, "amplitudes of eccentricity sum up to more than 0.5"),
         ({"resolver_mechanical_phases": (0.1,)}, "resolver_mechanical_phases has 1 entries for 0"),
         ({"log_decimation": 0}, "log_decimation is 0"),
+        ({"current_skew": (0.0, 1e-4, 0.0)}, r"current_skew reaches 0\.0001 s, a sample period or more"),
+        ({"stamp_jitter": 2e-4}, r"stamp_jitter is 0\.0002 s, at least the period of the log"),
+        ({"inverter": "switching", "dead_time": 5e-5}, "more than a quarter of the switching period"),
+        ({"inverter": "switching", "voltage_delay": 0.5}, "with inverter switching it must be a whole number"),
     ],
 )
 def test_settings_are_checked(settings, message):

@@ -32,6 +32,7 @@ _FINEST = 1024
 _SQRT3 = math.sqrt(3.0)
 
 Pair = tuple[float, float]
+Five = tuple[float, float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 
@@ -45,16 +46,13 @@ def _modulation(effects: Effects, theta: float) -> float:
 
 
 @compiled
-def _machine_current(
-    plant: Plant, effects: Effects, offset: float, y: Six, theta: float, guess: Pair
-) -> tuple[Pair, Pair, bool]:
-    """Return the machine's current and the flux f of the map there, rotor frame, from the state ``y``."""
+def _map_flux(effects: Effects, offset: float, y: Six, theta: float) -> Pair:
+    """Return the flux f of the map, rotor frame, that belongs to the state ``y``."""
     c, s = math.cos(theta), math.sin(theta)
     factor, k = _modulation(effects, theta), effects.lag_share
     f_d = ((c * y[0] + s * y[1] - offset) / factor - k * y[4]) / (1.0 - k)
     f_q = ((c * y[1] - s * y[0]) / factor - k * y[5]) / (1.0 - k)
-    i_d, i_q, good = current_of_flux(plant.table, f_d, f_q, theta, guess[0], guess[1], plant.current_tolerance)
-    return (i_d, i_q), (f_d, f_q), good
+    return f_d, f_q
 
 
 @compiled
@@ -78,7 +76,7 @@ def _drop(plant: Plant, effects: Effects, j: int, i: float) -> float:
 @compiled
 def _rates(
     plant: Plant, effects: Effects, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
-) -> tuple[Six, Pair, Pair, tuple[float, float, float, float]]:
+) -> tuple[Six, Pair, Pair, Five]:
     """Return d/dt y, the terminal current, the drop (stator frame) and the powers into terminals and losses, W."""
     (i_alpha, i_beta), iron = terminal_current(effects, i_dq, (y[2], y[3]), theta)
     i_b, i_c = -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta
@@ -88,31 +86,26 @@ def _rates(
     drop = ((2 * d_a - d_b - d_c) / 3, (d_b - d_c) / _SQRT3)
     e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
     e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
+    lag_d, lag_q, magnet = effects.lag_rate * (f[0] - y[4]), effects.lag_rate * (f[1] - y[5]), 0.0
+    if effects.lag_share > 0.0:  # the lagging share's flux belongs to another current, the rest flows in the magnets
+        l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
+        magnet = (i_dq[0] - l_d) * lag_d + (i_dq[1] - l_q) * lag_q
+        magnet *= 1.5 * effects.lag_share * _modulation(effects, theta)
     powers = (
         1.5 * (u[0] * i_alpha + u[1] * i_beta),
         r_a * i_alpha + r_b * i_b + r_c * i_c,
         d_a * i_alpha + d_b * i_b + d_c * i_c,
         1.5 * (e_alpha * iron[0] + e_beta * iron[1]),
+        magnet,
     )
-    y_rate = (
-        e_alpha,
-        e_beta,
-        effects.iron_rate * (e_alpha - y[2]),
-        effects.iron_rate * (e_beta - y[3]),
-        effects.lag_rate * (f[0] - y[4]),
-        effects.lag_rate * (f[1] - y[5]),
-    )
+    rate = effects.iron_rate
+    y_rate = (e_alpha, e_beta, rate * (e_alpha - y[2]), rate * (e_beta - y[3]), lag_d, lag_q)
     return y_rate, (i_alpha, i_beta), drop, powers
 
 
 @compiled
-def _lag_loss(plant: Plant, effects: Effects, y: Six, i_dq: Pair, f: Pair, theta: float) -> float:
-    """Return the eddy-current loss in the magnets, W: the lagging share's flux belongs to another current than i_m."""
-    if effects.lag_share == 0.0:
-        return 0.0
-    l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
-    share = 1.5 * effects.lag_share * _modulation(effects, theta) * effects.lag_rate
-    return share * ((i_dq[0] - l_d) * (f[0] - y[4]) + (i_dq[1] - l_q) * (f[1] - y[5]))
+def _added(a: Five, b: Five, h: float) -> Five:
+    return a[0] + h * b[0], a[1] + h * b[1], a[2] + h * b[2], a[3] + h * b[3], a[4] + h * b[4]
 
 
 @compiled
@@ -146,38 +139,49 @@ def _step(
     u: Pair,
     y: Six,
     i_dq: Pair,
-    f: Pair,
     thetas: tuple[float, float, float],
     h: float,
-) -> tuple[Six, Pair, Pair, tuple[Pair, Pair, Pair], tuple[float, float, float, float], float, bool]:
+) -> tuple[Six, Pair, tuple[Pair, Pair, Pair], Five, float, bool]:
     """Make one step of Runge-Kutta's rule of order 4; ``warm`` is resistance and flux offset at their temperatures.
 
-    Returns y, the machine's current and f at the end; the terminal current at start, middle and end; the energies of
-    the step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged.
+    Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
+    step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged. The stages are a
+    loop, whose fifth is the end, because every further call of these kernels takes seconds to compile.
     """
     resistance, offset = warm
-    k1, i_start, drop1, power1 = _rates(plant, effects, resistance, u, y, i_dq, f, thetas[0])
-    at = _moved(y, k1, 0.5 * h)
-    i_2, f_2, good_2 = _machine_current(plant, effects, offset, at, thetas[1], i_dq)
-    k2, _, _, _ = _rates(plant, effects, resistance, u, at, i_2, f_2, thetas[1])
-    at = _moved(y, k2, 0.5 * h)
-    i_3, f_3, good_3 = _machine_current(plant, effects, offset, at, thetas[1], i_2)
-    k3, i_middle, drop3, power3 = _rates(plant, effects, resistance, u, at, i_3, f_3, thetas[1])
-    at = _moved(y, k3, h)
-    guess = (2 * i_3[0] - i_dq[0], 2 * i_3[1] - i_dq[1])
-    i_4, f_4, good_4 = _machine_current(plant, effects, offset, at, thetas[2], guess)
-    k4, _, drop4, _ = _rates(plant, effects, resistance, u, at, i_4, f_4, thetas[2])
-    y = _moved(_moved(_moved(_moved(y, k1, h / 6), k2, h / 3), k3, h / 3), k4, h / 6)
-    i_dq, f, good_5 = _machine_current(plant, effects, offset, y, thetas[2], i_4)
-    _, i_stop, _, power5 = _rates(plant, effects, resistance, u, y, i_dq, f, thetas[2])
-    energies = (
-        h / 6 * (power1[0] + 4 * power3[0] + power5[0]),
-        h / 6 * (power1[1] + 4 * power3[1] + power5[1]),
-        h / 6 * (power1[2] + 4 * power3[2] + power5[2]),
-        h / 6 * (power1[3] + 4 * power3[3] + power5[3]),
-    )
-    bend = abs(drop1[0] - 2 * drop3[0] + drop4[0]) + abs(drop1[1] - 2 * drop3[1] + drop4[1])
-    return y, i_dq, f, (i_start, i_middle, i_stop), energies, h / 6 * bend, good_2 and good_3 and good_4 and good_5
+    at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
+    f = _map_flux(effects, offset, y, theta)
+    i_start = i_middle = i_stop = (0.0, 0.0)
+    energy = (0.0, 0.0, 0.0, 0.0, 0.0)
+    bend_alpha = bend_beta = 0.0
+    good = True
+    for stage in range(5):
+        rate, current, drop, power = _rates(plant, effects, resistance, u, at, i, f, theta)
+        if stage == 0 or stage == 2 or stage == 4:  # noqa: PLR1714  # numba compiles "in" of a tuple slowly
+            energy = _added(energy, power, h / 1.5 if stage == 2 else h / 6)
+            i_start, i_middle, i_stop = i_middle, i_stop, current
+        if stage == 4:
+            break
+        new_y = _moved(new_y, rate, h / 3 if stage == 1 or stage == 2 else h / 6)  # noqa: PLR1714
+        if stage != 1:
+            weight = -2.0 if stage == 2 else 1.0
+            bend_alpha += weight * drop[0]
+            bend_beta += weight * drop[1]
+        at = new_y if stage == 3 else _moved(y, rate, h if stage == 2 else 0.5 * h)
+        theta = thetas[1] if stage < 2 else thetas[2]
+        f = _map_flux(effects, offset, at, theta)
+        guess = (2 * i[0] - first[0], 2 * i[1] - first[1]) if stage == 2 else i
+        i_d, i_q, found = current_of_flux(plant.table, f[0], f[1], theta, guess[0], guess[1], plant.current_tolerance)
+        i, good = (i_d, i_q), good and found
+    return new_y, i, (i_start, i_middle, i_stop), energy, h / 6 * (abs(bend_alpha) + abs(bend_beta)), good
+
+
+@compiled
+def _warm(plant: Plant, effects: Effects, more: EffectState) -> Pair:
+    """Return the resistance, ohm, and the offset of psi_d, Wb, at the present temperatures."""
+    copper, magnet = more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE
+    resistance = plant.resistance * (1.0 + effects.thermal_coefficient[0] * copper)
+    return resistance, effects.magnet_flux * effects.thermal_coefficient[1] * magnet
 
 
 @compiled
@@ -192,42 +196,26 @@ def integrate(
     tick = (span[1] - span[0]) / (steps * _FINEST)
     slope = (speeds[1] - speeds[0]) / plant.period
     mean = state.mean_angle[0]
-    warmer = (more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE)
-    resistance = plant.resistance * (1.0 + effects.thermal_coefficient[0] * warmer[0])
-    offset = effects.magnet_flux * effects.thermal_coefficient[1] * warmer[1]
+    warm = _warm(plant, effects, more)
     y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
+    i_dq, energy = (state.current[0], state.current[1]), (0.0, 0.0, 0.0, 0.0, 0.0)
     theta = with_ripple(plant, mean + span[0] * (speeds[0] + 0.5 * slope * span[0]))
-    i_dq, f, good = _machine_current(plant, effects, offset, y, theta, (state.current[0], state.current[1]))
-    if not good:
-        return False
-    lag_loss = _lag_loss(plant, effects, y, i_dq, f, theta)
-    energy = (0.0, 0.0, 0.0, 0.0, 0.0)
     now, size = 0, _FINEST
     while now < steps * _FINEST:
-        h = size * tick
         middle, stop = span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
         thetas = (
             theta,
             with_ripple(plant, mean + middle * (speeds[0] + 0.5 * slope * middle)),
             with_ripple(plant, mean + stop * (speeds[0] + 0.5 * slope * stop)),
         )
-        new_y, new_i, new_f, i, energies, estimate, good = _step(
-            plant, effects, (resistance, offset), u, y, i_dq, f, thetas, h
-        )
+        h = size * tick
+        new_y, new_i, i, spent, estimate, good = _step(plant, effects, warm, u, y, i_dq, thetas, h)
         if estimate > plant.flux_tolerance and size > 1:
             size //= 2
             continue
         if not good:
             return False
-        y, i_dq, f, theta = new_y, new_i, new_f, thetas[2]
-        before, lag_loss = lag_loss, _lag_loss(plant, effects, y, i_dq, f, theta)
-        energy = (
-            energy[0] + energies[0],
-            energy[1] + energies[1],
-            energy[2] + energies[2],
-            energy[3] + energies[3],
-            energy[4] + h / 2 * (before + lag_loss),
-        )
+        y, i_dq, theta, energy = new_y, new_i, thetas[2], _added(energy, spent, 1.0)
         if effects.filter_pole != 0.0:
             for j in range(2):
                 more.filter[j] = _filtered(effects.filter_pole, more.filter[j], (i[0][j], i[1][j], i[2][j]), h)
@@ -243,7 +231,7 @@ def integrate(
 
 
 @compiled
-def _heat(effects: Effects, more: EffectState, energy: tuple[float, float, float, float, float], time: float) -> None:
+def _heat(effects: Effects, more: EffectState, energy: Five, time: float) -> None:
     """Count the losses and warm copper and magnets by them."""
     for k in range(5):
         more.energy[k] += energy[k]
@@ -332,16 +320,36 @@ def _sensed(effects: Effects, more: EffectState, i: Pair) -> Pair:
 
 
 @compiled
-def _edge_delay(effects: Effects, u_dc: float, i: float) -> float:
+def _predicted(
+    plant: Plant, effects: Effects, state: DriveState, more: EffectState, u: Pair, theta: float, turn: float
+) -> Pair:
+    """Return the terminal current one dead time later, by one explicit step, stator frame, A."""
+    resistance, offset = _warm(plant, effects, more)
+    y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
+    i = (state.current[0], state.current[1])
+    rate, _, _, _ = _rates(plant, effects, resistance, u, y, i, _map_flux(effects, offset, y, theta), theta)
+    y = _moved(y, rate, effects.dead_time)
+    f = _map_flux(effects, offset, y, theta + turn)
+    i_d, i_q, _ = current_of_flux(plant.table, f[0], f[1], theta + turn, i[0], i[1], plant.current_tolerance)
+    terminals, _ = terminal_current(effects, (i_d, i_q), (y[2], y[3]), theta + turn)
+    return terminals
+
+
+@compiled
+def edge_delay(effects: Effects, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
-    A positive current discharges the output at once, or within the dead time t_d as far as u = i t / C; a negative one
-    keeps it high by the diode until the other switch turns on. A rising edge is the falling one of -i.
+    A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
+    keeps it high by the diode until the other switch turns on. A current that reaches zero stays zero until then: so
+    long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead time if the
+    leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
     """
-    if i <= 0.0:
-        return effects.dead_time
+    if i <= 0.0:  # the mean of what gets positive
+        i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
     x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
-    return effects.dead_time * (1.0 - 0.5 * x if x < 1.0 else 0.5 / x)
+    charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
+    clamped = min(max(-i_moves / max(i_stays - i_moves, 1e-30), 0.0), 1.0)
+    return effects.dead_time * max(charged, clamped)
 
 
 @compiled
@@ -376,6 +384,45 @@ def _command(effects: Effects, state: DriveState, row: int, legs: FloatArray) ->
 
 
 @compiled
+def _switch(
+    plant: Plant,
+    effects: Effects,
+    state: DriveState,
+    more: EffectState,
+    marks: FloatArray,
+    legs: FloatArray,
+    now: float,
+    theta: float,
+    turn: float,
+    j: int,
+    u_dc: float,
+) -> None:
+    """Set the real edge of leg ``j``, whose edge is commanded now; ``turn`` is the angle turned in a dead time, rad."""
+    for e in range(2):
+        if marks[4 + 3 * e + j] != now:
+            continue
+        v = (more.iron_voltage[0], more.iron_voltage[1])
+        i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
+        kept, high, low = legs[j], 0.0, 0.0
+        for level in (0.5, -0.5):
+            legs[j] = level * effects.u_dc
+            later = _predicted(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), theta, turn)
+            high, low = low, _on_phase(later, j)
+        legs[j] = kept
+        if e == 0:
+            delay = edge_delay(effects, u_dc, -_on_phase(i, j), -low, -high)
+        else:
+            delay = edge_delay(effects, u_dc, _on_phase(i, j), high, low)
+        marks[10 + 3 * e + j] = now + delay
+
+
+@compiled
+def _vector(legs: FloatArray, scale: float) -> Pair:
+    """Return the voltage of the legs in the stator frame, V."""
+    return scale * (2 * legs[0] - legs[1] - legs[2]) / 3, scale * (legs[1] - legs[2]) / _SQRT3
+
+
+@compiled
 def _period(
     plant: Plant, effects: Effects, sensors: Sensors, state: DriveState, more: EffectState, speeds: Pair, u_dc: float
 ) -> bool:
@@ -393,20 +440,16 @@ def _period(
         if effects.switching:
             for j in range(3):
                 legs[j] = 0.5 * effects.u_dc if marks[10 + j] <= now < marks[13 + j] else -0.5 * effects.u_dc
-        scale = u_dc / effects.u_dc
-        u = scale * (2 * legs[0] - legs[1] - legs[2]) / 3, scale * (legs[1] - legs[2]) / _SQRT3
-        if not integrate(plant, effects, state, more, u, speeds, (now, stop)):
+        if not integrate(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), speeds, (now, stop)):
             return False
         theta = with_ripple(plant, state.mean_angle[0] + stop * (speeds[0] + 0.5 * slope * stop))
-        v = (more.iron_voltage[0], more.iron_voltage[1])
-        i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
         for j in range(3):
             if marks[j] == stop:
+                v = (more.iron_voltage[0], more.iron_voltage[1])
+                i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
                 more.sampled[j] = _on_phase(_sensed(effects, more, i), j)
-            if marks[4 + j] == stop:
-                marks[10 + j] = stop + _edge_delay(effects, u_dc, -_on_phase(i, j))
-            if marks[7 + j] == stop:
-                marks[13 + j] = stop + _edge_delay(effects, u_dc, _on_phase(i, j))
+            if effects.switching:
+                _switch(plant, effects, state, more, marks, legs, stop, theta, effects.dead_time * speeds[0], j, u_dc)
         if marks[3] == stop:
             _command(effects, state, 1, legs)
         now = stop

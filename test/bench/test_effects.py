@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from drive_id.bench import effect_kernels
 from drive_id.bench.bench import Bench
 from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
+from drive_id.bench.effects import effects_of
 from drive_id.bench.machines import MACHINES, CoEnergyMachine, machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.errors import ConfigurationError
@@ -380,20 +381,44 @@ def fine_legs(u_abc, i, dead_time, capacitance, machine):
     return np.array(out)
 
 
-@pytest.mark.parametrize("capacitance", [3e-8, 1e-13])
-def test_a_switching_inverter_matches_legs_with_capacitances(capacitance):
+@pytest.mark.parametrize(("capacitance", "error"), [(3e-8, 0.06), (3e-9, 0.1), (1e-13, 0.6)])
+def test_a_switching_inverter_matches_legs_with_capacitances(capacitance, error):
+    """Within ``error``, V, per period, where the dead time costs 12 V; every phase current crosses zero."""
     machine = linear_machine(0.5, 2e-3, 20.0, 300.0)
     settings = SimulationSettings(
         inverter="switching", dead_time=4e-6, output_capacitance=capacitance, device_voltage=0.0, device_resistance=0.0,
-        speeds=(1500.0,), i_max=20.0,
+        speeds=(6000.0,), i_max=20.0,
     )  # fmt: skip
     drive = Drive(build_machine(machine, settings), settings, i_dq_start=(0.0, 4.0))
-    block = drive.step_block(np.tile((0.0, 4.0), (16, 1)))
+    block = drive.step_block(np.tile((0.0, 4.0), (60, 1)))
     i_abc = np.real(((block.i_dq_true @ (1, 1j)) * np.exp(1j * block.angle_true))[:, None] * np.exp(-1j * PHASES))
-    expected = fine_legs(block.samples.u_abc, i_abc[0], 4e-6, capacitance, machine)
-    assert np.abs(i_abc - expected).max() < 0.02
-    ideal = fine_legs(block.samples.u_abc, i_abc[0], 0.0, capacitance, machine)
-    assert np.abs(ideal - expected).max() > 0.5
+    assert np.all(np.ptp(np.sign(i_abc), axis=0) == 2)
+
+    def voltage(i):
+        return np.sqrt(np.mean(np.diff(i - i_abc, axis=0) ** 2)) * 2e-3 / T
+
+    assert voltage(fine_legs(block.samples.u_abc, i_abc[0], 4e-6, capacitance, machine)) < error
+    assert voltage(fine_legs(block.samples.u_abc, i_abc[0], 0.0, capacitance, machine)) > 5.0
+
+
+def test_a_leg_falls_late_by_its_charge_or_by_a_current_that_stays_at_zero():
+    """Hard dead time of 4 us on 300 V, and the limits of the two laws."""
+    settings = SimulationSettings(inverter="switching", dead_time=4e-6)
+    machine = build_machine(linear_machine(0.5, 2e-3, 20.0, 300.0), settings)
+    hard = effects_of(machine, settings)
+    soft = hard._replace(capacitance=4e-8)  # which 3 A charge in the dead time
+
+    def delay(constants, i, i_stays, i_moves):
+        return effect_kernels.edge_delay(constants, 300.0, i, i_stays, i_moves)
+
+    assert delay(hard, 5.0, 5.2, 4.8) == pytest.approx(0.0, abs=1e-18)
+    assert delay(hard, -5.0, -4.8, -5.2) == pytest.approx(4e-6)
+    assert delay(hard, 0.1, 0.4, -0.2) == pytest.approx(4e-6 / 3)  # ends at zero: 1/3 of 0.4 and 2/3 of -0.2
+    assert delay(hard, -0.1, 0.2, -0.4) == pytest.approx(8e-6 / 3)
+    assert delay(soft, 1.5, 1.6, 1.4) == pytest.approx(4e-6 * 0.75)
+    assert delay(soft, 3.0, 3.1, 2.9) == pytest.approx(2e-6)
+    assert delay(soft, 12.0, 12.1, 11.9) == pytest.approx(4e-6 / 8)
+    assert delay(soft, -1.0, -0.9, -1.1) == pytest.approx(4e-6)
 
 
 def test_with_capacitance_the_mean_voltage_error_of_switching_is_the_average_law():

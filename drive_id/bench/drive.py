@@ -5,17 +5,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from drive_id.bench import effects, kernels, parameters
-from drive_id.bench.effect_kernels import run_with_effects
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.machine import Machine
 from drive_id.bench.profile import SpeedProfile
+from drive_id.bench.real_drive import run_with_effects
 from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
+
+Course = np.recarray[Any, np.dtype[np.record]]
 
 SETTLING_TIME = 0.05
 """Time for which the drive runs at its first reference before the first sample, s."""
@@ -39,14 +42,14 @@ class SimulatedBlock:
         True currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, not wrapped to one turn, rad.
-    course : Course or None
+    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
         Inner quantities at the samples, of a drive with effects.
     """
 
     samples: Samples
     i_dq_true: FloatArray
     angle_true: FloatArray
-    course: effects.Course | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,7 @@ class Simulation:
         Currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, rad.
-    course : Course or None
+    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
         Inner quantities at the samples, of a drive with effects.
     """
 
@@ -73,7 +76,7 @@ class Simulation:
     machine: Machine
     i_dq_true: FloatArray
     angle_true: FloatArray
-    course: effects.Course | None = None
+    course: Course | None = None
 
 
 class Drive:
@@ -111,7 +114,7 @@ class Drive:
             np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(4)
         ]
         self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start)
-        self._effects: effects.Effects | None = None
+        self._effects: np.record | None = None
         settling = np.full((max(parameters.HISTORY, round(SETTLING_TIME / settings.sample_period)), 2), i_dq_start)
         if effects.acts_inside(settings):
             self._effects = effects.effects_of(machine, settings)
@@ -175,7 +178,7 @@ class Drive:
             sample_period=period * every,
             i_dq_reference=reference[logged].copy(),
         )
-        inner = None if course is None else effects.Course(*(part[logged] for part in course))
+        inner: Any = None if course is None else course[logged]
         return SimulatedBlock(samples, out.i_dq_true[logged], out.angle_true[logged], inner)
 
     def truth(self) -> GroundTruth:
@@ -210,7 +213,7 @@ class Drive:
     def _speed(self, time: FloatArray) -> FloatArray:
         return self.profile.electrical(time, self.machine.pole_pairs)
 
-    def _run(self, reference: FloatArray, speed: FloatArray) -> tuple[parameters.Signals, effects.Course | None]:
+    def _run(self, reference: FloatArray, speed: FloatArray) -> tuple[parameters.Signals, Course | None]:
         n = len(reference)
         s = self.settings
         deviations = (s.current_noise * self.machine.i_max, s.resolver_noise, s.speed_noise)
@@ -223,7 +226,7 @@ class Drive:
         )
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
         out = parameters.Signals(*(np.empty(shape) for shape in shapes))
-        course = None if self._effects is None else effects.Course.empty(n)
+        course = None if self._effects is None else np.recarray(n, effects.COURSE)
         for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
             stop = min(start + _INTERRUPTIBLE, n)
             failed = self._run_part(
@@ -232,7 +235,7 @@ class Drive:
                 speed[start : stop + 1],
                 parameters.Noise(*(part[start:stop] for part in noise)),
                 parameters.Signals(*(part[start:stop] for part in out)),
-                None if course is None else effects.Course(*(part[start:stop] for part in course)),
+                None if course is None else course[start:stop],
             )
             if failed >= 0:
                 raise ConfigurationError(
@@ -249,7 +252,7 @@ class Drive:
         speed: FloatArray,
         noise: parameters.Noise,
         out: parameters.Signals,
-        course: effects.Course | None,
+        course: Any,
     ) -> int:
         """Run the kernel that the effects need; the plain one is faster and compiles faster."""
         revolution = 2 * math.pi * self.machine.pole_pairs
@@ -258,8 +261,8 @@ class Drive:
             return kernels.run(plant, controller, sensors, state, revolution, reference, speed, noise, out)
         first = self._next + start
         return run_with_effects(
-            plant, self._effects, controller, sensors, state, self._more, revolution, first, reference, speed, noise,
-            out, course,
+            plant, self._effects, controller, self.drop, sensors, state, self._more, revolution, first, reference,
+            speed, noise, out, course,
         )  # fmt: skip
 
 

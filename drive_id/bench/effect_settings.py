@@ -13,6 +13,9 @@ from drive_id.settings import setting
 REFERENCE_TEMPERATURE = 20.0
 """At which the machine's resistance and flux map hold, degrees Celsius."""
 
+MOST_ORDERS = 8
+"""Of the eccentricity and of each kind of resolver error."""
+
 
 @dataclass(frozen=True)
 class MachineEffects:

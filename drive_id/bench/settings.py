@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.bench.effect_settings import InverterEffects, MachineEffects, SensorEffects
+from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 
@@ -90,6 +90,12 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects):
                 raise ConfigurationError(
                     f"resolver_{kind}_phases has {phases} entries for {errors} resolver_{kind}_errors: give at most "
                     "one for each."
+                )
+        for name in ("eccentricity", "resolver_electrical_errors", "resolver_mechanical_errors"):
+            if len(getattr(self, name)) > MOST_ORDERS:
+                raise ConfigurationError(
+                    f"{name} has {len(getattr(self, name))} entries: give at most {MOST_ORDERS}, for the orders 1 to "
+                    f"{MOST_ORDERS}."
                 )
         if sum(abs(amplitude) for amplitude in self.eccentricity) > 0.5:
             raise ConfigurationError("The amplitudes of eccentricity sum up to more than 0.5: reduce them.")

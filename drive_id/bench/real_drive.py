@@ -18,13 +18,13 @@ from __future__ import annotations
 
 import cmath
 import math
+from typing import Any
 
 import numpy as np
 
 from drive_id.bench.effect_settings import REFERENCE_TEMPERATURE
-from drive_id.bench.effects import Course, Effects, EffectState
 from drive_id.bench.kernels import control, current_of_flux, phase_drop, with_ripple, wrap
-from drive_id.bench.parameters import Controller, DriveState, Noise, Plant, Sensors, Signals
+from drive_id.bench.parameters import Controller, DriveState, Noise, PhaseDrop, Plant, Sensors, Signals
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
@@ -37,16 +37,16 @@ Six = tuple[float, float, float, float, float, float]
 
 
 @compiled
-def _modulation(effects: Effects, theta: float) -> float:
+def _modulation(effects: np.record, theta: float) -> float:
     """Return the factor of the eccentric rotor on the flux."""
     factor = 1.0
-    for n in range(len(effects.eccentricity)):
+    for n in range(effects.orders[0]):
         factor += effects.eccentricity[n] * math.cos((n + 1) * theta / effects.pole_pairs)
     return factor
 
 
 @compiled
-def _map_flux(effects: Effects, offset: float, y: Six, theta: float) -> Pair:
+def _map_flux(effects: np.record, offset: float, y: Six, theta: float) -> Pair:
     """Return the flux f of the map, rotor frame, that belongs to the state ``y``."""
     c, s = math.cos(theta), math.sin(theta)
     factor, k = _modulation(effects, theta), effects.lag_share
@@ -56,7 +56,7 @@ def _map_flux(effects: Effects, offset: float, y: Six, theta: float) -> Pair:
 
 
 @compiled
-def terminal_current(effects: Effects, i_dq: Pair, v: Pair, theta: float) -> tuple[Pair, Pair]:
+def terminal_current(effects: np.record, i_dq: Pair, v: Pair, theta: float) -> tuple[Pair, Pair]:
     """Return the current in the terminals and the iron current in it, stator frame."""
     c, s = math.cos(theta), math.sin(theta)
     g = effects.iron_conductance
@@ -67,7 +67,7 @@ def terminal_current(effects: Effects, i_dq: Pair, v: Pair, theta: float) -> tup
 
 
 @compiled
-def _drop(plant: Plant, effects: Effects, j: int, i: float) -> float:
+def _drop(plant: Plant, effects: np.record, j: int, i: float) -> float:
     """Return the drop of phase ``j`` at its current, V."""
     drop = phase_drop(plant.drop, i)
     return float(effects.drop_factor[j] * (drop + effects.drop_asymmetry[j] * abs(drop)))
@@ -75,7 +75,7 @@ def _drop(plant: Plant, effects: Effects, j: int, i: float) -> float:
 
 @compiled
 def _rates(
-    plant: Plant, effects: Effects, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
+    plant: Plant, effects: np.record, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
 ) -> tuple[Six, Pair, Pair, Five]:
     """Return d/dt y, the terminal current, the drop (stator frame) and the powers into terminals and losses, W."""
     (i_alpha, i_beta), iron = terminal_current(effects, i_dq, (y[2], y[3]), theta)
@@ -134,7 +134,7 @@ def _filtered(pole: complex, z: complex, i: tuple[float, float, float], h: float
 @compiled
 def _step(
     plant: Plant,
-    effects: Effects,
+    effects: np.record,
     warm: Pair,
     u: Pair,
     y: Six,
@@ -177,7 +177,7 @@ def _step(
 
 
 @compiled
-def _warm(plant: Plant, effects: Effects, more: EffectState) -> Pair:
+def _warm(plant: Plant, effects: np.record, more: np.record) -> Pair:
     """Return the resistance, ohm, and the offset of psi_d, Wb, at the present temperatures."""
     copper, magnet = more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE
     resistance = plant.resistance * (1.0 + effects.thermal_coefficient[0] * copper)
@@ -186,7 +186,7 @@ def _warm(plant: Plant, effects: Effects, more: EffectState) -> Pair:
 
 @compiled
 def integrate(
-    plant: Plant, effects: Effects, state: DriveState, more: EffectState, u: Pair, speeds: Pair, span: Pair
+    plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, speeds: Pair, span: Pair
 ) -> bool:
     """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
 
@@ -231,7 +231,7 @@ def integrate(
 
 
 @compiled
-def _heat(effects: Effects, more: EffectState, energy: Five, time: float) -> None:
+def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> None:
     """Count the losses and warm copper and magnets by them."""
     for k in range(5):
         more.energy[k] += energy[k]
@@ -242,25 +242,25 @@ def _heat(effects: Effects, more: EffectState, energy: Five, time: float) -> Non
 
 
 @compiled
-def _angle_error(effects: Effects, theta: float) -> float:
+def _angle_error(effects: np.record, theta: float) -> float:
     """Return the resolver's error at the electrical angle ``theta``, rad."""
     error = 0.0
-    for n in range(len(effects.resolver_electrical)):
-        amplitude, phase = effects.resolver_electrical[n]
+    for n in range(effects.orders[1]):
+        amplitude, phase = effects.resolver_electrical[n, 0], effects.resolver_electrical[n, 1]
         error += amplitude * math.cos((n + 1) * theta - phase)
-    for n in range(len(effects.resolver_mechanical)):
-        amplitude, phase = effects.resolver_mechanical[n]
+    for n in range(effects.orders[2]):
+        amplitude, phase = effects.resolver_mechanical[n, 0], effects.resolver_mechanical[n, 1]
         error += amplitude * math.cos((n + 1) * theta / effects.pole_pairs - phase)
-    return error
+    return float(error)
 
 
 @compiled
 def _measure(
     plant: Plant,
-    effects: Effects,
+    effects: np.record,
     sensors: Sensors,
     state: DriveState,
-    more: EffectState,
+    more: np.record,
     speed: float,
     noise: Noise,
     out: Signals,
@@ -276,7 +276,7 @@ def _measure(
         out.i_abc[k, j] = i
     mean, late = state.mean_angle[0], effects.latency
     theta = with_ripple(plant, mean)
-    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope[0] * late))
+    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope * late))
     angle = seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k]
     if effects.angle_quantum > 0.0:
         angle = effects.angle_quantum * np.rint(angle / effects.angle_quantum)
@@ -291,17 +291,17 @@ def _measure(
 
 
 @compiled
-def _note(state: DriveState, more: EffectState, theta: float, u_dc: float, course: Course, k: int) -> None:
+def _note(state: DriveState, more: np.record, theta: float, u_dc: float, row: np.record) -> None:
+    """Fill the row of the course."""
     c, s = math.cos(theta), math.sin(theta)
-    course.psi_dq[k, 0] = c * state.flux[0] + s * state.flux[1]
-    course.psi_dq[k, 1] = c * state.flux[1] - s * state.flux[0]
+    row.psi_dq[0], row.psi_dq[1] = c * state.flux[0] + s * state.flux[1], c * state.flux[1] - s * state.flux[0]
     for j in range(2):
-        course.i_dq_machine[k, j] = state.current[j]
-        course.lagged[k, j] = more.lagged[j]
-        course.temperature[k, j] = more.temperature[j]
+        row.i_dq_machine[j] = state.current[j]
+        row.lagged[j] = more.lagged[j]
+        row.temperature[j] = more.temperature[j]
     for j in range(5):
-        course.energy[k, j] = more.energy[j]
-    course.u_dc[k] = u_dc
+        row.energy[j] = more.energy[j]
+    row.u_dc = u_dc
 
 
 @compiled
@@ -312,7 +312,7 @@ def _on_phase(pair: Pair, j: int) -> float:
 
 
 @compiled
-def _sensed(effects: Effects, more: EffectState, i: Pair) -> Pair:
+def _sensed(effects: np.record, more: np.record, i: Pair) -> Pair:
     """Return the current behind the sensors' filter, stator frame."""
     if effects.filter_pole == 0.0:
         return i
@@ -321,7 +321,7 @@ def _sensed(effects: Effects, more: EffectState, i: Pair) -> Pair:
 
 @compiled
 def _predicted(
-    plant: Plant, effects: Effects, state: DriveState, more: EffectState, u: Pair, theta: float, turn: float
+    plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, theta: float, turn: float
 ) -> Pair:
     """Return the terminal current one dead time later, by one explicit step, stator frame, A."""
     resistance, offset = _warm(plant, effects, more)
@@ -336,7 +336,7 @@ def _predicted(
 
 
 @compiled
-def edge_delay(effects: Effects, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
+def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
     A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
@@ -349,11 +349,11 @@ def edge_delay(effects: Effects, u_dc: float, i: float, i_stays: float, i_moves:
     x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
     charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
     clamped = min(max(-i_moves / max(i_stays - i_moves, 1e-30), 0.0), 1.0)
-    return effects.dead_time * max(charged, clamped)
+    return float(effects.dead_time * max(charged, clamped))
 
 
 @compiled
-def _set_marks(effects: Effects, sensors: Sensors, legs: FloatArray, period: float, marks: FloatArray) -> None:
+def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: float, marks: FloatArray) -> None:
     """Set the times in the period at which something changes, s.
 
     ``marks`` (16,): sampling of the three phases; change of the command; commanded rising edges and falling edges of
@@ -373,7 +373,7 @@ def _set_marks(effects: Effects, sensors: Sensors, legs: FloatArray, period: flo
 
 
 @compiled
-def _command(effects: Effects, state: DriveState, row: int, legs: FloatArray) -> None:
+def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) -> None:
     """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection where the legs' limits count."""
     for j in range(3):
         legs[j] = state.commands[row, j] + state.compensations[row, j]
@@ -386,9 +386,9 @@ def _command(effects: Effects, state: DriveState, row: int, legs: FloatArray) ->
 @compiled
 def _switch(
     plant: Plant,
-    effects: Effects,
+    effects: np.record,
     state: DriveState,
-    more: EffectState,
+    more: np.record,
     marks: FloatArray,
     legs: FloatArray,
     now: float,
@@ -424,7 +424,7 @@ def _vector(legs: FloatArray, scale: float) -> Pair:
 
 @compiled
 def _period(
-    plant: Plant, effects: Effects, sensors: Sensors, state: DriveState, more: EffectState, speeds: Pair, u_dc: float
+    plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, speeds: Pair, u_dc: float
 ) -> bool:
     """Carry the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
     period, slope = plant.period, (speeds[1] - speeds[0]) / plant.period
@@ -459,22 +459,23 @@ def _period(
 @compiled
 def run_with_effects(
     plant: Plant,
-    effects: Effects,
+    effects: np.record,
     controller: Controller,
+    mean_drop: PhaseDrop,
     sensors: Sensors,
     state: DriveState,
-    more: EffectState,
+    more: np.record,
     revolution: float,
     first: int,
     i_dq_reference: FloatArray,
     mean_speed: FloatArray,
     noise: Noise,
     out: Signals,
-    course: Course,
+    course: np.recarray[Any, np.dtype[np.record]],
 ) -> int:
     """Run the drive over a block of N samples, of which the first is sample ``first``, and carry its state on.
 
-    Other arguments and result as for :func:`drive_id.bench.kernels.run`.
+    ``course`` is (N,) of dtype COURSE. Other arguments and result as for :func:`drive_id.bench.kernels.run`.
     """
     period = plant.period
     for k in range(len(i_dq_reference)):
@@ -484,18 +485,18 @@ def run_with_effects(
         c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
         i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
         reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
-        control(controller, effects.mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
+        control(controller, mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
         for j in range(3):
             out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
         u_dc = effects.u_dc
         for n in range(2):
-            amplitude, frequency = effects.u_dc_waves[n]
+            amplitude, frequency = effects.u_dc_waves[n, 0], effects.u_dc_waves[n, 1]
             u_dc += amplitude * effects.u_dc * math.sin(2 * math.pi * frequency * (first + k + 0.5) * period)
-        _note(state, more, out.angle_true[k], u_dc, course, k)
+        _note(state, more, out.angle_true[k], u_dc, course[k])
         speeds = (mean_speed[k], mean_speed[k + 1])
         if not _period(plant, effects, sensors, state, more, speeds, u_dc):
             return k
-        more.slope[0] = (speeds[1] - speeds[0]) / period
+        more.slope = (speeds[1] - speeds[0]) / period
         angle = state.mean_angle[0] + 0.5 * period * (speeds[0] + speeds[1])
         state.mean_angle[0] = angle - revolution * math.floor(angle / revolution)
     return -1

@@ -114,13 +114,14 @@ class Bench:
         period = self._drive.settings.sample_period
         stamps = self._start + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
         samples = self._drive.step_block(self.references.take(stamps, period)).samples
+        late = samples.stamp - np.round(grid[:: self._every] * (period * NANOSECONDS)).astype(np.int64)
         self._done += count
         angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
         speed = samples.speed.astype(np.float32)
         return [
             MessageBlock(
-                self._stamp(first + k),
+                self._stamp(first + k) + int(late[k]),
                 first + k,
                 self._period,
                 tuple(column[k : k + size] for column in currents),

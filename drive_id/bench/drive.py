@@ -39,7 +39,7 @@ class SimulatedBlock:
     samples : Samples
         As measured and logged by the drive.
     i_dq_true : (N, 2) float
-        True currents at the samples in the true rotor frame, A.
+        True phase currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, not wrapped to one turn, rad.
     course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
@@ -64,7 +64,7 @@ class Simulation:
     machine : Machine
         Whose ``mean_flux`` is the truth at any current.
     i_dq_true : (N, 2) float
-        Currents at the samples in the true rotor frame, A.
+        True phase currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, rad.
     course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
-from drive_id.bench.scalars import logged_scalars, scalar_strides
+from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.health import Health, Level
 from drive_id.types import FloatArray, GroundTruth, MachineMap
@@ -94,7 +94,8 @@ class Bench:
         self._settings = bench
         self._drive = Drive(build_machine(machine_map, drive), drive)
         self.references = ReferenceBuffer(self._drive.machine.i_max, bench.zero_slew_rate)
-        self._period = drive.sample_period
+        self._every = drive.log_decimation
+        self._period = self._every * drive.sample_period
         self._strides = scalar_strides(drive, self._period)
         self._start: int | None = None
         self._done = 0
@@ -132,22 +133,23 @@ class Bench:
         size = self._settings.block_size
         exist = int((now - self._stamp(self._done)) // (self._period * NANOSECONDS))
         self._lag = max(0.0, (exist // size - 1) * size * self._period)
-        blocks = min(exist // size, max(1, _SAMPLES_AT_ONCE // size))
+        blocks = min(exist // size, max(1, _SAMPLES_AT_ONCE // (size * self._every)))
         if blocks < 1:
             return []
         first, count = self._done, blocks * size
-        grid = np.arange(first, first + count, dtype=np.int64)
-        stamps = self._start + np.round(grid * (self._period * NANOSECONDS)).astype(np.int64)
-        block = self._drive.step_block(self.references.take(stamps, self._period))
-        samples, machine, settings = block.samples, self._drive.machine, self._drive.settings
-        scalars = logged_scalars(settings, machine, block.i_dq_true, block.angle_true)
+        grid = np.arange(first * self._every, (first + count) * self._every, dtype=np.int64)
+        period = self._drive.settings.sample_period
+        stamps = self._start + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
+        samples = self._drive.step_block(self.references.take(stamps, period)).samples
+        late = samples.stamp - np.round(grid[:: self._every] * (period * NANOSECONDS)).astype(np.int64)
+        scalars = samples.scalars()
         self._done += count
         angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
         speed = samples.speed.astype(np.float32)
         return [
             MessageBlock(
-                self._stamp(first + k),
+                self._stamp(first + k) + int(late[k]),
                 first + k,
                 self._period,
                 tuple(column[k : k + size] for column in currents),

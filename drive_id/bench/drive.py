@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.bench import kernels, parameters
+from drive_id.bench import effects, kernels, parameters
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.machine import Machine
 from drive_id.bench.profile import SpeedProfile
+from drive_id.bench.real_drive import run_with_effects
 from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
+
+Course = np.recarray[Any, np.dtype[np.record]]
 
 SETTLING_TIME = 0.05
 """Time for which the drive runs at its first reference before the first sample, s."""
@@ -37,14 +40,17 @@ class SimulatedBlock:
     samples : Samples
         As measured and logged by the drive.
     i_dq_true : (N, 2) float
-        True currents at the samples in the true rotor frame, A.
+        True phase currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, not wrapped to one turn, rad.
+    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
+        Inner quantities at the samples, of a drive with effects.
     """
 
     samples: Samples
     i_dq_true: FloatArray
     angle_true: FloatArray
+    course: Course | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +65,11 @@ class Simulation:
     machine : Machine
         Whose ``mean_flux`` is the truth at any current.
     i_dq_true : (N, 2) float
-        Currents at the samples in the true rotor frame, A.
+        True phase currents at the samples in the true rotor frame, A.
     angle_true : (N,) float
         True electrical angle at the samples, rad.
+    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
+        Inner quantities at the samples, of a drive with effects.
     """
 
     samples: Samples
@@ -69,6 +77,7 @@ class Simulation:
     machine: Machine
     i_dq_true: FloatArray
     angle_true: FloatArray
+    course: Course | None = None
 
 
 class Drive:
@@ -103,12 +112,20 @@ class Drive:
         self.drop = phase_drop_of(settings, machine.u_dc, machine.i_max)
         self._plant, self._controller, self._sensors = _kernel_parameters(machine, settings, self.drop)
         self._generators = [
-            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(3)
+            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(4)
         ]
         self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start)
-        self._next = 0
+        self._effects: np.record | None = None
         settling = np.full((max(parameters.HISTORY, round(SETTLING_TIME / settings.sample_period)), 2), i_dq_start)
+        if effects.acts_inside(settings):
+            self._effects = effects.effects_of(machine, settings)
+            self._more = effects.effect_state(settings, self._effects, self._plant, self._state)
+        self._next = -len(settling)
         self._run(settling, np.full(len(settling) + 1, self._speed(np.zeros(1))[0]))
+        self._next = 0
+        if self._effects is not None:  # settling neither warms nor counts
+            self._more.temperature[:] = settings.copper_temperature, settings.magnet_temperature
+            self._more.energy[:] = 0.0
 
     @property
     def time(self) -> float:
@@ -121,7 +138,7 @@ class Drive:
         Parameters
         ----------
         i_dq_reference : (N, 2) float
-            References, each valid from its sample on, A.
+            References, each valid from its sample on, A; with ``log_decimation``, fewer samples than these are logged.
         mean_speed : (N + 1,) float, optional
             Electrical speed without ripple at the samples and at the end of the block, rad/s, linear in between.
             Default: that of the settings.
@@ -144,18 +161,41 @@ class Drive:
         speed = self._speed(ticks * period) if mean_speed is None else np.ascontiguousarray(mean_speed, np.float64)
         if speed.shape != (n + 1,) or not np.isfinite(speed).all():
             raise DataError(f"mean_speed has shape {speed.shape}: give {n + 1} finite values for {n} samples.")
-        out = self._run(reference, speed)
+        out, course = self._run(reference, speed)
+        every = self.settings.log_decimation
+        logged = slice(-self._next % every, None, every)
         self._next += n
+        stamp, u_abc = ticks[:-1][logged] * (period * 1e9), out.u_abc[logged]
+        if self.settings.stamp_jitter > 0:
+            stamp += self._generators[3].uniform(0, self.settings.stamp_jitter * 1e9, len(stamp))
+        if self.settings.log_zero_sequence:
+            u_abc = u_abc - 0.5 * (u_abc.max(axis=1, keepdims=True) + u_abc.min(axis=1, keepdims=True))
         samples = Samples(
-            stamp=np.round(ticks[:-1] * (period * 1e9)).astype(np.int64),
-            i_abc=out.i_abc,
-            u_abc=out.u_abc,
-            angle=out.angle,
-            speed=out.speed,
-            sample_period=period,
-            i_dq_reference=reference.copy(),
+            stamp=np.round(stamp).astype(np.int64),
+            i_abc=out.i_abc[logged],
+            u_abc=u_abc,
+            angle=out.angle[logged],
+            speed=out.speed[logged],
+            sample_period=period * every,
+            i_dq_reference=reference[logged].copy(),
         )
-        return SimulatedBlock(samples, out.i_dq_true, out.angle_true)
+        inner: Any = None if course is None else course[logged]
+        i_dq, angle = out.i_dq_true[logged], out.angle_true[logged]
+        if inner is None:
+            scalars = logged_scalars(self.settings, self.machine, i_dq, angle)
+        else:
+            scalars = logged_scalars(
+                self.settings,
+                self.machine,
+                inner.i_dq_machine,
+                angle,
+                psi_dq=inner.psi_dq,
+                u_dc=inner.u_dc,
+                temperature=inner.temperature,
+            )
+        known: dict[str, Any] = scalars
+        samples = dataclasses.replace(samples, **known) if known else samples
+        return SimulatedBlock(samples, i_dq, angle, inner)
 
     def truth(self) -> GroundTruth:
         """Return the ground truth of this drive."""
@@ -163,12 +203,17 @@ class Drive:
         axis = np.linspace(-machine.i_max, machine.i_max, _TRUTH_NODES)
         psi = machine.mean_flux(axis[:, None], axis[None, :])
         current, voltage = drop_curve(self.drop, machine.i_max)
+        voltage *= np.mean(self.settings.drop_factor)
+        recorded = effects.recorded(self.settings)
         details = {
             field.name: value if isinstance(value, (str, int, float)) else str(value)
             for field in dataclasses.fields(self.settings)
             if (value := getattr(self.settings, field.name)) is not None
+            and field.name in recorded
             and (self.settings.log_scalars or field.name not in SCALAR_SETTINGS)
         } | {"u_dc": machine.u_dc}
+        if self._effects is not None:
+            details |= effects.truth_of(self.settings, machine, self._more, self.time)
         return GroundTruth(
             machine=machine.name,
             i_d=axis,
@@ -186,7 +231,7 @@ class Drive:
     def _speed(self, time: FloatArray) -> FloatArray:
         return self.profile.electrical(time, self.machine.pole_pairs)
 
-    def _run(self, reference: FloatArray, speed: FloatArray) -> parameters.Signals:
+    def _run(self, reference: FloatArray, speed: FloatArray) -> tuple[parameters.Signals, Course | None]:
         n = len(reference)
         s = self.settings
         deviations = (s.current_noise * self.machine.i_max, s.resolver_noise, s.speed_noise)
@@ -194,24 +239,21 @@ class Drive:
         noise = parameters.Noise(
             *(
                 deviation * generator.standard_normal(shape) if deviation > 0 else np.zeros(shape)
-                for deviation, generator, shape in zip(deviations, self._generators, shapes, strict=True)
+                for deviation, generator, shape in zip(deviations, self._generators[:3], shapes, strict=True)
             )
         )
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
         out = parameters.Signals(*(np.empty(shape) for shape in shapes))
-        revolution = 2 * math.pi * self.machine.pole_pairs
+        course = None if self._effects is None else np.recarray(n, effects.COURSE)
         for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
             stop = min(start + _INTERRUPTIBLE, n)
-            failed = kernels.run(
-                self._plant,
-                self._controller,
-                self._sensors,
-                self._state,
-                revolution,
+            failed = self._run_part(
+                start,
                 reference[start:stop],
                 speed[start : stop + 1],
                 parameters.Noise(*(part[start:stop] for part in noise)),
                 parameters.Signals(*(part[start:stop] for part in out)),
+                None if course is None else course[start:stop],
             )
             if failed >= 0:
                 raise ConfigurationError(
@@ -219,7 +261,27 @@ class Drive:
                     f"current belongs to the flux on the map of machine '{self.machine.name}': check the map, or "
                     "reduce i_max or current_bandwidth."
                 )
-        return out
+        return out, course
+
+    def _run_part(
+        self,
+        start: int,
+        reference: FloatArray,
+        speed: FloatArray,
+        noise: parameters.Noise,
+        out: parameters.Signals,
+        course: Any,
+    ) -> int:
+        """Run the kernel that the effects need; the plain one is faster and compiles faster."""
+        revolution = 2 * math.pi * self.machine.pole_pairs
+        plant, controller, sensors, state = self._plant, self._controller, self._sensors, self._state
+        if self._effects is None or course is None:
+            return kernels.run(plant, controller, sensors, state, revolution, reference, speed, noise, out)
+        first = self._next + start
+        return run_with_effects(
+            plant, self._effects, controller, self.drop, sensors, state, self._more, revolution, first, reference,
+            speed, noise, out, course,
+        )  # fmt: skip
 
 
 def _checked(i_dq_reference: FloatArray) -> FloatArray:
@@ -235,7 +297,7 @@ def _kernel_parameters(
     plant = parameters.Plant(
         table=machine.table,
         resistance=machine.resistance,
-        drop=drop,
+        drop=drop._replace(dead_time_voltage=0.0) if settings.inverter == "switching" else drop,
         ripple=settings.speed_ripple,
         ripple_order=settings.ripple_order / machine.pole_pairs,
         period=settings.sample_period,
@@ -249,7 +311,7 @@ def _kernel_parameters(
         resistance=machine.resistance,
         bandwidth=bandwidth,
         integral_rate=0.2 * bandwidth,
-        u_max=machine.u_dc / math.sqrt(3),
+        u_max=settings.voltage_limit * machine.u_dc / math.sqrt(3),
         compensate=settings.inverter_compensation,
     )
     lead = math.floor(settings.voltage_delay)
@@ -311,9 +373,7 @@ def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_referen
     start = (float(reference[0, 0]), float(reference[0, 1]))
     drive = Drive(machine, settings, i_dq_start=start, duration=len(reference) * settings.sample_period)
     block = drive.step_block(reference)
-    scalars: dict[str, Any] = logged_scalars(settings, machine, block.i_dq_true, block.angle_true)
-    samples = dataclasses.replace(block.samples, **scalars) if scalars else block.samples
-    return Simulation(samples, drive.truth(), machine, block.i_dq_true, block.angle_true)
+    return Simulation(block.samples, drive.truth(), machine, block.i_dq_true, block.angle_true, block.course)
 
 
 def build_machine(machine_map: MachineMap, settings: SimulationSettings) -> Machine:

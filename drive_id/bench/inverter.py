@@ -1,4 +1,4 @@
-"""The inverter's voltage error: four laws as parameters of the one compiled :func:`drive_id.bench.kernels.phase_drop`.
+"""The inverter's voltage error: the laws as parameters of the one compiled :func:`drive_id.bench.kernels.phase_drop`.
 
 The drop is what the inverter takes away, positive for positive current. Its defaults scale with the drive: a dead time
 of 1 % of the switching period, capacitances charged above 1 % of the largest current, and devices of a threshold of
@@ -19,6 +19,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.types import FloatArray
 
 _NODES = 601
+_SHARPEST = 1e-6  # of i_max: the charge current of a switching inverter without output capacitance
 
 
 def phase_drop_of(settings: SimulationSettings, u_dc: float, i_max: float) -> PhaseDrop:
@@ -46,6 +47,10 @@ def phase_drop_of(settings: SimulationSettings, u_dc: float, i_max: float) -> Ph
         return PhaseDrop(voltage, current, 0.0, 1.0, 0.0)
     if settings.inverter == "two_stage":
         return PhaseDrop(voltage, current, threshold, current, slope)
+    if settings.inverter == "switching":  # the mean over a period, which the ripple of the currents smears
+        lost = settings.dead_time / settings.sample_period * u_dc
+        charge = settings.output_capacitance * u_dc / settings.dead_time if lost > 0 else 0.0
+        return PhaseDrop(lost, max(charge, _SHARPEST * i_max), threshold, current, slope)
     return PhaseDrop(0.0, 1.0, 0.0, 1.0, 0.0)
 
 

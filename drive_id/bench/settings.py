@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 from drive_id.types import SCALARS
 
-INVERTERS = ("none", "tanh", "dead_time", "two_stage")
+INVERTERS = ("none", "tanh", "dead_time", "two_stage", "switching")
 
 
 @dataclass(frozen=True)
-class SimulationSettings:
+class SimulationSettings(MachineEffects, InverterEffects, SensorEffects):
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
@@ -42,10 +43,16 @@ class SimulationSettings:
         None, "Current scale of the voltage error; default: 1 % of i_max", unit="A", minimum=1e-9
     )
     device_voltage: float | None = setting(
-        None, "Threshold of the devices in two_stage; default: 0.25 % of the DC link", unit="V", minimum=0.0
+        None,
+        "Threshold of the devices in two_stage and switching; default: 0.25 % of the DC link",
+        unit="V",
+        minimum=0.0,
     )
     device_resistance: float | None = setting(
-        None, "Slope of the devices in two_stage; default: 0.2 % of the DC link at i_max", unit="ohm", minimum=0.0
+        None,
+        "Slope of the devices in two_stage and switching; default: 0.2 % of the DC link at i_max",
+        unit="ohm",
+        minimum=0.0,
     )
     inverter_compensation: bool = setting(False, "Compensate the voltage error in the commands")
     current_noise: float = setting(
@@ -82,6 +89,43 @@ class SimulationSettings:
             )
         if self.i_max == 0.0:
             raise ConfigurationError("i_max is 0 A: it must be positive.")
+        self._check_effects()
+
+    def _check_effects(self) -> None:
+        for kind in ("electrical", "mechanical"):
+            errors, phases = (len(getattr(self, f"resolver_{kind}_{what}")) for what in ("errors", "phases"))
+            if phases > errors:
+                raise ConfigurationError(
+                    f"resolver_{kind}_phases has {phases} entries for {errors} resolver_{kind}_errors: give at most "
+                    "one for each."
+                )
+        for name in ("eccentricity", "resolver_electrical_errors", "resolver_mechanical_errors"):
+            if len(getattr(self, name)) > MOST_ORDERS:
+                raise ConfigurationError(
+                    f"{name} has {len(getattr(self, name))} entries: give at most {MOST_ORDERS}, for the orders 1 to "
+                    f"{MOST_ORDERS}."
+                )
+        if sum(abs(amplitude) for amplitude in self.eccentricity) > 0.5:
+            raise ConfigurationError("The amplitudes of eccentricity sum up to more than 0.5: reduce them.")
+        if max(self.current_skew) >= self.sample_period:
+            raise ConfigurationError(
+                f"current_skew reaches {max(self.current_skew):g} s, a sample period or more: use voltage_delay for "
+                "whole samples."
+            )
+        if self.stamp_jitter >= self.sample_period * self.log_decimation:
+            raise ConfigurationError(
+                f"stamp_jitter is {self.stamp_jitter:g} s, at least the period of the log: reduce it, so that the "
+                "stamps increase."
+            )
+        if self.inverter == "switching" and self.dead_time > 0.25 * self.sample_period:
+            raise ConfigurationError(
+                f"dead_time is {self.dead_time:g} s, more than a quarter of the switching period of "
+                f"{self.sample_period:g} s: reduce it."
+            )
+        if self.inverter == "switching" and self.voltage_delay % 1.0 != 0.0:
+            raise ConfigurationError(
+                f"voltage_delay is {self.voltage_delay:g} samples: with inverter switching it must be a whole number."
+            )
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def simulate(
     ] = None,
     seconds: Annotated[float, typer.Option(help="Duration, s.", min=1e-3)] = 10.0,
     inverter: Annotated[
-        str | None, typer.Option(help="none, tanh, dead_time or two_stage.  \\[default: dead_time]")
+        str | None, typer.Option(help="none, tanh, dead_time, two_stage or switching.  \\[default: dead_time]")
     ] = None,
     noise: Annotated[float | None, typer.Option(help="RMS current noise, fraction of i_max.  \\[default: 0]")] = None,
     harmonics: Annotated[float | None, typer.Option(help="Factor on the rotor-position harmonics, 0 to 1.")] = None,

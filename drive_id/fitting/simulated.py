@@ -51,7 +51,7 @@ def simulate(
         Duration, s.
     speed : float or sequence of float, optional
         Mechanical speed, rpm, or several one after the other. Default: 500.
-    inverter : {"none", "tanh", "dead_time", "two_stage"}, optional
+    inverter : {"none", "tanh", "dead_time", "two_stage", "switching"}, optional
         Law of the inverter's voltage error. Default: dead_time.
     noise : float, optional
         Standard deviation of the current noise as a fraction of i_max. Default: 0.

@@ -1,0 +1,166 @@
+"""Settings of the effects that real drives add to the plain simulation, by place; all are off by default.
+
+:class:`~drive_id.bench.settings.SimulationSettings` inherits the groups, so every effect is reached by its plain name.
+Temperatures are in degrees Celsius; resistance and magnet flux of the machine hold at 20 degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from drive_id.settings import setting
+
+REFERENCE_TEMPERATURE = 20.0
+"""At which the machine's resistance and flux map hold, degrees Celsius."""
+
+MOST_ORDERS = 8
+"""Of the eccentricity and of each kind of resolver error."""
+
+
+@dataclass(frozen=True)
+class MachineEffects:
+    """Iron loss, magnet eddy currents, heating, eccentricity and unequal phases of the machine."""
+
+    iron_conductance: float = setting(
+        0.0, "Eddy-current conductance across the voltage induced in the stator, one phase", unit="S", minimum=0.0
+    )
+    iron_hysteresis: float = setting(
+        0.0, "Amplitude of a hysteresis-like iron current along the induced voltage", unit="A", minimum=0.0
+    )
+    iron_hysteresis_voltage: float | None = setting(
+        None, "Induced voltage below which iron_hysteresis fades; default: 0.5 % of the DC link", unit="V", minimum=1e-9
+    )
+    iron_time_constant: float = setting(
+        5e-5, "Lag of the iron current behind the induced voltage", unit="s", minimum=5e-6, maximum=1e-2
+    )
+    flux_lag: float = setting(
+        0.0, "Share of the flux that lags the current, by eddy currents in the magnets", minimum=0.0, maximum=0.5
+    )
+    flux_lag_time: float = setting(1e-3, "Time constant of flux_lag", unit="s", minimum=1e-5, maximum=10.0)
+    eccentricity: tuple[float, ...] = setting(
+        (), "Modulation of the flux at the mechanical orders 1, 2, ..., as a fraction of it", minimum=-0.2, maximum=0.2
+    )
+    resistance_factor: tuple[float, float, float] = setting(
+        (1.0, 1.0, 1.0), "Factor on the resistance of each phase", minimum=0.0, maximum=10.0
+    )
+    copper_temperature: float = setting(
+        REFERENCE_TEMPERATURE, "Winding temperature at the start", unit="degC", minimum=-60.0, maximum=300.0
+    )
+    copper_heat_capacity: float = setting(
+        0.0, "Copper loss per rate of winding temperature; 0: constant temperature", unit="J/K", minimum=0.0
+    )
+    copper_time_constant: float = setting(60.0, "Cooling of the winding to ambient_temperature", unit="s", minimum=1e-3)
+    copper_coefficient: float = setting(
+        3.93e-3, "Change of resistance with winding temperature", unit="1/K", minimum=0.0, maximum=0.1
+    )
+    magnet_temperature: float = setting(
+        REFERENCE_TEMPERATURE, "Magnet temperature at the start", unit="degC", minimum=-60.0, maximum=300.0
+    )
+    magnet_heat_capacity: float = setting(
+        0.0,
+        "Copper, iron and eddy-current loss per rate of magnet temperature; 0: constant temperature",
+        unit="J/K",
+        minimum=0.0,
+    )
+    magnet_time_constant: float = setting(
+        600.0, "Cooling of the magnets to ambient_temperature", unit="s", minimum=1e-3
+    )
+    magnet_coefficient: float = setting(
+        1e-3, "Loss of magnet flux with magnet temperature", unit="1/K", minimum=0.0, maximum=0.02
+    )
+    ambient_temperature: float = setting(
+        REFERENCE_TEMPERATURE, "Temperature that winding and magnets cool to", unit="degC", minimum=-60.0, maximum=300.0
+    )
+
+
+@dataclass(frozen=True)
+class InverterEffects:
+    """What the inverter applies and the log does not know, beside the laws of ``inverter``.
+
+    ``inverter: switching`` switches the legs at edges from a symmetric carrier of one sample period and min-max
+    injection, with ``dead_time``, ``output_capacitance``, ``device_voltage`` and ``device_resistance``.
+    """
+
+    dead_time: float = setting(
+        1e-6, "Dead time of the legs of a switching inverter", unit="s", minimum=0.0, maximum=1e-3
+    )
+    output_capacitance: float = setting(
+        0.0, "Capacitance of each leg's output that the current charges within the dead time", unit="F", minimum=0.0
+    )
+    drop_factor: tuple[float, float, float] = setting(
+        (1.0, 1.0, 1.0), "Factor on the voltage drop of each phase", minimum=0.0, maximum=10.0
+    )
+    drop_asymmetry: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "Excess of each phase's drop at positive current over its mean, lacking at negative current, as a fraction",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    hexagon_limit: bool = setting(
+        False, "Limit the applied voltages to the hexagon of the DC link; the log stays unlimited"
+    )
+    voltage_limit: float = setting(
+        1.0, "Largest voltage that the controller commands, of u_dc / sqrt(3)", minimum=0.1, maximum=3.0
+    )
+
+    u_dc_ripple: float = setting(
+        0.0, "Amplitude of a DC-link ripple unknown to the log, fraction of u_dc", minimum=0.0, maximum=0.5
+    )
+    u_dc_ripple_frequency: float = setting(300.0, "Frequency of u_dc_ripple", unit="Hz", minimum=0.0)
+    u_dc_drift: float = setting(
+        0.0, "Amplitude of a slow DC-link drift unknown to the log, fraction of u_dc", minimum=0.0, maximum=0.5
+    )
+    u_dc_drift_frequency: float = setting(1.0, "Frequency of u_dc_drift", unit="Hz", minimum=0.0)
+
+
+@dataclass(frozen=True)
+class SensorEffects:
+    """Errors of current sensors, of the resolver, and of the log."""
+
+    current_filter: float = setting(
+        0.0, "Cut-off frequency of a low-pass in the measured currents; 0: none", unit="Hz", minimum=0.0
+    )
+    current_filter_order: int = setting(
+        1, "Order of current_filter: 1, or 2 for a Butterworth filter", minimum=1, maximum=2
+    )
+    current_skew: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), "Age of each phase current when it is sampled, below one period", unit="s", minimum=0.0
+    )
+    current_dead_band: float = setting(
+        0.0, "Current below which the sensors measure zero, and by which they measure too little", unit="A", minimum=0.0
+    )
+    current_cubic: float = setting(
+        0.0, "Gain error of the current sensors at i_max, growing with the square", minimum=-0.3, maximum=0.3
+    )
+    resolver_latency: float = setting(
+        0.0, "Age of the measured angle when it is sampled", unit="s", minimum=0.0, maximum=1e-2
+    )
+    resolver_electrical_errors: tuple[float, ...] = setting(
+        (), "Amplitudes of the angle error at the electrical orders 1, 2, ...", unit="rad", minimum=-0.5, maximum=0.5
+    )
+    resolver_electrical_phases: tuple[float, ...] = setting(
+        (), "Phases of resolver_electrical_errors, a cos(n theta - phase); missing ones are 0", unit="rad"
+    )
+    resolver_mechanical_errors: tuple[float, ...] = setting(
+        (),
+        "Amplitudes of the error of the electrical angle at the mechanical orders 1, 2, ...",
+        unit="rad",
+        minimum=-0.5,
+        maximum=0.5,
+    )
+    resolver_mechanical_phases: tuple[float, ...] = setting(
+        (), "Phases of resolver_mechanical_errors, a cos(n theta / p - phase); missing ones are 0", unit="rad"
+    )
+    resolver_quantization: float = setting(
+        0.0, "Quantization step of the electrical angle", unit="rad", minimum=0.0, maximum=1.0
+    )
+    log_zero_sequence: bool = setting(False, "Log the voltages with their min-max zero sequence")
+    stamp_jitter: float = setting(0.0, "Random delay of the stamps, uniform up to this", unit="s", minimum=0.0)
+    log_decimation: int = setting(1, "Log only every n-th sample; the control runs on", minimum=1, maximum=1000)
+
+
+EFFECT_GROUPS = (MachineEffects, InverterEffects, SensorEffects)
+EFFECT_NAMES = tuple(field.name for group in EFFECT_GROUPS for field in fields(group))
+"""Names of all effects, in the order of the groups."""
+LOG_ONLY = frozenset({"log_decimation", "log_zero_sequence", "stamp_jitter"})
+"""Effects on the log alone, which leave the simulated drive as it is."""

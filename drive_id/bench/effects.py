@@ -1,0 +1,212 @@
+"""Effects of real drives, from the settings to constants and state of :mod:`drive_id.bench.real_drive`.
+
+These are numpy records, not named tuples, as numba passes a record as one pointer, but the members of a tuple one by
+one: compiling takes half as long so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from drive_id.bench import kernels
+from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, MOST_ORDERS, REFERENCE_TEMPERATURE
+from drive_id.bench.machine import Machine
+from drive_id.bench.parameters import DriveState, Plant
+from drive_id.bench.settings import SimulationSettings
+
+EFFECTS = np.dtype(
+    [
+        ("iron_conductance", float),  # S
+        ("iron_hysteresis", float),  # A
+        ("iron_hysteresis_voltage", float),  # V
+        ("iron_rate", float),  # 1/s, 0 without iron loss
+        ("lag_share", float),
+        ("lag_rate", float),  # 1/s
+        ("eccentricity", float, (MOST_ORDERS,)),  # at the mechanical orders 1, 2, ...
+        ("orders", int, (3,)),  # used, of eccentricity, electrical and mechanical resolver errors
+        ("pole_pairs", float),
+        ("resistance_factor", float, (3,)),
+        ("magnet_flux", float),  # psi_d at zero current and 20 degrees, Wb
+        ("thermal_coefficient", float, (2,)),  # of copper and magnet, 1/K
+        ("heat_rate", float, (2,)),  # 1 / heat capacity, 0 for constant temperature, K/J
+        ("cooling_rate", float, (2,)),  # 1/s
+        ("ambient", float),  # degC
+        ("drop_factor", float, (3,)),
+        ("drop_asymmetry", float, (3,)),
+        ("hexagon", bool),  # limit the average voltages of the legs to the DC link
+        ("switching", bool),
+        ("dead_time", float),  # s
+        ("capacitance", float),  # F
+        ("u_dc", float),  # that the commands are made for, V
+        ("u_dc_waves", float, (2, 2)),  # amplitude as a fraction and frequency, Hz, of ripple and drift
+        ("filter_pole", complex),  # of the current filter, 1/s; 0 without
+        ("filter_gain", complex),  # the output is Re(gain z) with dz/dt = pole z + i
+        ("skew", float, (3,)),  # s
+        ("dead_band", float),  # A
+        ("cubic", float),  # 1/A^2
+        ("latency", float),  # of the angle, s
+        ("angle_quantum", float),  # rad, 0 for none
+        ("resolver_electrical", float, (MOST_ORDERS, 2)),  # amplitude and phase of the orders 1, 2, ..., rad
+        ("resolver_mechanical", float, (MOST_ORDERS, 2)),
+        ("largest_step", float),  # of the integration, s
+    ],
+    align=True,
+)
+"""Constants of all effects inside the loop."""
+
+EFFECT_STATE = np.dtype(
+    [
+        ("iron_voltage", float, (2,)),  # induced voltage as the iron current sees it, stator frame, V
+        ("lagged", float, (2,)),  # flux linkage of the lagging share, rotor frame, Wb
+        ("temperature", float, (2,)),  # of copper and magnet, degC
+        ("filter", complex, (2,)),  # in the stator frame
+        ("sampled", float, (3,)),  # phase currents that the sensors see at the next sample, A
+        ("slope", float),  # d/dt of the mean speed before the next sample, rad/s^2
+        ("energy", float, (5,)),  # into the terminals, and lost in copper, inverter, iron, magnets, J
+    ],
+    align=True,
+)
+"""What the effects carry from sample to sample, beside :class:`~drive_id.bench.parameters.DriveState`."""
+
+COURSE = np.dtype(
+    [
+        ("i_dq_machine", float, (2,)),  # true rotor frame, without the iron current, A
+        ("psi_dq", float, (2,)),  # true rotor frame, Wb
+        ("lagged", float, (2,)),  # flux linkage that the lagging share has reached, Wb
+        ("temperature", float, (2,)),  # of copper and magnet, degC
+        ("u_dc", float),  # of the period that begins, V
+        ("energy", float, (5,)),  # so far: into the terminals, and lost in copper, inverter, iron, magnets, J
+    ],
+    align=True,
+)
+"""What a simulation with effects knows at each sample, and no sensor."""
+
+
+def _record(kind: np.dtype[np.void], **values: object) -> np.record:
+    """Return a record with all fields of ``kind``."""
+    if values.keys() != set(kind.names or ()):
+        raise TypeError(f"the fields are {kind.names}")
+    rows = np.zeros(1, kind).view(np.recarray)
+    for name, value in values.items():
+        rows[name][0] = value
+    record: np.record = rows[0]
+    return record
+
+
+def active(settings: SimulationSettings) -> dict[str, object]:
+    """Return the effects whose settings differ from their defaults."""
+    fields = SimulationSettings.__dataclass_fields__
+    values = {name: getattr(settings, name) for name in EFFECT_NAMES}
+    return {name: value for name, value in values.items() if value != fields[name].default}
+
+
+def acts_inside(settings: SimulationSettings) -> bool:
+    """Return whether an effect acts inside the loop, so that the plain kernels do not serve."""
+    return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
+
+
+def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
+    """Return the constants for settings ``s``."""
+    iron = s.iron_conductance > 0 or s.iron_hysteresis > 0
+    steps = [s.sample_period / s.substeps]
+    steps += [0.5 * s.iron_time_constant] if iron else []
+    steps += [0.5 * s.flux_lag_time] if s.flux_lag > 0 else []
+    pole, gain = _filter(s.current_filter, s.current_filter_order)
+    capacities = (s.copper_heat_capacity, s.magnet_heat_capacity)
+    return _record(
+        EFFECTS,
+        iron_conductance=s.iron_conductance,
+        iron_hysteresis=s.iron_hysteresis,
+        iron_hysteresis_voltage=s.iron_hysteresis_voltage or 0.005 * machine.u_dc,
+        iron_rate=1 / s.iron_time_constant if iron else 0.0,
+        lag_share=s.flux_lag,
+        lag_rate=1 / s.flux_lag_time if s.flux_lag > 0 else 0.0,
+        eccentricity=_padded(s.eccentricity),
+        orders=[len(x) for x in (s.eccentricity, s.resolver_electrical_errors, s.resolver_mechanical_errors)],
+        pole_pairs=machine.pole_pairs,
+        resistance_factor=np.array(s.resistance_factor),
+        magnet_flux=float(machine.mean_flux(0.0, 0.0)[0]),
+        thermal_coefficient=np.array((s.copper_coefficient, -s.magnet_coefficient)),
+        heat_rate=np.array([1 / capacity if capacity > 0 else 0.0 for capacity in capacities]),
+        cooling_rate=np.array((1 / s.copper_time_constant, 1 / s.magnet_time_constant)),
+        ambient=s.ambient_temperature,
+        drop_factor=np.array(s.drop_factor),
+        drop_asymmetry=np.array(s.drop_asymmetry),
+        hexagon=s.hexagon_limit,
+        switching=s.inverter == "switching",
+        dead_time=s.dead_time,
+        capacitance=s.output_capacitance,
+        u_dc=machine.u_dc,
+        u_dc_waves=np.array(((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency))),
+        filter_pole=pole,
+        filter_gain=gain,
+        skew=np.array(s.current_skew),
+        dead_band=s.current_dead_band,
+        cubic=s.current_cubic / machine.i_max**2,
+        latency=s.resolver_latency,
+        angle_quantum=s.resolver_quantization,
+        resolver_electrical=np.stack(
+            (_padded(s.resolver_electrical_errors), _padded(s.resolver_electrical_phases)), axis=-1
+        ),
+        resolver_mechanical=np.stack(
+            (_padded(s.resolver_mechanical_errors), _padded(s.resolver_mechanical_phases)), axis=-1
+        ),
+        largest_step=min(steps),
+    )
+
+
+def _filter(cut_off: float, order: int) -> tuple[complex, complex]:
+    """Return pole and gain of a low-pass: w/(s + w), or w^2/(s^2 + sqrt(2) w s + w^2) in partial fractions."""
+    w = 2 * math.pi * cut_off
+    if order == 1 or cut_off == 0.0:
+        return complex(-w), complex(w)
+    return w * complex(-1, 1) / math.sqrt(2), complex(0, -math.sqrt(2) * w)
+
+
+def _padded(values: tuple[float, ...]) -> tuple[float, ...]:
+    return (*values, *(0.0,) * (MOST_ORDERS - len(values)))
+
+
+def effect_state(settings: SimulationSettings, effects: np.record, plant: Plant, start: DriveState) -> np.record:
+    """Return the state at rest on the currents of ``start``, at angle 0 and the temperatures of the settings."""
+    i_d, i_q = start.current
+    flux = kernels.evaluate(plant.table, i_d, i_q, 0.0)[:2]
+    phases = 2 * np.pi / 3 * np.arange(3)
+    no_filter = effects.filter_pole == 0
+    return _record(
+        EFFECT_STATE,
+        iron_voltage=np.zeros(2),
+        lagged=np.array(flux),
+        temperature=np.array((settings.copper_temperature, settings.magnet_temperature)),
+        filter=np.zeros(2, np.complex128) if no_filter else -np.array((i_d, i_q)) / effects.filter_pole,
+        sampled=np.cos(phases) * i_d + np.sin(phases) * i_q,
+        slope=0.0,
+        energy=np.zeros(5),
+    )
+
+
+def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, duration: float) -> dict[str, float]:
+    """Return what a fit of the ``duration``, s, simulated so far is scored against, for the truth's details."""
+    powers = dict(zip(("input", "copper", "inverter", "iron", "magnet"), state.energy, strict=True))
+    warm = {"start": settings.copper_temperature, "end": float(state.temperature[0])}
+    means = {f"{name}_power_mean": float(value) / duration for name, value in powers.items()} if duration else {}
+    return {
+        **{
+            f"resistance_{when}": machine.resistance
+            * (1 + settings.copper_coefficient * (value - REFERENCE_TEMPERATURE))
+            for when, value in warm.items()
+        },
+        "copper_temperature_end": warm["end"],
+        "magnet_temperature_end": float(state.temperature[1]),
+        "magnet_flux": float(machine.mean_flux(0.0, 0.0)[0]),
+        **means,
+    }
+
+
+def recorded(settings: SimulationSettings) -> set[str]:
+    """Return the names of the settings that the truth records: those of effects only when one is active."""
+    names = {field.name for field in dataclasses.fields(settings)}
+    return names if active(settings) or acts_inside(settings) else names - set(EFFECT_NAMES)

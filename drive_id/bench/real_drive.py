@@ -1,0 +1,502 @@
+"""The drive with the effects of real drives, compiled; the plain drive of :mod:`drive_id.bench.kernels` stays apart.
+
+The state is again the stator flux linkage in the stator frame. With the induced voltage e, the current i_m that
+magnetises the machine, the rotor position theta, the magnet temperature t and the mechanical angle theta_m,
+
+    d/dt psi = e = u - R(t_copper) i - drop(i),                 i = i_m + G v + h v / sqrt(|v|^2 + s^2),
+    d/dt v = (e - v) / tau_iron,
+    e^(-J theta) psi = m(theta_m) ((1 - k) f(i_m, theta) + k l) + (offset(t_magnet), 0),
+    d/dt l = (f(i_m, theta) - l) / tau_lag,                     m = 1 + sum_n a_n cos(n theta_m),
+
+where i flows in the terminals and G v + h v/... is the iron current; v is the induced voltage, slightly late, as the
+field diffuses into the laminations. Temperatures and the energies that heat them are carried on after each step.
+
+numba's cache notices only changes of a kernel's own file: after a change in kernels.py, touch this one.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+import numpy as np
+
+from drive_id.bench.effect_settings import REFERENCE_TEMPERATURE
+from drive_id.bench.kernels import control, current_of_flux, phase_drop, with_ripple, wrap
+from drive_id.bench.parameters import Controller, DriveState, Noise, PhaseDrop, Plant, Sensors, Signals
+from drive_id.core.numerics.compiled import compiled
+from drive_id.types import FloatArray
+
+_FINEST = 1024
+_SQRT3 = math.sqrt(3.0)
+
+Pair = tuple[float, float]
+Five = tuple[float, float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
+
+
+@compiled
+def _modulation(effects: np.record, theta: float) -> float:
+    """Return the factor of the eccentric rotor on the flux."""
+    factor = 1.0
+    for n in range(effects.orders[0]):
+        factor += effects.eccentricity[n] * math.cos((n + 1) * theta / effects.pole_pairs)
+    return factor
+
+
+@compiled
+def _map_flux(effects: np.record, offset: float, y: Six, theta: float) -> Pair:
+    """Return the flux f of the map, rotor frame, that belongs to the state ``y``."""
+    c, s = math.cos(theta), math.sin(theta)
+    factor, k = _modulation(effects, theta), effects.lag_share
+    f_d = ((c * y[0] + s * y[1] - offset) / factor - k * y[4]) / (1.0 - k)
+    f_q = ((c * y[1] - s * y[0]) / factor - k * y[5]) / (1.0 - k)
+    return f_d, f_q
+
+
+@compiled
+def terminal_current(effects: np.record, i_dq: Pair, v: Pair, theta: float) -> tuple[Pair, Pair]:
+    """Return the current in the terminals and the iron current in it, stator frame."""
+    c, s = math.cos(theta), math.sin(theta)
+    g = effects.iron_conductance
+    if effects.iron_hysteresis > 0.0:
+        g += effects.iron_hysteresis / math.sqrt(v[0] ** 2 + v[1] ** 2 + effects.iron_hysteresis_voltage**2)
+    iron = (g * v[0], g * v[1])
+    return (c * i_dq[0] - s * i_dq[1] + iron[0], s * i_dq[0] + c * i_dq[1] + iron[1]), iron
+
+
+@compiled
+def _drop(plant: Plant, effects: np.record, j: int, i: float) -> float:
+    """Return the drop of phase ``j`` at its current, V."""
+    drop = phase_drop(plant.drop, i)
+    return float(effects.drop_factor[j] * (drop + effects.drop_asymmetry[j] * abs(drop)))
+
+
+@compiled
+def _rates(
+    plant: Plant, effects: np.record, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
+) -> tuple[Six, Pair, Pair, Five]:
+    """Return d/dt y, the terminal current, the drop (stator frame) and the powers into terminals and losses, W."""
+    (i_alpha, i_beta), iron = terminal_current(effects, i_dq, (y[2], y[3]), theta)
+    i_b, i_c = -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta
+    factors = effects.resistance_factor
+    r_a, r_b, r_c = resistance * factors[0] * i_alpha, resistance * factors[1] * i_b, resistance * factors[2] * i_c
+    d_a, d_b, d_c = _drop(plant, effects, 0, i_alpha), _drop(plant, effects, 1, i_b), _drop(plant, effects, 2, i_c)
+    drop = ((2 * d_a - d_b - d_c) / 3, (d_b - d_c) / _SQRT3)
+    e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
+    e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
+    lag_d, lag_q, magnet = effects.lag_rate * (f[0] - y[4]), effects.lag_rate * (f[1] - y[5]), 0.0
+    if effects.lag_share > 0.0:  # the lagging share's flux belongs to another current, the rest flows in the magnets
+        l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
+        magnet = (i_dq[0] - l_d) * lag_d + (i_dq[1] - l_q) * lag_q
+        magnet *= 1.5 * effects.lag_share * _modulation(effects, theta)
+    powers = (
+        1.5 * (u[0] * i_alpha + u[1] * i_beta),
+        r_a * i_alpha + r_b * i_b + r_c * i_c,
+        d_a * i_alpha + d_b * i_b + d_c * i_c,
+        1.5 * (e_alpha * iron[0] + e_beta * iron[1]),
+        magnet,
+    )
+    rate = effects.iron_rate
+    y_rate = (e_alpha, e_beta, rate * (e_alpha - y[2]), rate * (e_beta - y[3]), lag_d, lag_q)
+    return y_rate, (i_alpha, i_beta), drop, powers
+
+
+@compiled
+def _added(a: Five, b: Five, h: float) -> Five:
+    return a[0] + h * b[0], a[1] + h * b[1], a[2] + h * b[2], a[3] + h * b[3], a[4] + h * b[4]
+
+
+@compiled
+def _moved(y: Six, rate: Six, h: float) -> Six:
+    return (
+        y[0] + h * rate[0],
+        y[1] + h * rate[1],
+        y[2] + h * rate[2],
+        y[3] + h * rate[3],
+        y[4] + h * rate[4],
+        y[5] + h * rate[5],
+    )
+
+
+@compiled
+def _filtered(pole: complex, z: complex, i: tuple[float, float, float], h: float) -> complex:
+    """Return z after dz/dt = pole z + i, exactly for a parabola through the currents at start, middle and end."""
+    slope = (-3 * i[0] + 4 * i[1] - i[2]) / h
+    bend = 2 * (i[0] - 2 * i[1] + i[2]) / h**2
+    c = -bend / pole
+    b = (2 * c - slope) / pole
+    a = (b - i[0]) / pole
+    return a + b * h + c * h**2 + (z - a) * cmath.exp(pole * h)
+
+
+@compiled
+def _step(
+    plant: Plant,
+    effects: np.record,
+    warm: Pair,
+    u: Pair,
+    y: Six,
+    i_dq: Pair,
+    thetas: tuple[float, float, float],
+    h: float,
+) -> tuple[Six, Pair, tuple[Pair, Pair, Pair], Five, float, bool]:
+    """Make one step of Runge-Kutta's rule of order 4; ``warm`` is resistance and flux offset at their temperatures.
+
+    Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
+    step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged. The stages are a
+    loop, whose fifth is the end, because every further call of these kernels takes seconds to compile.
+    """
+    resistance, offset = warm
+    at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
+    f = _map_flux(effects, offset, y, theta)
+    i_start = i_middle = i_stop = (0.0, 0.0)
+    energy = (0.0, 0.0, 0.0, 0.0, 0.0)
+    bend_alpha = bend_beta = 0.0
+    good = True
+    for stage in range(5):
+        rate, current, drop, power = _rates(plant, effects, resistance, u, at, i, f, theta)
+        if stage == 0 or stage == 2 or stage == 4:  # noqa: PLR1714  # numba compiles "in" of a tuple slowly
+            energy = _added(energy, power, h / 1.5 if stage == 2 else h / 6)
+            i_start, i_middle, i_stop = i_middle, i_stop, current
+        if stage == 4:
+            break
+        new_y = _moved(new_y, rate, h / 3 if stage == 1 or stage == 2 else h / 6)  # noqa: PLR1714
+        if stage != 1:
+            weight = -2.0 if stage == 2 else 1.0
+            bend_alpha += weight * drop[0]
+            bend_beta += weight * drop[1]
+        at = new_y if stage == 3 else _moved(y, rate, h if stage == 2 else 0.5 * h)
+        theta = thetas[1] if stage < 2 else thetas[2]
+        f = _map_flux(effects, offset, at, theta)
+        guess = (2 * i[0] - first[0], 2 * i[1] - first[1]) if stage == 2 else i
+        i_d, i_q, found = current_of_flux(plant.table, f[0], f[1], theta, guess[0], guess[1], plant.current_tolerance)
+        i, good = (i_d, i_q), good and found
+    return new_y, i, (i_start, i_middle, i_stop), energy, h / 6 * (abs(bend_alpha) + abs(bend_beta)), good
+
+
+@compiled
+def _warm(plant: Plant, effects: np.record, more: np.record) -> Pair:
+    """Return the resistance, ohm, and the offset of psi_d, Wb, at the present temperatures."""
+    copper, magnet = more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE
+    resistance = plant.resistance * (1.0 + effects.thermal_coefficient[0] * copper)
+    return resistance, effects.magnet_flux * effects.thermal_coefficient[1] * magnet
+
+
+@compiled
+def integrate(
+    plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, speeds: Pair, span: Pair
+) -> bool:
+    """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
+
+    Arguments and the halving of steps where the drop bends are those of :func:`drive_id.bench.kernels.hold`.
+    """
+    steps = max(1, math.ceil((span[1] - span[0]) / effects.largest_step - 1e-9))
+    tick = (span[1] - span[0]) / (steps * _FINEST)
+    slope = (speeds[1] - speeds[0]) / plant.period
+    mean = state.mean_angle[0]
+    warm = _warm(plant, effects, more)
+    y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
+    i_dq, energy = (state.current[0], state.current[1]), (0.0, 0.0, 0.0, 0.0, 0.0)
+    theta = with_ripple(plant, mean + span[0] * (speeds[0] + 0.5 * slope * span[0]))
+    now, size = 0, _FINEST
+    while now < steps * _FINEST:
+        middle, stop = span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
+        thetas = (
+            theta,
+            with_ripple(plant, mean + middle * (speeds[0] + 0.5 * slope * middle)),
+            with_ripple(plant, mean + stop * (speeds[0] + 0.5 * slope * stop)),
+        )
+        h = size * tick
+        new_y, new_i, i, spent, estimate, good = _step(plant, effects, warm, u, y, i_dq, thetas, h)
+        if estimate > plant.flux_tolerance and size > 1:
+            size //= 2
+            continue
+        if not good:
+            return False
+        y, i_dq, theta, energy = new_y, new_i, thetas[2], _added(energy, spent, 1.0)
+        if effects.filter_pole != 0.0:
+            for j in range(2):
+                more.filter[j] = _filtered(effects.filter_pole, more.filter[j], (i[0][j], i[1][j], i[2][j]), h)
+        now += size
+        if estimate < plant.flux_tolerance / 16 and size < _FINEST and now % (2 * size) == 0:
+            size *= 2
+    state.flux[0], state.flux[1] = y[0], y[1]
+    more.iron_voltage[0], more.iron_voltage[1] = y[2], y[3]
+    more.lagged[0], more.lagged[1] = y[4], y[5]
+    state.current[0], state.current[1] = i_dq
+    _heat(effects, more, energy, span[1] - span[0])
+    return True
+
+
+@compiled
+def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> None:
+    """Count the losses and warm copper and magnets by them."""
+    for k in range(5):
+        more.energy[k] += energy[k]
+    for k, heat in ((0, energy[1]), (1, energy[1] + energy[3] + energy[4])):
+        if effects.heat_rate[k] > 0.0:
+            cooled = effects.cooling_rate[k] * (more.temperature[k] - effects.ambient) * time
+            more.temperature[k] += effects.heat_rate[k] * heat - cooled
+
+
+@compiled
+def _angle_error(effects: np.record, theta: float) -> float:
+    """Return the resolver's error at the electrical angle ``theta``, rad."""
+    error = 0.0
+    for n in range(effects.orders[1]):
+        amplitude, phase = effects.resolver_electrical[n, 0], effects.resolver_electrical[n, 1]
+        error += amplitude * math.cos((n + 1) * theta - phase)
+    for n in range(effects.orders[2]):
+        amplitude, phase = effects.resolver_mechanical[n, 0], effects.resolver_mechanical[n, 1]
+        error += amplitude * math.cos((n + 1) * theta / effects.pole_pairs - phase)
+    return float(error)
+
+
+@compiled
+def _measure(
+    plant: Plant,
+    effects: np.record,
+    sensors: Sensors,
+    state: DriveState,
+    more: np.record,
+    speed: float,
+    noise: Noise,
+    out: Signals,
+    k: int,
+) -> None:
+    for j in range(3):
+        i = more.sampled[j]
+        i += effects.cubic * i**3
+        i = math.copysign(max(abs(i) - effects.dead_band, 0.0), i)
+        i = sensors.current_gain[j] * i + sensors.current_offset[j] + noise.current[k, j]
+        if sensors.current_quantum > 0.0:
+            i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
+        out.i_abc[k, j] = i
+    mean, late = state.mean_angle[0], effects.latency
+    theta = with_ripple(plant, mean)
+    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope * late))
+    angle = seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k]
+    if effects.angle_quantum > 0.0:
+        angle = effects.angle_quantum * np.rint(angle / effects.angle_quantum)
+    out.angle[k] = wrap(angle)
+    out.speed[k] = speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean)) + noise.speed[k]
+    (i_alpha, i_beta), _ = terminal_current(
+        effects, (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1]), theta
+    )
+    c, s = math.cos(theta), math.sin(theta)
+    out.i_dq_true[k, 0], out.i_dq_true[k, 1] = c * i_alpha + s * i_beta, c * i_beta - s * i_alpha
+    out.angle_true[k] = theta
+
+
+@compiled
+def _note(state: DriveState, more: np.record, theta: float, u_dc: float, row: np.record) -> None:
+    """Fill the row of the course."""
+    c, s = math.cos(theta), math.sin(theta)
+    row.psi_dq[0], row.psi_dq[1] = c * state.flux[0] + s * state.flux[1], c * state.flux[1] - s * state.flux[0]
+    for j in range(2):
+        row.i_dq_machine[j] = state.current[j]
+        row.lagged[j] = more.lagged[j]
+        row.temperature[j] = more.temperature[j]
+    for j in range(5):
+        row.energy[j] = more.energy[j]
+    row.u_dc = u_dc
+
+
+@compiled
+def _on_phase(pair: Pair, j: int) -> float:
+    """Return the part of a vector in the stator frame on phase ``j``."""
+    turn = j * 2 * math.pi / 3
+    return math.cos(turn) * pair[0] + math.sin(turn) * pair[1]
+
+
+@compiled
+def _sensed(effects: np.record, more: np.record, i: Pair) -> Pair:
+    """Return the current behind the sensors' filter, stator frame."""
+    if effects.filter_pole == 0.0:
+        return i
+    return (effects.filter_gain * more.filter[0]).real, (effects.filter_gain * more.filter[1]).real
+
+
+@compiled
+def _predicted(
+    plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, theta: float, turn: float
+) -> Pair:
+    """Return the terminal current one dead time later, by one explicit step, stator frame, A."""
+    resistance, offset = _warm(plant, effects, more)
+    y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
+    i = (state.current[0], state.current[1])
+    rate, _, _, _ = _rates(plant, effects, resistance, u, y, i, _map_flux(effects, offset, y, theta), theta)
+    y = _moved(y, rate, effects.dead_time)
+    f = _map_flux(effects, offset, y, theta + turn)
+    i_d, i_q, _ = current_of_flux(plant.table, f[0], f[1], theta + turn, i[0], i[1], plant.current_tolerance)
+    terminals, _ = terminal_current(effects, (i_d, i_q), (y[2], y[3]), theta + turn)
+    return terminals
+
+
+@compiled
+def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
+    """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
+
+    A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
+    keeps it high by the diode until the other switch turns on. A current that reaches zero stays zero until then: so
+    long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead time if the
+    leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
+    """
+    if i <= 0.0:  # the mean of what gets positive
+        i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
+    x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
+    charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
+    clamped = min(max(-i_moves / max(i_stays - i_moves, 1e-30), 0.0), 1.0)
+    return float(effects.dead_time * max(charged, clamped))
+
+
+@compiled
+def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: float, marks: FloatArray) -> None:
+    """Set the times in the period at which something changes, s.
+
+    ``marks`` (16,): sampling of the three phases; change of the command; commanded rising edges and falling edges of
+    the legs; their real rising and falling edges, known when the commanded ones come.
+    """
+    marks[:] = math.inf
+    for j in range(3):
+        marks[j] = period - effects.skew[j]
+    marks[3] = sensors.held_fraction * period
+    if effects.switching:
+        for j in range(3):
+            duty = 0.5 + legs[j] / effects.u_dc
+            if duty >= 1.0:
+                marks[10 + j] = -1.0
+            elif duty > 0.0:
+                marks[4 + j], marks[7 + j] = 0.5 * period * (1.0 - duty), 0.5 * period * (1.0 + duty)
+
+
+@compiled
+def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) -> None:
+    """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection where the legs' limits count."""
+    for j in range(3):
+        legs[j] = state.commands[row, j] + state.compensations[row, j]
+    if effects.switching or effects.hexagon:
+        middle = 0.5 * (max(legs[0], legs[1], legs[2]) + min(legs[0], legs[1], legs[2]))
+        for j in range(3):
+            legs[j] = min(max(legs[j] - middle, -0.5 * effects.u_dc), 0.5 * effects.u_dc)
+
+
+@compiled
+def _switch(
+    plant: Plant,
+    effects: np.record,
+    state: DriveState,
+    more: np.record,
+    marks: FloatArray,
+    legs: FloatArray,
+    now: float,
+    theta: float,
+    turn: float,
+    j: int,
+    u_dc: float,
+) -> None:
+    """Set the real edge of leg ``j``, whose edge is commanded now; ``turn`` is the angle turned in a dead time, rad."""
+    for e in range(2):
+        if marks[4 + 3 * e + j] != now:
+            continue
+        v = (more.iron_voltage[0], more.iron_voltage[1])
+        i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
+        kept, high, low = legs[j], 0.0, 0.0
+        for level in (0.5, -0.5):
+            legs[j] = level * effects.u_dc
+            later = _predicted(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), theta, turn)
+            high, low = low, _on_phase(later, j)
+        legs[j] = kept
+        if e == 0:
+            delay = edge_delay(effects, u_dc, -_on_phase(i, j), -low, -high)
+        else:
+            delay = edge_delay(effects, u_dc, _on_phase(i, j), high, low)
+        marks[10 + 3 * e + j] = now + delay
+
+
+@compiled
+def _vector(legs: FloatArray, scale: float) -> Pair:
+    """Return the voltage of the legs in the stator frame, V."""
+    return scale * (2 * legs[0] - legs[1] - legs[2]) / 3, scale * (legs[1] - legs[2]) / _SQRT3
+
+
+@compiled
+def _period(
+    plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, speeds: Pair, u_dc: float
+) -> bool:
+    """Carry the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
+    period, slope = plant.period, (speeds[1] - speeds[0]) / plant.period
+    legs, marks = np.empty(3), np.empty(16)
+    _command(effects, state, 1 if sensors.held_fraction == 0.0 else 2, legs)
+    _set_marks(effects, sensors, legs, period, marks)
+    now = 0.0
+    while now < period:
+        stop = period
+        for mark in marks:
+            if now < mark < stop:
+                stop = mark
+        if effects.switching:
+            for j in range(3):
+                legs[j] = 0.5 * effects.u_dc if marks[10 + j] <= now < marks[13 + j] else -0.5 * effects.u_dc
+        if not integrate(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), speeds, (now, stop)):
+            return False
+        theta = with_ripple(plant, state.mean_angle[0] + stop * (speeds[0] + 0.5 * slope * stop))
+        for j in range(3):
+            if marks[j] == stop:
+                v = (more.iron_voltage[0], more.iron_voltage[1])
+                i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
+                more.sampled[j] = _on_phase(_sensed(effects, more, i), j)
+            if effects.switching:
+                _switch(plant, effects, state, more, marks, legs, stop, theta, effects.dead_time * speeds[0], j, u_dc)
+        if marks[3] == stop:
+            _command(effects, state, 1, legs)
+        now = stop
+    return True
+
+
+@compiled
+def run_with_effects(
+    plant: Plant,
+    effects: np.record,
+    controller: Controller,
+    mean_drop: PhaseDrop,
+    sensors: Sensors,
+    state: DriveState,
+    more: np.record,
+    revolution: float,
+    first: int,
+    i_dq_reference: FloatArray,
+    mean_speed: FloatArray,
+    noise: Noise,
+    out: Signals,
+    course: np.recarray[Any, np.dtype[np.record]],
+) -> int:
+    """Run the drive over a block of N samples, of which the first is sample ``first``, and carry its state on.
+
+    ``course`` is (N,) of dtype COURSE. Other arguments and result as for :func:`drive_id.bench.kernels.run`.
+    """
+    period = plant.period
+    for k in range(len(i_dq_reference)):
+        _measure(plant, effects, sensors, state, more, mean_speed[k], noise, out, k)
+        i_a, i_b, i_c = out.i_abc[k, 0], out.i_abc[k, 1], out.i_abc[k, 2]
+        i_alpha, i_beta = (2 * i_a - i_b - i_c) / 3, (i_b - i_c) / _SQRT3
+        c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
+        i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
+        reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
+        control(controller, mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
+        for j in range(3):
+            out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
+        u_dc = effects.u_dc
+        for n in range(2):
+            amplitude, frequency = effects.u_dc_waves[n, 0], effects.u_dc_waves[n, 1]
+            u_dc += amplitude * effects.u_dc * math.sin(2 * math.pi * frequency * (first + k + 0.5) * period)
+        _note(state, more, out.angle_true[k], u_dc, course[k])
+        speeds = (mean_speed[k], mean_speed[k + 1])
+        if not _period(plant, effects, sensors, state, more, speeds, u_dc):
+            return k
+        more.slope = (speeds[1] - speeds[0]) / period
+        angle = state.mean_angle[0] + 0.5 * period * (speeds[0] + speeds[1])
+        state.mean_angle[0] = angle - revolution * math.floor(angle / revolution)
+    return -1

@@ -125,3 +125,9 @@ class CoverageError(DataError):
     """The data cover too little of the current plane for a map, or not the currents asked for."""
 
     code = "coverage"
+
+
+class UnexplainedError(DataError):
+    """The fitted model leaves most of the voltage unexplained, so that its map means nothing."""
+
+    code = "unexplained"

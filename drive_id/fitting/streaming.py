@@ -153,7 +153,7 @@ class _Gathering:
         if step.prescan:
             self._prescan.check()
             if self._evidence is not None:
-                self._evidence.reached = self._prescan.radius
+                self._prescan.inform(self._evidence)
 
     def accumulate(self) -> None:
         """Accumulate, unless the first pass did: the samples that were kept, or all of them in a second pass."""

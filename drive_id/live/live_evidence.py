@@ -88,7 +88,7 @@ class Snapshot:
         for piece in self.rest:
             self.gathered.add(piece)
         self.gathered.prescan.check()
-        self.gathered.evidence.reached = self.gathered.prescan.radius
+        self.gathered.prescan.inform(self.gathered.evidence)
         return conclude(self.gathered.evidence, self.validation())
 
 

@@ -198,6 +198,11 @@ def straight_line(angle):
     return currents
 
 
+def resistive(samples):
+    """Voltages that explain the currents of a straight line."""
+    return 0.05 * straight_line(2.0)(samples)
+
+
 def small_noise(samples):
     return 0.3 * np.random.default_rng(0).normal(size=samples.i_abc.shape)
 
@@ -238,7 +243,7 @@ BAD_BAGS = [
     (of_arrays("held_point", i_abc=noisy_point), "fills the current disc"),
     (of_arrays("line_d", i_abc=straight_line(0.0)), "fills the current disc"),
     (of_arrays("line_q", i_abc=straight_line(np.pi / 2)), "fills the current disc"),
-    (of_arrays("line_between", i_abc=straight_line(2.0)), "fills the current disc"),
+    (of_arrays("line_between", i_abc=straight_line(2.0), u_abc=resistive), "fills the current disc"),
     (of_arrays("no_voltage", u_abc=lambda s: 0 * s.u_abc), "voltages are zero"),
 ]
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import difference_square, mark_rests
 from drive_id.errors import ConfigurationError
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import BoolArray, Finding, FloatArray, Samples
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
@@ -57,6 +59,8 @@ class Evidence:
         self._recordings = 0
         self.reached = 0.0
         """Radius of the disc that the prescan found, whatever i_max is set to, A; 0 where it is not known."""
+        self.findings: tuple[Finding, ...] = ()
+        """What the checks found in the samples, errors aside."""
         self.samples = 0
         self.gaps = 0
         self.idle = 0
@@ -180,6 +184,7 @@ class Evidence:
         for name in (*_COUNTS, *_SUMS):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.reached = max(self.reached, other.reached)
+        self.findings = tuple({finding.message: finding for finding in (*self.findings, *other.findings)}.values())
         self._quiet = 0
 
     def suits(self, settings: FitSettings) -> bool:
@@ -205,6 +210,7 @@ class Evidence:
     def state(self) -> SavedSums:
         """Return sums and counts, without settings, ranges and radius."""
         own: SavedSums = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
+        own["findings"] = np.array(json.dumps([asdict(finding) for finding in self.findings]))
         for name, accumulator in self.accumulators().items():
             own |= prefixed(name, accumulator.state())
         return own
@@ -214,6 +220,7 @@ class Evidence:
         for name in (*_COUNTS, *_SUMS, "_quiet"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
         self.reached = exactly(state.get("reached", np.array(0.0)), np.array(0.0)).item()  # older files lack it
+        self.findings = tuple(Finding(**found) for found in json.loads(str(state.get("findings", "[]"))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 

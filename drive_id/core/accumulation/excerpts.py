@@ -60,6 +60,17 @@ class Spans:
         pieces = [piece for number in sorted(self._parts) for piece in self._parts[number]]
         return (joined(pieces),) if pieces else ()
 
+    def runs(self) -> list[Samples]:
+        """Return the gap-free runs of the excerpts, of one span at most each."""
+        found: list[list[Piece]] = []
+        for number in sorted(self._parts):
+            for at, piece in enumerate(self._parts[number]):
+                if at and piece.continues:
+                    found[-1].append(piece)
+                else:
+                    found.append([piece])
+        return [part.part(run.start, run.stop) for part in map(joined, found) for run in part.runs()]
+
     def _keep(self, number: int, piece: Piece) -> None:
         self._parts.setdefault(number, []).append(piece)
         if len(self._parts) > self._most:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.accumulation.excerpts import Spans
+from drive_id.core.checks.readings import degree_findings, reading_findings
+from drive_id.core.checks.rotor import motion_findings, rotation_finding, time_findings, unit_findings
+from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.largest import KEPT, Largest, top_quantile
 from drive_id.core.numerics.scans import all_finite
+from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import CoverageError, DataError, StandstillError
-from drive_id.types import FloatArray, Samples
+from drive_id.types import Finding, FloatArray, Samples
 
 USUAL_QUANTILE = 0.999
 """Share of the samples that stay below the usual amplitude."""
@@ -32,6 +38,13 @@ _JUMP = 0.2
 _JUMP_FACTOR = 5.0
 _TINY = 1e-160
 _LEAST, _MOST = 1e-100, 1e100
+_SPAN, _SPANS, _MOST_RUNS, _SHORTEST_RUN = 1 << 13, 8, 16, 32
+_ERRORS: dict[str, type[DataError]] = {
+    "standstill": StandstillError,
+    "held_references": CoverageError,
+    "no_trajectory": CoverageError,
+}
+"""Errors by the code of the finding; all others are DataError."""
 _REMEDY = "drive the machine along a trajectory that fills the current disc, such as a Lissajous figure."
 
 
@@ -62,12 +75,16 @@ class Prescan:
         self._largest_reference = 0.0
         self._reference_low: FloatArray = np.full(2, np.inf)
         self._reference_high: FloatArray = np.full(2, -np.inf)
+        self._periods: tuple[float, ...] = ()
+        self._excerpt = Spans(_SPAN, _SPANS)
+        self._found: tuple[int, tuple[Finding, ...]] = (-1, ())  # of so many samples
 
     def copy(self) -> Prescan:
         """Return an independent copy."""
         other = copy.copy(self)
         for name in ("_turns", "_products", "_extremes", "_step_square", "_amplitudes", "_jumps"):
             setattr(other, name, getattr(self, name).copy())
+        other._excerpt = self._excerpt.copy()  # noqa: SLF001  # of its own class
         return other
 
     def add(self, samples: Samples, *, continues: bool = False) -> None:
@@ -82,6 +99,9 @@ class Prescan:
         if self._begin is None:
             self._begin = int(samples.stamp[0])
         new = slice(int(continues), None)
+        self._excerpt.add(Piece(samples, continues))
+        if samples.sample_period not in self._periods:
+            self._periods += (samples.sample_period,)
         self.samples += len(samples) - continues
         i_dq = frames.to_dq(samples.i_abc, samples.angle)
         rows, jumps = np.empty((len(samples), 4)), np.zeros((len(samples), 2))
@@ -120,27 +140,51 @@ class Prescan:
         other = top_quantile(without, self.samples - self._referenced, USUAL_QUANTILE) if len(without) else 0.0
         return min(max(wanted, other), usual)
 
-    def check(self) -> None:
-        """Judge all samples so far.
+    def findings(self) -> tuple[Finding, ...]:
+        """Return all that is wrong with the samples so far, most basic first; nothing that follows from an error."""
+        if self._found[0] != self.samples:
+            self._found = self.samples, tuple(self._judge())
+        return self._found[1]
+
+    def check(self) -> tuple[Finding, ...]:
+        """Refuse samples that cannot give a map; return the findings that are warnings.
 
         Raises
         ------
-        DataError
-            When the resolver's angle jumps, when it does not advance as the speed says (mechanical for electrical
-            units, sign, wrong field), or when a few currents are many times larger than all others.
         StandstillError
             When the machine turned by less than one electrical revolution: without speed, the flux induces no voltage.
         CoverageError
             When the references stand still, or a step of the current from sample to sample is as large as its range.
+        DataError
+            For all other findings that are errors; ``docs/checks.md`` lists them.
         """
-        self._check_jumps()
-        self._check_rotation()
-        if self._referenced == self.samples and (self._reference_low == self._reference_high).all():
-            d, q = self._reference_low
-            raise CoverageError(
-                f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}"
-            )
-        self._check_currents()
+        found = self.findings()
+        for finding in found:
+            if finding.severity == "error":
+                raise _ERRORS.get(finding.code, DataError)(finding.message)
+        return found
+
+    def _judge(self) -> Iterator[Finding]:
+        runs = sorted((run for run in self._excerpt.runs() if len(run) >= _SHORTEST_RUN), key=len, reverse=True)
+        runs = sorted(runs[:_MOST_RUNS], key=lambda run: int(run.stamp[0]))
+        steps: tuple[Callable[[], Iterator[Finding]], ...] = (
+            lambda: time_findings(self._periods),
+            lambda: unit_findings(runs) if runs else iter(()),
+            self._on_jumps,
+            self._on_rotation,
+            lambda: degree_findings(runs, self._usual) if runs else iter(()),
+            self._on_trajectory,
+            lambda: waveform_findings(runs, self._usual) if runs else iter(()),
+            lambda: motion_findings(runs) if runs else iter(()),
+            lambda: reading_findings(runs, self._usual) if runs else iter(()),
+        )
+        for step in steps:
+            refused = False
+            for finding in step():
+                refused = refused or finding.severity == "error"
+                yield finding
+            if refused:
+                return
 
     def prepare(self, settings: FitSettings) -> Evidence:
         """Return empty evidence for the i_max that is set, or else for the radius and range of these samples.
@@ -157,8 +201,13 @@ class Prescan:
             high = np.maximum(self._amplitudes.high[:2], trusted.max(axis=0, initial=-np.inf))
             d, q = Axis(low[0], high[0], settings.splines_d), Axis(low[1], high[1], settings.splines_q)
             evidence = Evidence(settings, d, q, radius)
-        evidence.reached = radius
+        self.inform(evidence)
         return evidence
+
+    def inform(self, evidence: Evidence) -> None:
+        """Tell evidence of these samples what was found."""
+        evidence.reached = self.radius
+        evidence.findings = self.findings() if self.samples else ()
 
     def _add_references(self, i_dq: FloatArray | None, new: slice) -> FloatArray | float:
         """Take the references (N, 2), A, and return which of them are known, as numbers (N,), or for all alike."""
@@ -174,50 +223,68 @@ class Prescan:
         self._reference_high = np.maximum(self._reference_high, [axis.max(initial=-np.inf) for axis in known.T])
         return rows.astype(np.float64)
 
-    def _check_jumps(self) -> None:
+    def _on_jumps(self) -> Iterator[Finding]:
         if not self.samples:
             return
         jumps = self._jumps.rows()
         found = jumps[jumps[:, 0] > max(_JUMP, _JUMP_FACTOR * self._jumps.quantile(USUAL_QUANTILE))]
         if len(found):
             by, at = found[found[:, 1].argmin()]
-            raise DataError(
+            yield Finding(
+                "angle_jump",
                 f"The resolver's angle or speed jumps in {len(found)} places, the first at {at:.6f} s by "
-                f"{by:.2f} rad within one sample: repair or cut out the faulty samples."
+                f"{by:.2f} rad within one sample: repair or cut out the faulty samples.",
+                {"jumps": len(found), "time": float(at), "jump": float(by)},
+                "error",
             )
 
-    def _check_rotation(self) -> None:
+    def _on_rotation(self) -> Iterator[Finding]:
         with np.errstate(invalid="ignore"):
             turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
         if turned < _LEAST_TURN:
-            raise StandstillError(
+            yield Finding(
+                "standstill",
                 f"The machine turned by only {turned / (2 * np.pi):.2f} electrical revolutions: without speed its flux "
-                "induces no voltage, so record while it turns."
+                "induces no voltage, so record while it turns.",
+                {"turned": turned},
+                "error",
             )
+            return
         expected, advance = self._turns[:, 3]
         square, product = self._products[0] + expected**2, self._products[1] + expected * advance
         ratio = float(product / square) if square > 0 else 0.0
         if not abs(ratio - 1) <= _RESOLVER_TOLERANCE:
-            raise DataError(
-                f"The resolver's angle advances {ratio:.3f} times as fast as its speed says: give both in electrical "
-                "radians (set the pole pairs or the scale in the signals file) and with the same sign."
-            )
+            yield rotation_finding(ratio)
 
-    def _check_currents(self) -> None:
+    def _on_trajectory(self) -> Iterator[Finding]:
+        if self._referenced == self.samples and (self._reference_low == self._reference_high).all():
+            d, q = self._reference_low
+            yield Finding(
+                "held_references",
+                f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}",
+                {"i_d": float(d), "i_q": float(q)},
+                "error",
+            )
         finite = bool(np.isfinite(self._step_square[0]).all())
         step = np.sqrt(self._step_square[0 if finite else 1] / max(self._steps, 1)) / (1.0 if finite else _TINY)
         low, high = self._extremes
         if np.any(step >= _NOISE_SHARE * (high - low)):
             worst = int(np.argmax(step / np.maximum(high - low, 1e-300)))
-            raise CoverageError(
-                f"The current i_{'dq'[worst]} stays within {float((high - low)[worst]):.3g} A and shows only noise: "
-                f"{_REMEDY}"
+            spread = float((high - low)[worst])
+            yield Finding(
+                "no_trajectory",
+                f"The current i_{'dq'[worst]} stays within {spread:.3g} A and shows only noise: {_REMEDY}",
+                {"range": spread},
+                "error",
             )
         largest, usual = float(self._amplitudes.rows()[:, 0].max()), self._usual
         if largest > _FAULT_FACTOR * usual:
-            raise DataError(
+            yield Finding(
+                "current_spike",
                 f"A current of {largest:.4g} A stands out where {100 * USUAL_QUANTILE:.1f} % of all samples stay below "
-                f"{usual:.4g} A: repair or cut out the faulty samples."
+                f"{usual:.4g} A: repair or cut out the faulty samples.",
+                {"largest": largest, "usual": usual},
+                "error",
             )
 
 

@@ -30,7 +30,7 @@ _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
 _SPEEDS_APART = 0.1
-_LIMITS = Limits(unexplained=0.05, mad=0.03, remedy=", or set passive_maps")
+_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy=", or set passive_maps")
 _COMPENSATION = "The drive compensates its inverter with currents measured earlier: the remaining drop was fitted, too."
 
 

@@ -11,7 +11,7 @@ from drive_id.core.maps.coverage import Visits
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, Finding, FloatArray
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
     from drive_id.core.full.calibration import Calibration
@@ -29,9 +29,10 @@ class Sums(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """When the reader of a fit is warned, and the method's own remedy for a model that is not passive."""
+    """When a fit warns or is refused, and the method's own remedy for a model that is not passive."""
 
     unexplained: float  # share of the voltage that the model leaves
+    refused: float  # the same, beyond which there is no map
     mad: float  # mean absolute deviation of the simulated current over i_max
     remedy: str = ""
 
@@ -49,6 +50,7 @@ class Gathered(Protocol):
     information: RegressionSums
     windows: WindowSums | None
     visits: Visits
+    findings: tuple[Finding, ...]
 
     @property
     def turn(self) -> float:

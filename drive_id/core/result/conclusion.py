@@ -13,10 +13,10 @@ from drive_id.core.methods.method import Estimate
 from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
-from drive_id.core.result.warnings import review
+from drive_id.core.result.warnings import review, unexplained_sentence
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
-from drive_id.errors import DataError
+from drive_id.errors import DataError, UnexplainedError
 from drive_id.types import Samples
 
 
@@ -36,7 +36,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
 
     Raises
     ------
-    CoverageError, DataError
+    CoverageError, UnexplainedError, DataError
         When these samples cannot give a trustworthy map.
     """
     inside, coverage = evidence.inside(), evidence.coverage()
@@ -47,7 +47,10 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
             "The commanded voltages are zero or equal in all phases, or voltages or currents are out of all range: "
             "check their fields and scales."
         )
-    estimate = method_named(evidence.settings.method).conclude(evidence, inside)
+    method = method_named(evidence.settings.method)
+    estimate = method.conclude(evidence, inside)
+    if not estimate.unexplained <= method.limits.refused:
+        raise UnexplainedError(unexplained_sentence(evidence, estimate))
     flux_map = FluxMap(
         i_d=evidence.visits.i_d,
         i_q=evidence.visits.i_q,

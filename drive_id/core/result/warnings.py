@@ -12,7 +12,6 @@ from drive_id.core.result.identification import FluxMap
 
 _REVERSED = 0.1
 _FEW_POINTS = 0.005
-_ZERO_SEQUENCE_SHARE = 0.02
 
 
 def review(
@@ -21,7 +20,8 @@ def review(
     """Return one sentence per weakness, most basic first: what is wrong, where, and what to do."""
     limits = method_named(evidence.settings.method).limits
     return (
-        *_on_data(evidence, coverage),
+        *(finding.message for finding in evidence.findings),
+        *radius_warnings(evidence, coverage),
         *_on_fit(estimate, limits),
         *_on_map(evidence, estimate, flux_map, limits),
         *estimate.warnings,
@@ -29,15 +29,16 @@ def review(
     )
 
 
-def _on_data(evidence: Evidence, coverage: float) -> list[str]:
-    warnings = []
-    if evidence.zero_sequence > _ZERO_SEQUENCE_SHARE * evidence.i_max:
-        warnings.append(
-            f"The phase currents sum to {evidence.zero_sequence:.3g} A rms instead of zero: check gains and offsets of "
-            "the current sensors."
+def unexplained_sentence(evidence: Evidence, estimate: Estimate) -> str:
+    """Return why a fit that explains too little is refused: by the first finding of the checks, if there is one."""
+    start = f"The model leaves {100 * estimate.unexplained:.0f} % of the voltage unexplained, so there is no valid map"
+    if not evidence.findings:
+        return (
+            f"{start}: check the order of the phases, the angle, and that currents, voltages and angle are of one "
+            "drive and of the same time."
         )
-    warnings += radius_warnings(evidence, coverage)
-    return warnings
+    cause = evidence.findings[0].message
+    return f"{start}; most likely, {cause[0].lower()}{cause[1:]}"
 
 
 def _on_fit(estimate: Estimate, limits: Limits) -> list[str]:
@@ -84,7 +85,8 @@ def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: L
             f"{limits.remedy}."
         )
     magnet = estimate.psi[chosen][np.hypot(*i_dq.T).argmin(), 0]
-    if magnet < -_REVERSED * np.abs(estimate.psi[chosen]).max():
+    offset = any(finding.code == "angle_offset" for finding in evidence.findings)
+    if not offset and magnet < -_REVERSED * np.abs(estimate.psi[chosen]).max():
         warnings.append(
             f"The magnet's flux is negative ({magnet:.4g} Wb): check the angle for an offset of half a turn, and the "
             "signs of currents and voltages."

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import cut, record
+from synthetic import cut, record, saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.checks.prescan import Prescan
@@ -36,9 +36,14 @@ def turning(good, speed, *, angle_noise=0.0, speed_noise=0.0, starts=(0,)):
     speed = np.broadcast_to(speed, n)
     turned = 0.4 + np.cumsum(speed) * PERIOD - speed[0] * PERIOD
     angle = turned + angle_noise * rng.normal(size=n)
+    i_dq = frames.to_dq(good.i_abc, good.angle)
+    psi_s = (saturating_flux(i_dq) @ [1, 1j]) * np.exp(1j * turned)
+    i_abc = frames.to_abc(i_dq, turned)
+    u_s = np.gradient(psi_s, PERIOD) + 0.02 * frames.space_vector(i_abc)
     return replace(
         good,
-        i_abc=frames.to_abc(frames.to_dq(good.i_abc, good.angle), turned),
+        i_abc=i_abc,
+        u_abc=frames.phases(u_s),
         angle=np.angle(np.exp(1j * angle)),
         speed=speed + speed_noise * rng.normal(size=n),
         run_starts=np.array(starts),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,11 @@ from synthetic import record, saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify, score
-from drive_id.errors import ConfigurationError, DataError
-from drive_id.types import GroundTruth
+from drive_id.errors import ConfigurationError, DataError, UnexplainedError
+from drive_id.types import Finding, GroundTruth
 
 
 def tanh_drop(i_abc):
@@ -40,21 +42,45 @@ def test_an_offset_of_the_angle_breaks_the_symmetry(good):
     assert "mirror symmetry" in told(replace(good, angle=good.angle + 0.3))
 
 
-def test_half_a_turn_makes_the_magnet_negative(good):
+def test_a_large_offset_is_proposed_once(good):
+    turned = replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]])
+    for samples, degrees in ((replace(good, angle=good.angle + np.pi), 180), (turned, -120)):
+        said = told(samples)
+        found = re.search(r"d axis lies ([+-]\d+) degrees electrical from that of the angle given: add", said)
+        assert abs(np.exp(1j * np.deg2rad(float(found[1]) - degrees)) - 1) < 0.05
+        assert "mirror symmetry" not in said
+        assert "magnet's flux is negative" not in said
+
+
+def test_an_angle_near_half_a_turn_off_makes_the_magnet_negative(good, monkeypatch):
+    """Where the checks say nothing."""
+    monkeypatch.setattr(Prescan, "findings", lambda _: ())
     assert "magnet's flux is negative" in told(replace(good, angle=good.angle + np.pi))
-
-
-def test_shifted_phases_break_the_symmetry(good):
-    assert "mirror symmetry" in told(replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]]))
-
-
-def test_wrong_signs_make_the_resistance_negative(good):
     assert "resistance is negative" in told(replace(good, i_abc=-good.i_abc))
-    assert "resistance is negative" in told(replace(good, u_abc=-good.u_abc))
 
 
-def test_a_wrong_order_of_the_phases_cannot_be_explained(good):
-    assert "order of the phases" in told(replace(good, i_abc=good.i_abc[:, [0, 2, 1]]))
+def test_wrong_signs_and_orders_are_refused(good):
+    swapped = replace(good, i_abc=good.i_abc[:, [0, 2, 1]])
+    for said, samples in (
+        ("wrong sign", replace(good, i_abc=-good.i_abc)),
+        ("wrong sign", replace(good, u_abc=-good.u_abc)),
+        ("Phases b and c of the currents seem to be swapped", swapped),
+    ):
+        with pytest.raises(DataError, match=said):
+            identify([samples], JOINT)
+
+
+@pytest.mark.parametrize("method", ["psm", "joint", "full"])
+def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good, method, monkeypatch):
+    rng = np.random.default_rng(0)
+    samples = replace(good, u_abc=rng.permutation(good.u_abc))
+    with pytest.raises(DataError, match="unexplained, and no order of phases"):
+        identify([samples], FitSettings(method))
+    cause = Finding("x", "The cable is loose: fix it.")
+    for found, said in (((), "so there is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
+        monkeypatch.setattr(Prescan, "findings", lambda _, found=found: found)
+        with pytest.raises(UnexplainedError, match=said):
+            identify([samples], FitSettings(method))
 
 
 def test_noise_that_hides_the_rotation_is_told():

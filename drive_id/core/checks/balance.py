@@ -1,0 +1,293 @@
+"""How much of the voltage a rough machine model explains, with the signals as declared and read in other ways.
+
+Over windows of about 60 degrees electrical, in the stator frame,
+
+    int u dt = R int i dt + c int h(i) dt + change of e^{j theta} f(e^{-j theta} i),
+
+where h is the smoothed sign of each phase current and f = dW/di the gradient of a polynomial co-energy W of degree 4:
+16 real unknowns, linear. Coefficients that an offset of the angle turns are complex, so that any offset fits as well;
+those of i and |i|^2 i are real, as reciprocity demands. R, c and the inductance cannot be negative: this tells signs
+apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.frames import ComplexArray
+from drive_id.types import FloatArray, Samples
+
+DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
+"""Delays of the voltages that are tried, samples."""
+_SIZE = 16
+_RESISTANCE, _DROP, _MAGNET, _INDUCTANCE, _SATURATION, _SALIENCY = 0, 1, slice(2, 4), 4, 5, slice(6, 8)
+_WINDOW_TURN = np.pi / 3
+_LONGEST_WINDOW = 512
+_NODES = 750
+"""Most windows of a run."""
+_SIGN_WIDTH = 0.02
+"""Width of the smoothed sign, share of the largest current."""
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the signals.
+
+    Parameters
+    ----------
+    ratio : (int, int)
+        Factor on the angle as a fraction; negative: it counts the other way.
+    turned : int
+        Voltages turned against the currents by so many times 60 degrees.
+    mirrored : bool
+        Two phases of the voltages swapped, before they are turned.
+    reversed_current, reversed_voltage : int
+        Phase whose sign is changed; -1: none.
+    """
+
+    ratio: tuple[int, int] = (1, 1)
+    turned: int = 0
+    mirrored: bool = False
+    reversed_current: int = -1
+    reversed_voltage: int = -1
+
+
+DECLARED = Reading()
+"""The signals as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoughFit:
+    """The rough model under one reading.
+
+    Parameters
+    ----------
+    reading : Reading
+    unexplained : float
+        Root mean square of the residual over that of the integrated voltage.
+    delay : float
+        Of the voltages against the log, samples.
+    without_delay : float
+        ``unexplained`` at delay 0.
+    resistance, inductance : float
+        ohm, and H, the mean of both axes.
+    magnet, saliency : complex
+        Wb, and (L_d - L_q)/2, H: turned by once and twice the offset of the angle.
+    """
+
+    reading: Reading
+    unexplained: float
+    delay: float
+    without_delay: float
+    resistance: float
+    inductance: float
+    magnet: complex
+    saliency: complex
+
+
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """One gap-free run, integrated.
+
+    Parameters
+    ----------
+    i_max : float
+        Current by which currents are scaled, A.
+    period : float
+        s.
+    i_abc, u_abc : (N, 3) float
+        A, V.
+    angle : (N,) float
+        Unwrapped, rad.
+    i_s : (N,) complex
+        Dimensionless.
+    lossy : (2, N) complex
+        Integrals of the current, and of its smoothed signs, s.
+    volts : (N + 1,) complex
+        Integral of the voltage, Vs.
+    window : int
+        Samples in which the voltage turns by about 60 degrees.
+    """
+
+    i_max: float
+    period: float
+    i_abc: FloatArray
+    u_abc: FloatArray
+    angle: FloatArray
+    i_s: ComplexArray
+    lossy: ComplexArray
+    volts: ComplexArray
+    window: int
+
+    @classmethod
+    def of(cls, run: Samples, i_max: float) -> Excerpt:
+        """Integrate a gap-free run."""
+        return cls._integrated(run.i_abc, run.u_abc, np.unwrap(run.angle), run.sample_period, i_max)
+
+    @classmethod
+    def _integrated(
+        cls, i_abc: FloatArray, u_abc: FloatArray, angle: FloatArray, period: float, i_max: float
+    ) -> Excerpt:
+        i_s, u_s = frames.space_vector(i_abc / i_max), frames.space_vector(u_abc)
+        sign = frames.space_vector(np.tanh(i_abc / (_SIGN_WIDTH * i_max)))
+        turn = abs(float(np.angle(np.vdot(u_s[:-1], u_s[1:]))))
+        longest = min(_LONGEST_WINDOW, max(len(i_s) // 4, 1))
+        return cls(
+            i_max,
+            period,
+            i_abc,
+            u_abc,
+            angle,
+            i_s,
+            lossy=np.array([_trapezoids(x, period) for x in (i_s, sign)]),
+            volts=np.asarray(period * np.concatenate([[0j], np.cumsum(u_s)])),
+            window=int(np.clip(round(_WINDOW_TURN / max(turn, 1e-9)), 1, longest)),
+        )
+
+    def with_signs(self, reading: Reading) -> Excerpt:
+        """Return the excerpt with the sign of one phase changed."""
+        if reading.reversed_current < 0 and reading.reversed_voltage < 0:
+            return self
+        phases = np.arange(3)
+        i_abc = np.where(phases == reading.reversed_current, -self.i_abc, self.i_abc)
+        u_abc = np.where(phases == reading.reversed_voltage, -self.u_abc, self.u_abc)
+        return self._integrated(i_abc, u_abc, self.angle, self.period, self.i_max)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Normal equations of some windows: matrix (P, P), right sides (P, D) and squares (D,) for each delay."""
+
+    matrix: FloatArray
+    right: FloatArray
+    square: FloatArray
+
+    def left(self, x: FloatArray) -> float:
+        """Return the squared residual of an estimate at the first delay."""
+        return float(self.square[0] - 2 * x @ self.right[:, 0] + x @ self.matrix @ x)
+
+
+def rough_fit(
+    excerpts: Sequence[Excerpt], reading: Reading = DECLARED, delays: Sequence[float] = DELAYS
+) -> RoughFit | None:
+    """Fit the rough model.
+
+    Parameters
+    ----------
+    excerpts : sequence of Excerpt
+    reading : Reading
+    delays : sequence of float
+        Among which the best is chosen, samples.
+
+    Returns
+    -------
+    RoughFit or None
+        None without windows or voltage.
+    """
+    parts = _aligned([excerpt.with_signs(reading) for excerpt in excerpts], reading, delays)
+    if not parts:
+        return None
+    total = _Sums(*(np.sum([getattr(part, name) for part in parts], axis=0) for name in ("matrix", "right", "square")))
+    if not (np.isfinite(total.matrix).all() and np.isfinite(total.square).all() and (total.square > 0).all()):
+        return None
+    solved = [_solved(total.matrix, right) for right in total.right.T]
+    left = total.square - np.array([x @ right for x, right in zip(solved, total.right.T, strict=True)])
+    shares = np.sqrt(np.maximum(left, 0.0) / total.square)
+    best = int(shares.argmin())
+    x, i_max = solved[best], excerpts[0].i_max
+    return RoughFit(
+        reading,
+        unexplained=float(shares[best]),
+        delay=float(delays[best]),
+        without_delay=float(shares[int(np.abs(delays).argmin())]),
+        resistance=float(x[_RESISTANCE]) / i_max,
+        inductance=float(x[_INDUCTANCE]) / i_max,
+        magnet=complex(*x[_MAGNET]),
+        saliency=complex(*x[_SALIENCY]) / i_max,
+    )
+
+
+def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[float]) -> list[_Sums]:
+    """Return the sums of each run; those of an angle that is divided by q, turned by the best multiple of 2 pi/q.
+
+    Which multiple is unknown behind each gap; the longest run decides what the others are compared with.
+    """
+    over, under = reading.ratio
+    choices = []
+    for excerpt in sorted(excerpts, key=lambda excerpt: len(excerpt.i_s), reverse=True):
+        found = [_sums(excerpt, reading, delays, 2 * np.pi * over * turn / under) for turn in range(under)]
+        choices.append([sums for sums in found if sums is not None])
+    choices = [found for found in choices if found]
+    if not choices:
+        return []
+    first = choices[0][0]
+    x = _solved(first.matrix, first.right[:, 0])
+    return [first, *(min(found, key=lambda sums: sums.left(x)) for found in choices[1:])]
+
+
+def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: float) -> _Sums | None:
+    n = len(excerpt.i_s)
+    step = max(excerpt.window // 2, -(-n // _NODES))
+    reach = math.ceil(np.abs(delays).max())
+    nodes = np.arange(reach, n - reach - 1, step)
+    ahead = -(-excerpt.window // step)
+    if len(nodes) <= ahead:
+        return None
+    rotor = np.exp(1j * (reading.ratio[0] / reading.ratio[1] * excerpt.angle[nodes] + turned))
+    terms = _flux_terms(excerpt.i_s[nodes] / rotor) * rotor
+    columns = _changes(np.concatenate([excerpt.lossy[:, nodes], terms]), ahead)
+    right, square = np.empty((_SIZE, len(delays))), np.empty(len(delays))
+    phase = np.exp(1j * np.pi / 3 * reading.turned)
+    for k, delay in enumerate(delays):
+        below = math.floor(-delay)
+        share = -delay - below
+        volts = (1 - share) * excerpt.volts[nodes + below] + share * excerpt.volts[nodes + below + 1]
+        y = _changes(phase * (volts.conj() if reading.mirrored else volts)[None], ahead)[0]
+        right[:, k], square[k] = columns @ y, y @ y
+    return _Sums(columns @ columns.T, right, square)
+
+
+def _flux_terms(i: ComplexArray) -> ComplexArray:
+    """Return the gradients (14, N) of the terms of the co-energy: 2 dW/di*, for i_d + j i_q (N,)."""
+    conjugate, one = i.conj(), np.ones_like(i)
+    square = i * conjugate
+    return np.array([
+        one, 1j * one,  # Re(p* i)
+        i,  # |i|^2 / 2
+        square * i,  # |i|^4 / 4
+        conjugate, 1j * conjugate,  # Re(p* i^2) / 2
+        i**2 + 2 * square, 1j * (2 * square - i**2),  # Re(p* i) |i|^2
+        conjugate**2, 1j * conjugate**2,  # Re(p* i^3) / 3
+        i**3 + 3 * square * conjugate, 1j * (3 * square * conjugate - i**3),  # Re(p* i^2) |i|^2
+        conjugate**3, 1j * conjugate**3,  # Re(p* i^4) / 4
+    ])  # fmt: skip
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve the normal equations without negative inductance, resistance and drop."""
+    free = list(range(_SIZE))
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
+    while True:
+        scaled = matrix[np.ix_(free, free)] / np.outer(scale[free], scale[free]) + _RIDGE * np.eye(len(free))
+        x = np.zeros(_SIZE)
+        x[free] = np.linalg.solve(scaled, right[free] / scale[free]) / scale[free]
+        negative = next((k for k in (_INDUCTANCE, _RESISTANCE, _DROP) if x[k] < 0), None)
+        if negative is None:
+            return x
+        free = [k for k in free if k != negative and not (negative == _INDUCTANCE and k == _SATURATION)]
+
+
+def _changes(values: ComplexArray, ahead: int) -> FloatArray:
+    """Return the changes of (P, N) values over ``ahead`` nodes, real parts, then imaginary ones."""
+    change = values[:, ahead:] - values[:, :-ahead]
+    return np.concatenate([change.real, change.imag], axis=1)
+
+
+def _trapezoids(x: ComplexArray, period: float) -> ComplexArray:
+    return np.asarray(period * np.concatenate([[0], np.cumsum(0.5 * (x[1:] + x[:-1]))]))

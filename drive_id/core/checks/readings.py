@@ -1,0 +1,269 @@
+"""Whether the signals mean what they are declared to: phases, signs, pole pairs, direction, offset, decimation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import gcd
+
+import numpy as np
+
+from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, rough_fit
+from drive_id.types import Finding, Samples
+
+_BAD = 0.05
+"""Share of the voltage that the declared reading must leave unexplained before others are tried."""
+_BETTER = 1 / 3
+"""Another reading is proposed when it leaves less than this part of what the declared one leaves."""
+_REFUSED = 0.1
+_HOPELESS = 0.35
+_FEW_RUNS = 3
+"""Runs from which the likeliest of the other readings is chosen."""
+_MULTIPLES, _PARTS = 24, (8, 4)
+_LEAST_OFFSET, _AGREEING = np.deg2rad(20.0), np.deg2rad(15.0)
+_LEAST_MAGNET, _WEAK_MAGNET, _LEAST_SALIENCY = 0.3, 0.05, 0.15
+_DECIMATED, _DECIMATED_TURN, _DECIMATED_SHARE = (-0.6, -0.2), np.deg2rad(5.0), 1.05
+_LARGE_TURN = 0.2
+_SLOW_RATE = 2100.0
+_LATE, _SHIFTED = 40, 0.6
+_SWAPPED = {0: "b and c", 2: "a and b", 4: "a and c"}
+_ORDER = {2: "c, a, b", 4: "b, c, a"}
+
+
+def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield what is wrong with the meaning of the signals.
+
+    Parameters
+    ----------
+    runs : sequence of Samples
+        Excerpts of one gap-free run each.
+    i_max : float
+        Largest usual current, A.
+    """
+    excerpts = [Excerpt.of(run, i_max) for run in runs]
+    declared = rough_fit(excerpts)
+    if declared is None:
+        return
+    if declared.unexplained > _BAD:
+        better = _best_other(excerpts, declared)
+        if better is not None:
+            shift = _time_shift(excerpts, declared)
+            likelier = shift is not None and shift.values["unexplained_corrected"] < better.unexplained
+            yield shift if shift is not None and likelier else _misread(declared, better)
+            return
+    if declared.unexplained > _HOPELESS:
+        yield _time_shift(excerpts, declared) or _unexplained(declared)
+        return
+    yield from _offset(excerpts, i_max, declared)
+    yield from _decimation(declared, runs)
+
+
+def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield angle and speed that are both in degrees, which the voltages tell."""
+    if max(float(np.abs(run.speed).max()) * run.sample_period for run in runs) < _LARGE_TURN:
+        return
+    declared = rough_fit([Excerpt.of(run, i_max) for run in runs])
+    found = rough_fit([Excerpt.of(replace(run, angle=np.deg2rad(run.angle)), i_max) for run in runs])
+    if declared and found and found.unexplained < _BETTER * declared.unexplained and declared.unexplained > _REFUSED:
+        yield Finding(
+            "angle_unit",
+            "Angle and speed seem to be in degrees and not in radians: a rough model leaves "
+            f"{percent(declared.unexplained)} % of the voltage unexplained as the signals are, but "
+            f"{percent(found.unexplained)} % in degrees, so set angle_unit: deg and speed_unit: deg/s in the signals "
+            "file.",
+            {"unexplained": declared.unexplained, "unexplained_corrected": found.unexplained},
+            "error",
+        )
+
+
+def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
+    """Return the fit of the reading that explains the most, if it explains far more than the declared one."""
+    some = runs[:: -(-len(runs) // _FEW_RUNS)]
+    fits = (rough_fit(some, reading, (0.0, 1.0, -1.0)) for reading in _others())
+    likely = min((fit for fit in fits if fit is not None), key=lambda fit: fit.unexplained, default=declared)
+    best = rough_fit(runs, likely.reading)
+    return best if best is not None and best.unexplained < _BETTER * declared.unexplained else None
+
+
+def _others() -> Iterator[Reading]:
+    """Yield all other readings that come from one mistake."""
+    for turned in range(6):
+        for mirrored in (False, True):
+            for direction in (1, -1):
+                if (turned, mirrored, direction) != (0, False, 1):
+                    yield Reading((direction, 1), turned, mirrored)
+    for phase in range(3):
+        yield Reading(reversed_current=phase)
+        yield Reading(reversed_voltage=phase)
+    for direction in (1, -1):
+        for multiple in range(2, _MULTIPLES + 1):
+            yield Reading((direction * multiple, 1))
+        for divisor in range(2, _PARTS[1] + 1):
+            for multiple in range(1, _PARTS[0] + 1):
+                if gcd(multiple, divisor) == 1:
+                    yield Reading((direction * multiple, divisor))
+
+
+def _misread(declared: RoughFit, better: RoughFit) -> Finding:
+    code, what, remedy = _meaning(better.reading)
+    severity = "error" if declared.unexplained > _REFUSED else "warning"
+    return Finding(
+        code,
+        f"{what}: a rough model leaves {percent(declared.unexplained)} % of the voltage unexplained as the signals "
+        f"are, but {percent(better.unexplained)} % with this corrected, so {remedy}.",
+        {
+            "unexplained": declared.unexplained,
+            "unexplained_corrected": better.unexplained,
+            "angle_factor": better.reading.ratio[0] / better.reading.ratio[1],
+        },
+        severity,
+    )
+
+
+def _meaning(reading: Reading) -> tuple[str, str, str]:
+    """Return code, what is wrong and what to do for a reading other than the declared one."""
+    for phase, name in ((reading.reversed_current, "current"), (reading.reversed_voltage, "voltage")):
+        if phase >= 0:
+            what = f"The {name} of phase {'abc'[phase]} seems to be reversed"
+            return "phase_reversed", what, "change its sign (scale in the signals file)"
+    return _of_phases(reading) if reading.turned or reading.mirrored else _of_angle(*reading.ratio)
+
+
+def _of_phases(reading: Reading) -> tuple[str, str, str]:
+    """Describe a wrong order or sign of the phases; half a turn is a sign."""
+    negative = reading.turned % 2 == 1
+    thirds = (reading.turned + 3) % 6 if negative else reading.turned
+    against = reading.ratio[0] < 0
+    if reading.mirrored:
+        name = "currents" if against else "voltages"
+        what = f"Phases {_SWAPPED[thirds]} of the {name} seem to be swapped" + (
+            ", and their sign wrong" if negative else ""
+        )
+        remedy = f"exchange them in the fields of the {name}" + (" and change the sign" if negative else "")
+        return "phases_swapped", what, remedy
+    remedies = ["make the scale of the currents negative, which are positive into the machine"] if negative else []
+    remedies += ["change the sign of angle and speed"] if against else []
+    if not thirds:
+        return "current_sign", "The currents (or the voltages) seem to have the wrong sign", " and ".join(remedies)
+    remedies.insert(0, f"read the voltages' phases in the order {_ORDER[thirds]} (or shift the currents')")
+    what = "The phases of the voltages seem to be in another order than those of the currents"
+    return "phases_shifted", what, " and ".join(remedies)
+
+
+def _of_angle(over: int, under: int) -> tuple[str, str, str]:
+    """Describe an angle that must be multiplied by a fraction."""
+    if (over, under) == (-1, 1):
+        what = (
+            "The angle seems to run against the order of the phases (clockwise encoder, or two phases swapped in "
+            "currents and voltages alike)"
+        )
+        remedy = "change the sign of angle and speed (angle_scale and speed_scale of -1), or exchange the phases"
+        return "direction", what, remedy
+    against, sign = (" and against the order of the phases", ", with the opposite sign") if over < 0 else ("", "")
+    over = abs(over)
+    if under == 1:
+        what = f"The angle seems to be mechanical{against}, of a machine with {over} pole pairs"
+        remedy = f"set mechanical: true and pole_pairs: {over}, or multiply the pole pairs given by {over}{sign}"
+        return "pole_pairs", what, remedy
+    example = _example(under)
+    what = f"The pole pairs seem to be wrong{against}: the electrical angle runs {over}/{under} times as fast as given"
+    remedy = f"multiply them by {over}/{under} ({over * example} instead of {under * example}, say){sign}"
+    return "pole_pairs", what, remedy
+
+
+def _example(divisor: int) -> int:
+    return max(1, 8 // divisor)
+
+
+def percent(share: float) -> str:
+    """Write a share in percent with two digits."""
+    return f"{100 * share:.2g}" if share < 0.095 else f"{100 * share:.0f}"
+
+
+def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Finding | None:
+    """Return the finding of voltages that are many samples early or late; None when that explains no more."""
+    delays = tuple(float(delay) for delay in range(-_LATE, _LATE + 1))
+    shifted = rough_fit(runs, delays=delays)
+    if shifted is None or shifted.unexplained > _SHIFTED * declared.unexplained or abs(shifted.delay) <= max(DELAYS):
+        return None
+    late = shifted.delay * float(np.median([run.period for run in runs]))
+    return Finding(
+        "time_shift",
+        f"The voltages seem to act {shifted.delay:+.0f} samples ({1e3 * late:+.3g} ms) later than logged: a rough "
+        f"model then leaves {percent(shifted.unexplained)} % of them unexplained instead of "
+        f"{percent(declared.unexplained)} %, so correct their stamps (stamp_offset in the signals file).",
+        {
+            "delay": shifted.delay,
+            "unexplained": declared.unexplained,
+            "unexplained_corrected": shifted.unexplained,
+        },
+    )
+
+
+def _unexplained(declared: RoughFit) -> Finding:
+    return Finding(
+        "unexplained",
+        f"A rough model leaves {percent(declared.unexplained)} % of the voltage unexplained, and no order of phases, "
+        "sign, direction or number of pole pairs explains more: check that currents, voltages and angle are of one "
+        "drive and of the same time, and their scales.",
+        {"unexplained": declared.unexplained},
+        "error",
+    )
+
+
+def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Finding]:
+    """Yield an offset of the angle beyond what method full corrects, unless a shift in time explains more."""
+    offset = _offset_of(fit, i_max)
+    reluctance = abs(fit.magnet) < _WEAK_MAGNET * fit.inductance * i_max
+    if abs(offset) > _LEAST_OFFSET or (not reluctance and abs(np.angle(fit.magnet)) > _LEAST_OFFSET):
+        shift = _time_shift(runs, fit)
+        if shift is not None:
+            yield shift
+            return
+    if abs(offset) < _LEAST_OFFSET:
+        return
+    yield Finding(
+        "angle_offset",
+        f"The machine's d axis lies {np.rad2deg(offset):+.0f} degrees electrical"
+        + (" (or so many and a multiple of 90)" if reluctance else "")
+        + f" from that of the angle given: add {offset:+.3f} rad to the angle (angle_offset in the signals file), "
+        "unless the axes were chosen so.",
+        {"angle_offset": offset, "unexplained": fit.unexplained},
+    )
+
+
+def _offset_of(fit: RoughFit, i_max: float) -> float:
+    """Return the offset of the d axis, rad: from the magnet, or else from the saliency; 0 where neither tells.
+
+    The saliency tells it but for multiples of 90 degrees, as the d axis of a reluctance machine is either one: the
+    magnet, if there is one at all, chooses.
+    """
+    reach = fit.inductance * i_max
+    by_magnet, by_saliency = float(np.angle(fit.magnet)), float(np.angle(fit.saliency**2)) / 4
+    salient = abs(fit.saliency) > _LEAST_SALIENCY * fit.inductance
+    strong = abs(fit.magnet) > _LEAST_MAGNET * reach
+    if not salient:
+        return by_magnet if strong else 0.0
+    quarter = np.pi / 2
+    if abs(fit.magnet) > _WEAK_MAGNET * reach:
+        nearest = by_saliency + quarter * round((by_magnet - by_saliency) / quarter)
+        agrees = abs(nearest - by_magnet) < _AGREEING
+        return by_magnet if strong and (agrees or abs(by_magnet) > quarter / 2) else nearest if agrees else 0.0
+    return by_saliency
+
+
+def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
+    """Yield the mark of a log with every n-th sample only: voltages early by (n - 1)/(2 n) samples."""
+    turn = float(np.sqrt(np.mean(np.concatenate([run.speed * run.sample_period for run in runs]) ** 2)))
+    early = _DECIMATED[0] <= fit.delay <= _DECIMATED[1] and fit.without_delay > _DECIMATED_SHARE * fit.unexplained
+    rate = 1 / max(run.sample_period for run in runs)
+    if turn > _DECIMATED_TURN and (early or rate < _SLOW_RATE):
+        why = "inverters rarely switch that slowly"
+        if early:
+            why = f"the voltages seem to act {-fit.delay:.2g} samples early, as where only every n-th sample was logged"
+        yield Finding(
+            "decimated",
+            f"The log has {1e-3 * rate:.4g} kHz and the rotor turns by {np.rad2deg(turn):.3g} degrees electrical per "
+            f"sample, and {why}: log every PWM period, or the mean of the commands since the last sample.",
+            {"delay": fit.delay, "turn": turn, "rate": rate},
+        )

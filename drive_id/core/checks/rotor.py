@@ -1,0 +1,150 @@
+"""Angle, speed and time: units, jumps, standstill, and whether the angle advances as the speed says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from drive_id.types import Finding, Samples
+
+_PERIODS = (5e-7, 0.02)
+"""Shortest and longest sample period that is believed, s."""
+_UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts" for n in range(8, 25)}
+_TURN_TOLERANCE = 0.003
+_FEWEST_WRAPS = 3
+_COARSE_TURN = np.deg2rad(40.0)
+_HELD_STEP, _HELD_SHARE = 0.02, 0.5
+_DRIFT, _DRIFT_FIT, _DRIFT_PARTS = (0.03, 0.5), 0.9, 6
+_MOST_POLE_PAIRS, _MEANT = 60, 0.004
+_RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
+
+
+def time_findings(periods: Sequence[float]) -> Iterator[Finding]:
+    """Yield sample periods, s, that cannot be."""
+    for period in periods:
+        if not _PERIODS[0] <= period <= _PERIODS[1]:
+            yield Finding(
+                "sample_period",
+                f"The samples are {period:.3g} s apart ({1e-3 / period:.3g} kHz), which no drive is: give "
+                "sample_period in seconds, and the unit of the stamps (stamp_unit in the signals file).",
+                {"sample_period": period},
+                "error",
+            )
+            return
+
+
+def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
+    """Yield an angle that is not in radians, as the steps show by which it wraps."""
+    steps = [np.diff(run.angle) for run in runs]
+    angles = np.concatenate([run.angle for run in runs])
+    spread = float(np.ptp(angles))
+    every = np.concatenate(steps) if steps else np.zeros(0)
+    wraps = np.abs(every) > 0.6 * spread
+    if wraps.sum() >= _FEWEST_WRAPS and spread > 0:
+        turn = float(np.median(np.abs(every[wraps]))) + float(np.median(np.abs(every[~wraps])))
+        whole = round(turn / (2 * np.pi))
+        if (
+            1 <= whole < _MOST_POLE_PAIRS
+            and abs(turn / (2 * np.pi) / whole - 1) < _TURN_TOLERANCE
+            and abs(turn - 360) > 1
+        ):
+            return
+        for unit, name in _UNITS.items():
+            if abs(turn / unit - 1) < 2 * _TURN_TOLERANCE:
+                yield _in_unit(name, unit, f"wraps by {turn:.4g}")
+                return
+        return
+    moved = sum(float(run.angle[-1] - run.angle[0]) for run in runs)
+    expected = sum(float(run.speed[:-1].sum() * run.sample_period) for run in runs)
+    if wraps.sum() == 0 and expected and abs(moved / expected * _DEGREE - 1) < 0.02 and abs(expected) > 1:
+        yield _in_unit("degrees", 360.0, f"advances {moved / expected:.4g} times as fast as its speed says")
+
+
+def rotation_finding(ratio: float) -> Finding:
+    """Return the finding of an angle that advances ``ratio`` times as fast as its speed says."""
+    meaning = _ratio_meaning(ratio)
+    return Finding(
+        "angle_speed",
+        f"The resolver's angle advances {ratio:.3f} times as fast as its speed says{meaning}: give both in electrical "
+        "radians (set the pole pairs or the scale in the signals file) and with the same sign.",
+        {"ratio": ratio},
+        "error",
+    )
+
+
+def motion_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
+    """Yield coarse or held angles and a drifting speed."""
+    turns = np.concatenate([run.speed * run.sample_period for run in runs])
+    turn = float(np.sqrt(np.mean(turns**2)))
+    if turn > _COARSE_TURN:
+        yield Finding(
+            "coarse_sampling",
+            f"The rotor turns by {np.rad2deg(turn):.0f} degrees electrical per sample: log more samples per second, or "
+            "record at a lower speed.",
+            {"turn": turn},
+        )
+    steps = np.concatenate([np.diff(run.angle) for run in runs])
+    held = steps == 0
+    if held.mean() > _HELD_SHARE and not held.all() and float(np.median(np.abs(steps[~held]))) > _HELD_STEP:
+        yield Finding(
+            "held_angle",
+            f"The angle changes with every {1 / (1 - held.mean()):.2g}th sample only: log it as often as the currents.",
+            {"share": float(held.mean())},
+        )
+    yield from _drift(runs)
+
+
+def _drift(runs: Sequence[Samples]) -> Iterator[Finding]:
+    """Yield a speed that changes steadily over the recording by more than noise, and less than on purpose."""
+    speed = np.array([float(run.speed.mean()) for run in runs])
+    if len(runs) < _DRIFT_PARTS or not speed.all():
+        return
+    at = np.arange(len(runs)) - 0.5 * (len(runs) - 1)
+    slope, middle = np.polyfit(at, speed, 1)
+    drift = float(slope * len(runs))
+    rest = float(np.sum((speed - middle - slope * at) ** 2))
+    within = [np.polyfit(run.stamp - run.stamp[0], run.speed, 1)[0] for run in runs]
+    expected = float(np.median(within)) * float(
+        runs[-1].stamp[-1] - runs[0].stamp[0]
+    )  # steps between runs are no drift
+    steady = rest < (1 - _DRIFT_FIT) * float(np.sum((speed - middle) ** 2)) and 0.5 < expected / (drift or 1.0) < 2
+    if steady and _DRIFT[0] < abs(drift / middle) < _DRIFT[1]:
+        yield Finding(
+            "speed_drift",
+            f"The speed drifts by {100 * drift / abs(middle):+.1f} % over the recording: hold it constant, or step it, "
+            "so that heat and speed do not change together.",
+            {"drift": drift / abs(middle)},
+        )
+
+
+def _in_unit(name: str, unit: float, why: str) -> Finding:
+    short = {"degrees": "deg", "revolutions": "rev"}.get(name)
+    scale = 2 * np.pi / unit
+    remedy = f"set angle_unit: {short} in the signals file" if short else f"set angle_scale to {scale:.6g}"
+    return Finding(
+        "angle_unit",
+        f"The angle {why}, so it is in {name} and not in radians: {remedy}, or multiply it by {scale:.6g}.",
+        {"factor": scale},
+        "error",
+    )
+
+
+def _ratio_meaning(ratio: float) -> str:
+    """Say in a clause what a ratio of both speeds means; empty when it means nothing."""
+    against = " counted the other way" if ratio < 0 else ""
+    if abs(ratio + 1) < 0.02:
+        return ", as if one of them counted the other way"
+    meanings = [(1 / _DEGREE, "the angle were in degrees"), (_DEGREE, "the speed were in degrees per second")]
+    meanings += [(10.0**power, "the unit of the time were wrong") for power in (-9, -6, -3, 3, 6, 9)]
+    for count in range(2, _MOST_POLE_PAIRS):
+        machine = f"mechanical and the machine had {count} pole pairs"
+        meanings += [(float(count), f"the speed were {machine}"), (1 / count, f"the angle were {machine}")]
+    for unit, name in ((_RPM, "rpm"), (_REVOLUTION, "revolutions per second")):
+        meanings += [
+            (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
+            for count in range(1, _MOST_POLE_PAIRS)
+        ]
+    apart = [abs(abs(ratio) / value - 1) for value, _ in meanings]
+    best = int(np.argmin(np.where(np.array(apart) < _MEANT, np.arange(len(apart)), len(apart))))
+    return f", as if {meanings[best][1]}{against}" if apart[best] < _MEANT else ""

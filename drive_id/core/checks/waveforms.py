@@ -1,0 +1,256 @@
+"""Currents and voltages by themselves: duty cycles, scale, offsets, and phases that are clipped, stuck or quantized."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.checks.balance import Excerpt, rough_fit
+from drive_id.types import Finding, FloatArray, Samples
+
+_LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
+_LEAST_DROP = 0.15
+"""Resistive voltage at the largest current that volts exceed, and duty cycles do not, V."""
+_CURRENTS = (0.02, 5000.0)
+"""Smallest and largest current amplitudes that are believed, A."""
+_SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.8
+_ZERO_SEQUENCE = 0.02
+_ODD_PHASE = 0.1
+_AT_LIMIT, _CLIPPED = 2e-6, 0.015
+_STUCK, _MOVED, _NEAR_LIMIT = 50, 0.3, 0.999
+_FEW_LEVELS, _LEVELS_OF = 100, 20_000
+_CURRENT_OFFSET, _VOLTAGE_OFFSET, _FEWEST_TURNS, _SCATTER = 0.03, 0.05, 20, 5.0
+_HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))
+
+
+def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield what is wrong with the phases.
+
+    Parameters
+    ----------
+    runs : sequence of Samples
+        Excerpts of one gap-free run each.
+    i_max : float
+        Largest usual current, A.
+    """
+    i_abc, u_abc = (np.concatenate([getattr(run, name) for run in runs]) for name in ("i_abc", "u_abc"))
+    if not np.abs(frames.space_vector(u_abc)).max() > 0:
+        yield Finding(
+            "no_voltage",
+            "The commanded voltages are zero or equal in all phases: check their fields and scales.",
+            {},
+            "error",
+        )
+        return
+    yield from _duty_cycles(runs, u_abc, i_max)
+    quantized = [finding for name, x in (("current", i_abc), ("voltage", u_abc)) for finding in _quantized(name, x)]
+    yield from quantized
+    if not quantized:
+        yield from _stuck(runs)
+        yield from _clipped_currents(i_abc)
+    yield from _scale(runs, i_max)
+    yield from _zero_sequence(i_abc, i_max)
+    yield from _clipped_voltages(u_abc)
+    yield from _offsets(runs, i_max)
+
+
+def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> Iterator[Finding]:
+    low, high = float(u_abc.min()), float(u_abc.max())
+    if max(-low, high) > _LARGEST_DUTY:
+        return
+    fit = rough_fit([Excerpt.of(run, i_max) for run in runs])
+    drop = 0.0 if fit is None else fit.resistance * i_max
+    if low >= 0 or drop < _LEAST_DROP:
+        factor = "u_dc" if low >= 0 else "u_dc / 2"
+        yield Finding(
+            "duty_cycles",
+            f"The voltages lie between {low:.3g} and {high:.3g} V and drop {drop:.2g} V across the resistance at "
+            f"{i_max:.3g} A: they are duty cycles, so scale them by the DC-link voltage (scale: {factor} in the "
+            "signals file).",
+            {"low": low, "high": high, "resistive_voltage": drop},
+            "error",
+        )
+
+
+def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield currents far from their references, or beyond what machines have."""
+    product = reference_square = current_square = 0.0
+    for run in runs:
+        if run.i_dq_reference is None:
+            continue
+        known = np.isfinite(run.i_dq_reference).all(axis=1)
+        wanted, found = run.i_dq_reference[known], frames.to_dq(run.i_abc, run.angle)[known]
+        product += float(np.sum(wanted * found))
+        reference_square += float(np.sum(wanted**2))
+        current_square += float(np.sum(found**2))
+    if reference_square > 0 and current_square > 0:
+        gain = product / reference_square
+        correlation = product / np.sqrt(reference_square * current_square)
+        if correlation > _LEAST_CORRELATION and not 1 / _SAME_SCALE < gain < _SAME_SCALE:
+            yield Finding(
+                "current_scale",
+                f"The currents are {gain:.4g} times their references: check the scale of both{_unit_of(gain)}.",
+                {"gain": gain},
+            )
+            return
+    if not _CURRENTS[0] < i_max < _CURRENTS[1]:
+        unit = "mA" if i_max > 1 else "kA or per unit"
+        yield Finding(
+            "current_scale",
+            f"The currents reach {i_max:.3g} A: check whether they are in {unit}, and set their scale.",
+            {"i_max": i_max},
+        )
+
+
+def _unit_of(gain: float) -> str:
+    for value, text in ((1e3, " (mA for A)"), (1e-3, " (kA for A)"), (np.sqrt(0.5), " (rms for peak)")):
+        if abs(gain / value - 1) < 0.1:
+            return text
+    return " (per unit for A)" if gain < 0.1 else ""
+
+
+def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Finding]:
+    """Yield phase currents whose sum is not zero, with the phase that does not fit to the others."""
+    total = i_abc.sum(axis=1)
+    rms = float(np.sqrt(np.mean(total**2)))
+    if rms <= _ZERO_SEQUENCE * i_max:
+        return
+    size, vectors = np.linalg.eigh(i_abc.T @ i_abc / len(i_abc))
+    weight = vectors[:, 0]
+    said, values = "", {"zero_sequence": rms}
+    if size[0] < 0.1 * float(np.mean(total**2)) / 3:
+        for phase in range(3):
+            one, other = np.delete(weight, phase)
+            gain = 0.5 * (one + other) / weight[phase] if weight[phase] else np.inf
+            if abs(one - other) < _ODD_PHASE * abs(one) and abs(gain - 1) > _ODD_PHASE:
+                values["gain"] = float(gain)
+                if abs(gain + 1) < 2 * _ODD_PHASE:
+                    yield Finding(
+                        "phase_reversed",
+                        f"The current of phase {'abc'[phase]} is reversed, for the phase currents sum to {rms:.3g} A "
+                        "rms, and to zero with its sign changed: change its sign (scale in the signals file).",
+                        values,
+                        "error",
+                    )
+                    return
+                said = f", as phase {'abc'[phase]} reads {gain:.3g} times too much"
+                break
+    if abs(total.mean()) > 0.7 * rms:
+        said = f", {total.mean():.3g} A of it constant"
+    yield Finding(
+        "zero_sequence",
+        f"The phase currents sum to {rms:.3g} A rms instead of zero{said}: check gains and offsets of the current "
+        "sensors.",
+        values,
+    )
+
+
+def _stuck(runs: Sequence[Samples]) -> Iterator[Finding]:
+    """Yield a phase that holds one value while the others move; not at its limits, where it is clipped."""
+    for name, unit, attribute in (("current", "A", "i_abc"), ("voltage", "V", "u_abc")):
+        largest = max(float(np.abs(getattr(run, attribute)).max()) for run in runs)
+        for run in runs:
+            found = _held_phase(getattr(run, attribute), largest)
+            if found is None:
+                continue
+            phase, start, count, value = found
+            at = float(run.stamp[start] - runs[0].stamp[0]) * 1e-9
+            yield Finding(
+                "phase_stuck",
+                f"The {name} of phase {'abc'[phase]} stays at {value:.4g} {unit} for {count} samples from {at:.4f} s "
+                "on while the others move: check its channel, or cut this part out.",
+                {"phase": phase, "samples": count, "time": at},
+                "error",
+            )
+            return
+
+
+def _held_phase(x_abc: FloatArray, largest: float) -> tuple[int, int, int, float] | None:
+    """Return phase, first sample, number of samples and value of a stretch in which one phase stands still."""
+    for phase in range(3):
+        same = np.concatenate([[0], np.diff(x_abc[:, phase]) == 0, [0]]).astype(np.int8)
+        edges = np.diff(same)
+        for start, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            value = float(x_abc[start, phase])
+            if end - start < _STUCK or abs(value) > _NEAR_LIMIT * largest:
+                continue
+            if np.ptp(np.delete(x_abc[start : end + 1], phase, axis=1), axis=0).max() > _MOVED * largest:
+                return phase, int(start), int(end - start), value
+    return None
+
+
+def _quantized(name: str, x_abc: FloatArray) -> Iterator[Finding]:
+    """Yield a phase with few levels."""
+    for phase, x in enumerate(x_abc[:: max(1, len(x_abc) // _LEVELS_OF)].T):
+        levels = len(np.unique(x))
+        if 1 < levels < _FEW_LEVELS and len(x) > 10 * _FEW_LEVELS:
+            step = float(np.ptp(x)) / (levels - 1)
+            yield Finding(
+                "phase_quantized",
+                f"The {name} of phase {'abc'[phase]} takes only {levels} values, {step:.3g} {'AV'[name != 'current']} "
+                "apart: log it with more digits.",
+                {"phase": phase, "levels": levels, "step": step},
+            )
+            return
+
+
+def _clipped_currents(i_abc: FloatArray) -> Iterator[Finding]:
+    for phase, x in enumerate(i_abc.T):
+        for limit in (float(x.max()), float(x.min())):
+            share = float(np.mean(np.abs(x - limit) <= _AT_LIMIT * abs(limit)))
+            if share > _CLIPPED:
+                yield Finding(
+                    "current_clipped",
+                    f"The current of phase {'abc'[phase]} stays at its limit of {limit:.4g} A in {100 * share:.1f} % "
+                    "of the samples: its sensor saturates, so record with less current or a larger range.",
+                    {"phase": phase, "limit": limit, "share": share},
+                )
+                return
+
+
+def _clipped_voltages(u_abc: FloatArray) -> Iterator[Finding]:
+    u_s = frames.space_vector(u_abc)
+    hexagon = np.abs((u_s[:, None] * _HEXAGON).real).max(axis=1)
+    kinds = [("amplitude", np.abs(u_s)), ("hexagon", hexagon)]
+    kinds += [(f"phase {name}", np.abs(u)) for name, u in zip("abc", u_abc.T, strict=True)]
+    for kind, size in kinds:
+        limit = float(size.max())
+        share = float(np.mean(size >= (1 - _AT_LIMIT) * limit))
+        if share > _CLIPPED:
+            yield Finding(
+                "voltage_clipped",
+                f"The voltages are at a limit of {limit:.4g} V ({kind}) in {100 * share:.1f} % of the samples: make "
+                "sure that the log holds what the inverter gave, or record at a lower speed.",
+                {"limit": limit, "share": share},
+            )
+            return
+
+
+def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield constant parts of currents and voltages: means over whole turns of the rotor that agree with each other."""
+    means: list[FloatArray] = []
+    for run in runs:
+        turn = np.floor(np.unwrap(run.angle) / (2 * np.pi)).astype(np.int64)
+        starts = np.flatnonzero(np.diff(turn) != 0) + 1
+        if len(starts) > 2:
+            signals = np.stack([frames.space_vector(run.i_abc), frames.space_vector(run.u_abc)])
+            means.append(np.add.reduceat(signals, starts, axis=1)[:, :-1] / np.diff(starts))
+    if not means:
+        return
+    i, u = np.concatenate(means, axis=1)
+    u_rms = float(np.sqrt(np.mean([np.mean(np.abs(frames.space_vector(run.u_abc)) ** 2) for run in runs])))
+    for name, x, least, unit in (
+        ("current", i, _CURRENT_OFFSET * i_max, "A"),
+        ("voltage", u, _VOLTAGE_OFFSET * u_rms, "V"),
+    ):
+        offset, spread = complex(x.mean()), float(x.std())
+        if len(x) >= _FEWEST_TURNS and abs(offset) > max(least, _SCATTER * spread / np.sqrt(len(x))):
+            yield Finding(
+                f"{name}_offset",
+                f"The {name}s have a constant part of {abs(offset):.3g} {unit} (alpha {offset.real:.3g}, beta "
+                f"{offset.imag:.3g}): correct the offsets of the current sensors"
+                + ("." if name == "current" else ", or of the voltages."),
+                {"alpha": offset.real, "beta": offset.imag},
+            )

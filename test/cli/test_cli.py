@@ -295,7 +295,8 @@ def test_one_of_two_drives_can_be_chosen(run, bag, simulation, tmp_path):
 
 @pytest.mark.parametrize("order", [[0, 2, 1], [1, 0, 2], [2, 1, 0], [1, 2, 0], [2, 0, 1]], ids=str)
 def test_currents_in_the_wrong_order_of_phases_are_told(run, simulation, tmp_path, order):
-    write_recording(tmp_path / "bad", replace(simulation.samples, i_abc=simulation.samples.i_abc[:, order]))
+    samples = simulation.samples.part(0, 10_000)
+    write_recording(tmp_path / "bad", replace(samples, i_abc=samples.i_abc[:, order]))
     ran = run("fit", tmp_path / "bad", "--output", "results", "--json")
     warnings = json.loads(ran.out)["warnings"] if ran.code == 0 else ["refused"]
     assert warnings

@@ -115,6 +115,6 @@ def test_a_cluster(run, bag, other, tmp_path):
     results = [json.loads(text) for text in (alone.out, ran.stdout)]
     for name in ("resistance", "sigma_resistance", "voltage_error", "inputs", "i_max", "versions"):
         assert results[0][name] == results[1][name], name
-    ran = test_cli.script("fit", bag, "bad.mcap", "--dask", "local:2", "--output", "new", cwd=tmp_path)
+    ran = test_cli.script("fit", bag, "bad.mcap", "--dask", "local:1", "--output", "new", cwd=tmp_path)
     assert_one_sentence(test_cli.Ran(ran.returncode, ran.stdout, ran.stderr), "bad.mcap is neither")
     assert not (tmp_path / "new").exists()

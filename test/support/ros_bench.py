@@ -184,7 +184,9 @@ class RosBench:
         heard = set()
         logged = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         subscriptions = (
-            self.node.create_subscription(Log, "/rosout", lambda log: heard.add(f"/{log.name.replace('.', '/')}"), logged),
+            self.node.create_subscription(
+                Log, "/rosout", lambda log: heard.add(f"/{log.name.replace('.', '/')}"), logged
+            ),
             self.node.create_subscription(
                 DiagnosticArray, "/diagnostics", lambda array: heard.update(status.name for status in array.status), 100
             ),

@@ -304,7 +304,7 @@ class Identification:
             "Machine": self.machine,
             "Method": self.method,
             "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ"),
-            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.method != "psm" else "",
+            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.drive.has_inverter else "",
             "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
             "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
             "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A",

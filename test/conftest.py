@@ -25,8 +25,8 @@ from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
-FIRST = ("test/nodes/",)
-"""The longest work, which must not be left to one worker at the end."""
+GROUPS = {"test/nodes/test_live": "drives", "test/nodes/test_first": "drives", "test/nodes/": "nodes"}
+"""Tests that run one after another on one worker, as they have deadlines; they mostly wait, so they come first."""
 LAST = ("test/fitting/test_full_accuracy.py",)
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 
@@ -39,29 +39,37 @@ hypothesis.settings.register_profile("drive_id", deadline=None, derandomize="DRI
 hypothesis.settings.load_profile("drive_id")
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_setupnodes(config):
-    """Compile the kernels before the workers start, once after each change: not in each worker and node at a time."""
-    cache = getattr(config, "cache", None)  # with -p no:cacheprovider there is none
-    changed = max(file.stat().st_mtime_ns for file in Path(drive_id.__file__).parent.rglob("*.py"))
-    if cache is not None and cache.get("drive_id/compiled", None) == changed:
-        return
-    config.get_terminal_writer().line("Compiling the kernels (up to a minute)")
-    script = Path(__file__).parent / "support" / "compile_kernels.py"
-    if subprocess.run([sys.executable, script], check=False).returncode == 0 and cache is not None:
-        cache.set("drive_id/compiled", changed)
+class Kernels:
+    """Compiles the kernels while the workers collect, once after each change: not in each worker and node at a time."""
+
+    def __init__(self, config):
+        self.cache = getattr(config, "cache", None)  # with -p no:cacheprovider there is none
+        self.changed = max(file.stat().st_mtime_ns for file in Path(drive_id.__file__).parent.rglob("*.py"))
+        self.process = None
+        if self.cache is None or self.cache.get("drive_id/compiled", None) != self.changed:
+            config.get_terminal_writer().line("Compiling the kernels (up to a minute)")
+            script = Path(__file__).parent / "support" / "compile_kernels.py"
+            self.process = subprocess.Popen([sys.executable, script])
+
+    def wait(self):
+        if self.process is not None and self.process.wait() == 0 and self.cache is not None:
+            self.cache.set("drive_id/compiled", self.changed)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Keep a file's tests on one worker, with its fixtures, and so all tests of nodes, which have deadlines."""
+    """Keep a file's tests on one worker, with its fixtures, and so the tests of each group."""
     from xdist.scheduler import LoadScopeScheduling
 
+    kernels = Kernels(config)
+
     class Scheduling(LoadScopeScheduling):
+        def schedule(self):
+            kernels.wait()
+            super().schedule()
+
         def _split_scope(self, nodeid):
-            if nodeid.startswith(LAST):
-                return nodeid
-            return "test/nodes" if nodeid.startswith("test/nodes/") else nodeid.partition("::")[0]
+            return nodeid if nodeid.startswith(LAST) else group_of(nodeid) or nodeid.partition("::")[0]
 
     config.option.loadscopereorder = False  # as sorted below, where a worker starts
     return Scheduling(config, log)
@@ -70,7 +78,12 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_collection_modifyitems(config, items):
     """Put the longest work first and what divides best last, where workers share the tests."""
     if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: item.nodeid.startswith(LAST) - item.nodeid.startswith(FIRST))
+        order = [*dict.fromkeys(GROUPS.values()), ""]
+        items.sort(key=lambda item: (order.index(group_of(item.nodeid)), item.nodeid.startswith(LAST)))
+
+
+def group_of(nodeid):
+    return next((group for start, group in GROUPS.items() if nodeid.startswith(start)), "")
 
 
 @pytest.fixture(scope="session")

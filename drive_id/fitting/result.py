@@ -14,6 +14,7 @@ import numpy as np
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_results, write_results
+from drive_id.fitting.caption import Caption
 from drive_id.types import BoolArray, FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.torque import TorqueFit
-    from drive_id.report.plots import Caption
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
@@ -215,22 +215,20 @@ class Identification:
         """
         from drive_id.report.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
-        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), _caption(self))
+        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption())
 
-    def caption(self) -> str:
-        """Return machine, method, date, R, speed and i_max in one line."""
-        low, high = self.speed_range or (math.nan, math.nan)
-        rate, unit = (30 / math.pi / self.pole_pairs, "rpm") if self.pole_pairs else (1.0, "rad/s (electrical)")
-        speeds = list(dict.fromkeys(f"{speed * rate:.4g}" for speed in (low, high)))
-        parts = [
-            self.machine,
-            f"method {self.method}",
-            self.date[:10],
-            f"R = {self.resistance * 1e3:.4g} mΩ",
-            f"{' to '.join(speeds)} {unit}" if math.isfinite(low) else "",
-            f"i_max = {self.i_max:.4g} A",
-        ]
-        return ", ".join(filter(None, parts))
+    def caption(self, name: str = "") -> Caption:
+        """Return machine, method, date, R, speed and i_max; ``name`` stands for an unknown machine."""
+        return Caption(
+            machine=self.machine or name,
+            method=self.method,
+            date=f"{self.date[:16].replace('T', ' ')} UTC" if self.date else "",
+            resistance=self.resistance,
+            sigma_resistance=self.sigma_resistance,
+            i_max=self.i_max,
+            speeds=self.speed_range,
+            pole_pairs=self.pole_pairs,
+        )
 
     def to_machine(self, *, pole_pairs: int | None = None, u_dc: float | None = None) -> MachineMap:
         """Return the identified machine, to be simulated: its map with harmonics, continued beyond the data.
@@ -312,7 +310,7 @@ class Identification:
             "Machine": self.machine,
             "Method": self.method,
             "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ"),
-            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.method != "psm" else "",
+            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.drive.has_inverter else "",
             "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
             "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
             "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A",
@@ -350,22 +348,7 @@ def pictures(result: Identification, *, figure_format: str = "png", name: str = 
     """Return the pictures of a result folder by file name; ``name`` stands for an unknown machine in the caption."""
     from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
-    return result_pictures(result.drive, result.excerpts, _caption(result, name), figure_format=figure_format)
-
-
-def _caption(result: Identification, name: str = "") -> Caption:
-    from drive_id.report.plots import Caption  # noqa: PLC0415
-
-    return Caption(
-        machine=result.machine or name,
-        method=result.method,
-        date=f"{result.date[:16].replace('T', ' ')} UTC" if result.date else "",
-        resistance=result.resistance,
-        sigma_resistance=result.sigma_resistance,
-        i_max=result.i_max,
-        speeds=result.speed_range,
-        pole_pairs=result.pole_pairs,
-    )
+    return result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
 
 
 def _percent(*values: float) -> str:

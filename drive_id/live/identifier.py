@@ -303,7 +303,7 @@ def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:
 
 def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
-    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.method != "psm" else ""
+    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.has_inverter else ""
     return (
         f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
         f"{identification.resistance * 1e3:.4g} mohm{drop}, {100 * report.coverage:.0f} % of the disc covered."

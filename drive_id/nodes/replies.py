@@ -29,7 +29,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     message.inside = flux_map.inside.ravel().tolist()
     for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error"):
         setattr(message, name, getattr(identification, name))
-    if identification.method != "psm":
+    if identification.has_inverter:
         message.inverter_current = _doubles(identification.inverter_current)
         message.inverter_voltage = _doubles(identification.inverter_voltage)
     return message

@@ -59,7 +59,7 @@ def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTrut
     name(axes, "Inverter voltage drop of one phase", "phase current / A", "drop / V")
     axes.set_xlim(current[0], current[-1])
     _grid(axes)
-    if identification.method == "psm":
+    if not identification.has_inverter:
         axes.set_yticks([])
         _say(axes, "not modelled by method psm")
         return

@@ -35,7 +35,7 @@ def fit_table(fit: Identification) -> Table:
         _number(identification.sigma_resistance * 1e3, "mohm"),
         _number(truth.resistance * 1e3, "mohm") if truth else "",
     )
-    if identification.method != "psm":
+    if identification.has_inverter:
         row(
             "u_e (drop, opposes the current)",
             _number(identification.voltage_error, "V"),

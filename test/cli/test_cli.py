@@ -26,6 +26,8 @@ from drive_id.files.write.writer import Topics, write_recording
 SCRIPT = Path(sys.executable).with_name("drive-id")
 RESULTS = ["diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
 """Of a machine with rotor-position harmonics."""
+JOINT = ("--method", "joint")
+"""Where the method is not the point: a fit in a tenth of the time."""
 
 
 class Ran:
@@ -293,14 +295,15 @@ def test_one_good_and_one_bad_bag_leave_nothing(run, bag):
 
 def test_one_of_two_drives_can_be_chosen(run, bag, simulation, tmp_path):
     two_drives(tmp_path / "two", bag, simulation.samples)
-    assert run("fit", tmp_path / "two", "--output", "results", "--namespace", "drive_2", "-q").code == 0
+    assert run("fit", tmp_path / "two", "--output", "results", "--namespace", "drive_2", "-q", *JOINT).code == 0
     ran = run("fit", tmp_path / "two", "--output", "other", "--namespace", "drive_3")
     assert_one_sentence(ran, "no topic /drive_3/phase_currents")
 
 
 @pytest.mark.parametrize("order", [[0, 2, 1], [1, 0, 2], [2, 1, 0], [1, 2, 0], [2, 0, 1]], ids=str)
 def test_currents_in_the_wrong_order_of_phases_are_told(run, simulation, tmp_path, order):
-    write_recording(tmp_path / "bad", replace(simulation.samples, i_abc=simulation.samples.i_abc[:, order]))
+    samples = simulation.samples.part(0, 10_000)
+    write_recording(tmp_path / "bad", replace(samples, i_abc=samples.i_abc[:, order]))
     ran = run("fit", tmp_path / "bad", "--output", "results", "--json")
     warnings = json.loads(ran.out)["warnings"] if ran.code == 0 else ["refused"]
     assert warnings
@@ -324,7 +327,7 @@ def test_a_folder_of_others_is_not_touched_without_force(run, bag):
     assert run("fit", bag, "--output", "results", "--force").code == 0
     assert tree(Path("results")) == [*RESULTS, "notes.txt"]
     assert Path("results/notes.txt").read_text() == "mine"
-    assert run("fit", bag, "--output", "results").code == 0  # by now it is ours
+    assert run("fit", bag, "--output", "results", *JOINT).code == 0  # by now it is ours
 
 
 @pytest.mark.parametrize(
@@ -540,7 +543,7 @@ def test_the_format_of_the_pictures_is_an_option(run, bag):
 
 
 def test_json_is_the_file_and_nothing_else(run, bag):
-    ran = run("fit", bag, "--output", "results", "--json")
+    ran = run("fit", bag, "--output", "results", "--json", *JOINT)
     assert ran.code == 0
     assert ran.err == ""
     assert ran.out.count("\n") == 1
@@ -576,7 +579,7 @@ def test_a_seed_makes_the_same_recording_again(run):
 def test_several_bags_at_once(run, bag, simulation, tmp_path):
     later = replace(simulation.samples, stamp=simulation.samples.stamp + 60_000_000_000)
     write_recording(tmp_path / "later", replace(later, u_abc=1.0 * later.u_abc), simulation.truth, block_size=50)
-    ran = run("fit", bag, tmp_path / "later", "--output", "results", "--json")
+    ran = run("fit", bag, tmp_path / "later", "--output", "results", "--json", *JOINT)
     assert ran.code == 0, ran.err
     result = json.loads(ran.out)
     assert result["metrics"]["samples_read"] == 2 * len(simulation.samples)
@@ -606,9 +609,9 @@ def test_a_signals_file_maps_the_bag_of_a_stranger(run, bag, simulation, tmp_pat
         },
     }  # fmt: skip
     Path("signals.yaml").write_text(yaml.safe_dump(signals))
-    ran = run("fit", tmp_path / "foreign", "--output", "results", "--signals", "signals.yaml", "--json")
+    ran = run("fit", tmp_path / "foreign", "--output", "results", "--signals", "signals.yaml", "--json", *JOINT)
     assert ran.code == 0, ran.err
-    ours = json.loads(run("fit", bag, "--output", "ours", "--json").out)
+    ours = json.loads(run("fit", bag, "--output", "ours", "--json", *JOINT).out)
     theirs = json.loads(ran.out)
     assert theirs["resistance"] == pytest.approx(ours["resistance"], rel=0.02)
     assert theirs["voltage_error"] == pytest.approx(ours["voltage_error"], rel=0.02)

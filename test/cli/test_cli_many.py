@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import test_cli
 from drive_bags import TRAJECTORY, with_arrays
-from test_cli import assert_one_sentence, tree
+from test_cli import JOINT, assert_one_sentence, tree
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -16,7 +16,6 @@ from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 
 run = test_cli.run
-METHOD = ("--method", "joint")
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +28,12 @@ def other(tmp_path_factory):
 
 
 def test_accumulated_files_are_fitted_like_their_bags(run, bag, other):
-    ran = run("accumulate", bag, "--output", "one.info", *METHOD)
+    ran = run("accumulate", bag, "--output", "one.info", *JOINT)
     assert (ran.code, ran.out, ran.err) == (0, "one.info: 20000 samples, disc of 300 A.\n", "")
-    assert run("accumulate", other, "--i-max", 300, "--output", "below/two.info", "-q", *METHOD).out == ""
+    assert run("accumulate", other, "--i-max", 300, "--output", "below/two.info", "-q", *JOINT).out == ""
     results = []
     for sources in (["one.info", "below/two.info"], [bag, other], ["one.info", other]):
-        ran = run("fit", *sources, "--i-max", 300, "--output", "out", "--json", *METHOD)
+        ran = run("fit", *sources, "--i-max", 300, "--output", "out", "--json", *JOINT)
         assert ran.code == 0, ran.err
         results.append(json.loads(ran.out))
     for result in results:
@@ -46,7 +45,7 @@ def test_accumulated_files_are_fitted_like_their_bags(run, bag, other):
 
 
 def test_what_an_information_file_holds(run, bag):
-    ran = run("accumulate", bag, "--output", "x.info", "--json", *METHOD)
+    ran = run("accumulate", bag, "--output", "x.info", "--json", *JOINT)
     told = json.loads(ran.out)
     assert told["information"] == "x.info"
     ran = run("info", "x.info", "--json")
@@ -61,7 +60,7 @@ def test_what_an_information_file_holds(run, bag):
 
 
 def test_settings_come_from_the_file_unless_they_are_given(run, bag):
-    run("accumulate", bag, "--output", "x.info", "--set", "splines_d=6", "-q", *METHOD)
+    run("accumulate", bag, "--output", "x.info", "--set", "splines_d=6", "-q", *JOINT)
     ran = run("fit", "x.info", "--output", "out", "--json", "--method", "psm")
     settings = json.loads(ran.out)["settings"]
     assert (settings["splines_d"], settings["method"], settings["i_max"]) == (6, "psm", 300.0)
@@ -97,7 +96,7 @@ def test_bad_input_is_told_in_one_sentence_and_leaves_nothing(run, bag, simulati
 
 def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
     (tmp_path / "bad.mcap").write_text("no bag")
-    ran = run("fit", bag, tmp_path / "bad.mcap", other, "--output", "out", "--skip-bad", *METHOD)
+    ran = run("fit", bag, tmp_path / "bad.mcap", other, "--output", "out", "--skip-bad", *JOINT)
     assert ran.code == 0
     assert f"Warning: Left out: {tmp_path / 'bad.mcap'} is neither" in ran.out
     warnings = json.loads(Path("out/identification.json").read_text())["warnings"]
@@ -108,13 +107,13 @@ def test_a_cluster(run, bag, other, tmp_path):
     """The way the workers are started by the command itself."""
     pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
     (tmp_path / "bad.mcap").write_text("no bag")
-    fit = ("fit", bag, other, "--i-max", 300, "--output", tmp_path / "out", "--json", *METHOD)
+    fit = ("fit", bag, other, "--i-max", 300, "--output", tmp_path / "out", "--json", *JOINT)
     alone = run(*fit)
     ran = test_cli.script(*fit, "--dask", "local:2", cwd=tmp_path)
     assert (ran.returncode, ran.stderr) == (0, "")
     results = [json.loads(text) for text in (alone.out, ran.stdout)]
     for name in ("resistance", "sigma_resistance", "voltage_error", "inputs", "i_max", "versions"):
         assert results[0][name] == results[1][name], name
-    ran = test_cli.script("fit", bag, "bad.mcap", "--dask", "local:2", "--output", "new", cwd=tmp_path)
+    ran = test_cli.script("fit", bag, "bad.mcap", "--dask", "local:1", "--output", "new", cwd=tmp_path)
     assert_one_sentence(test_cli.Ran(ran.returncode, ran.stdout, ran.stderr), "bad.mcap is neither")
     assert not (tmp_path / "new").exists()

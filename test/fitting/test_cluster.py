@@ -44,16 +44,21 @@ def alone(bags):
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory):
-    """A cluster whose workers nobody kills."""
-    with own_cluster(tmp_path_factory.mktemp("cluster"), workers=2) as cluster:
-        yield cluster.address
+def mortal(tmp_path_factory):
+    with own_cluster(tmp_path_factory.mktemp("cluster"), workers=0) as cluster:
+        yield cluster
 
 
 @pytest.fixture
-def cluster(tmp_path):
-    with own_cluster(tmp_path, workers=2) as cluster:
-        yield cluster
+def cluster(mortal):
+    """A cluster of two workers, whichever tests have killed."""
+    mortal.keep_workers(2)
+    return mortal
+
+
+@pytest.fixture
+def shared(cluster):
+    return cluster.address
 
 
 def assert_same(one, other) -> None:
@@ -109,12 +114,12 @@ def test_relative_paths_are_found_by_workers_elsewhere(bags, alone, shared, monk
     assert_same(found, alone)  # the radius is that of the references
 
 
-def test_a_scheduler_that_is_lost_is_told(bags, cluster):
+def test_a_scheduler_that_is_lost_is_told(bags, tmp_path):
     def kill(what, _share):
         if what == "Accumulating" and cluster.scheduler.poll() is None:
             cluster.kill(cluster.scheduler)
 
-    with pytest.raises(ClusterError, match="was lost during the fit"):
+    with own_cluster(tmp_path, workers=1) as cluster, pytest.raises(ClusterError, match="was lost during the fit"):
         accumulate_on_cluster(Sources(bags, cluster=cluster.address), RADIUS, tell=kill)
 
 

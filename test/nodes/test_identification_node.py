@@ -100,16 +100,13 @@ def identify(ros, *bags, method="", name="/identification/identify"):
     return ros.call(Identify, name, bags=list(bags), method=method)
 
 
-def identify_all(ros, samples, name="/identification/identify"):
-    """Ask for live samples until so many have arrived."""
-    found = []
-
-    def all_there():
-        found.append(identify(ros, name=name))
-        return found[-1].report.samples_read >= samples
-
-    ros.wait(all_there, f"{samples} live samples")
-    return found[-1]
+def identify_all(ros, samples, node="/identification"):
+    """Ask for live samples when so many have arrived on each topic."""
+    with Diagnosis(ros, node) as diagnosis:
+        diagnosis.wait(lambda *_: min(map(diagnosis.samples, TOPICS)) >= samples, f"{samples} live samples")
+    reply = identify(ros, name=f"{node}/identify")
+    assert reply.report.samples_read >= samples
+    return reply
 
 
 def assert_close(reply, identification, tolerance=1e-9):
@@ -177,13 +174,14 @@ def test_method_full_needs_what_only_it_gathers(ros, player, bag):
 
 
 def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
-    name = "/desk/identification/identify"
+    node = "/desk/identification"
+    name = f"{node}/identify"
     folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "desk")}
     process = ros.start(MODULE, parameters=folders | {"i_max": I_MAX}, namespace="/desk")
     player = Player(ros, namespace="/desk")
     player.wait_for_listeners()
     player.play(messages_of(bag))
-    live, recorded = identify_all(ros, 20_000, name), identify(ros, bag.name, name=name)
+    live, recorded = identify_all(ros, 20_000, node), identify(ros, bag.name, name=name)
     assert (live.success, recorded.success) == (True, True), (live.message, recorded.message)
     assert live.flux_map.method == recorded.flux_map.method == "full"
     offline = fit_bags(Sources([bag]), None, FitSettings(i_max=I_MAX)).drive
@@ -272,7 +270,8 @@ class Diagnosis:
                 self.values = {value.key: value.value for value in status.values}
 
     def samples(self, topic):
-        return int(self.values.get(f"{topic}: samples", 0))
+        namespace = self.name.rpartition("/")[0]
+        return int(self.values.get(f"{namespace}{topic}: samples", 0))
 
     def wait(self, condition, what):
         """Wait until status and values meet a condition."""

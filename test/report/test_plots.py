@@ -14,12 +14,12 @@ from matplotlib.text import Text
 
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.result.identification import HarmonicMap
+from drive_id.fitting.caption import Caption
 from drive_id.report.comparison import draw_comparison
 from drive_id.report.diagnostics import draw_diagnostics
 from drive_id.report.panels import Disc, levels
 from drive_id.report.plots import (
     FORMATS,
-    Caption,
     draw_flux_maps,
     draw_result,
     rendered,
@@ -41,9 +41,8 @@ def drive(fitted):
 
 
 @pytest.fixture(scope="module")
-def maps(drive, excerpts):
-    caption = Caption.of(drive, excerpts, "a machine")
-    return draw_flux_maps(drive.flux_map, drive.i_max, trajectory(excerpts), caption)
+def maps(fitted):
+    return fitted.plot()
 
 
 @pytest.fixture(scope="module")
@@ -219,11 +218,11 @@ def test_the_trajectory_is_drawn_sample_by_sample_and_breaks_at_gaps(drive, exce
     assert trajectory([]) is None
 
 
-def test_the_caption_says_what_is_known(drive, excerpts):
-    (samples,) = excerpts
-    stamped = replace(samples, stamp=samples.stamp - samples.stamp[0] + 1_700_000_000 * 10**9)
-    known = replace(drive, method="full", resistance=0.0100012, sigma_resistance=1.4e-5, i_max=300.0)
-    caption = Caption.of(known, [stamped], "ipm")
+def test_the_caption_says_what_is_known(fitted):
+    drive = replace(fitted.drive, method="full", resistance=0.0100012, sigma_resistance=1.4e-5, i_max=300.0)
+    known = replace(fitted.provenance, date="2023-11-14T22:13:20+00:00", pole_pairs=None)
+    result = replace(fitted, drive=drive, provenance=known)
+    caption = result.caption("unused")
     assert caption.text().splitlines() == [
         "ipm  ·  method full  ·  2023-11-14 22:13 UTC",
         r"$R$ = 10.001 $\pm$ 0.014 m$\Omega$  ·  speed 209.4 rad/s electrical  ·  $i_\mathrm{max}$ = 300 A",
@@ -233,9 +232,11 @@ def test_the_caption_says_what_is_known(drive, excerpts):
     unknown = replace(caption, machine="", date="", speeds=None, sigma_resistance=float("inf"))
     assert unknown.text() == "method full\n" r"$R$ = 10 m$\Omega$  ·  $i_\mathrm{max}$ = 300 A"
     assert Caption().text() == ""
-    since_start = replace(samples, stamp=samples.stamp - samples.stamp[0])
-    assert Caption.of(known, [since_start]).date == ""
-    assert Caption.of(known, []).speeds is None
+    assert str(caption) == "ipm, method full, 2023-11-14, R = 10 mΩ, 209.4 rad/s electrical, i_max = 300 A"
+    assert "500 rpm" in str(replace(caption, pole_pairs=4))
+    nothing = replace(result, provenance=replace(known, machine="", date="", speed_range=None)).caption("a machine")
+    assert (nothing.machine, nothing.date, nothing.speeds) == ("a machine", "", None)
+    assert str(nothing) == "a machine, method full, R = 10 mΩ, i_max = 300 A"
 
 
 def test_a_name_of_any_characters_is_printed(drive):
@@ -245,7 +246,7 @@ def test_a_name_of_any_characters_is_printed(drive):
 
 @pytest.mark.parametrize("figure_format", FORMATS)
 def test_formats(drive, excerpts, figure_format):
-    pictures = result_pictures(drive, excerpts, "ipm", figure_format=figure_format)
+    pictures = result_pictures(drive, excerpts, Caption("ipm"), figure_format=figure_format)
     assert sorted(pictures) == [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
     start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[figure_format]
     for content in pictures.values():

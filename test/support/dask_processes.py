@@ -21,6 +21,7 @@ class OwnCluster:
         self._file = folder / "scheduler.json"
         self.scheduler = self._start("scheduler", "--port", "0", "--no-show", "--scheduler-file", self._file)
         self.workers: list[subprocess.Popen] = []
+        self._started = 0
         self.address = str(self._wait()["address"])
 
     def _start(self, what: str, *arguments: object) -> subprocess.Popen:
@@ -39,18 +40,21 @@ class OwnCluster:
                 continue
         raise AssertionError((self._folder / "scheduler.log").read_text())
 
-    def add_workers(self, count: int) -> None:
-        if not count:
+    def keep_workers(self, count: int) -> None:
+        """Start workers until so many are alive; they come last in ``workers``, which lost those that died."""
+        self.workers = [worker for worker in self.workers if worker.poll() is None]
+        if len(self.workers) == count:
             return
+        self._started += count - len(self.workers)
         self.workers += [
             self._start(
                 "worker", self.address, "--no-nanny", "--nthreads", 1, "--local-directory", self._folder / "scratch"
             )
-            for _ in range(count)
+            for _ in range(count - len(self.workers))
         ]
         log = self._folder / "worker.log"
         for _ in range(600):
-            if log.read_text().count("Registered to") == count:
+            if log.read_text().count("Registered to") == self._started:
                 return
             time.sleep(0.1)
         raise AssertionError(log.read_text())
@@ -69,7 +73,7 @@ class OwnCluster:
 def own_cluster(folder: Path, workers: int) -> Iterator[OwnCluster]:
     cluster = OwnCluster(folder)
     try:
-        cluster.add_workers(workers)
+        cluster.keep_workers(workers)
         yield cluster
     finally:
         cluster.close()

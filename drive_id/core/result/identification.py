@@ -326,6 +326,11 @@ class IdentifiedDrive:
     statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
 
+    @property
+    def has_inverter(self) -> bool:
+        """Whether the method models the inverter's drop: all but ``psm``."""
+        return self.method != "psm"
+
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""
         if self.model is None or self.gamma is None:

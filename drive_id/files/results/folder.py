@@ -110,6 +110,24 @@ def replace_folder(
         raise _refused(directory, error) from error
 
 
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all, in the place of one of this name; folders above it are created.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".drive_id-") as temporary:
+            staged = Path(temporary) / "file"
+            staged.write_bytes(content)
+            staged.replace(path)
+    except OSError as error:
+        raise _refused(path, error) from error
+
+
 def _is_there(path: Path) -> bool:
     """Tell whether the name is taken, if only by a dangling link; raises OSError for impossible names."""
     try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -25,9 +24,9 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import SavedSums, below, prefixed
-from drive_id.errors import DriveIdError, InformationError, OutputError
+from drive_id.errors import DriveIdError, InformationError
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
-from drive_id.files.results.folder import check_absent
+from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.settings import from_mapping
 from drive_id.types import SCALARS, Samples
 
@@ -100,17 +99,7 @@ def write_information(path: Path, accumulated: Accumulated) -> None:
         When something else has this name, or it cannot be written.
     """
     check_information_output(path)
-    data = encode_information(accumulated)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".drive_id-") as temporary:
-            staged = Path(temporary) / "information"
-            staged.write_bytes(data)
-            staged.replace(path)
-    except OSError as error:
-        raise OutputError(
-            f"The output {path} cannot be written ({error.strerror or error}): make room or give another name."
-        ) from error
+    replace_file(path, encode_information(accumulated))
 
 
 def read_information(path: Path) -> StoredInformation:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from drive_id.core.planning.planner import Candidate, Plan
-from drive_id.errors import OutputError
-from drive_id.files.results.folder import check_absent
+from drive_id.files.results.folder import check_absent, replace_file
 
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05
@@ -112,16 +110,7 @@ def write_plan(path: Path, text: str) -> None:
         When there is something else under this name, or it cannot be written.
     """
     check_plan_output(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".drive_id-") as temporary:
-            staged = Path(temporary) / "plan"
-            staged.write_text(text, encoding="utf-8")
-            staged.replace(path)
-    except OSError as error:
-        raise OutputError(
-            f"The output {path} cannot be written ({error.strerror or error}): make room or give another name."
-        ) from error
+    replace_file(path, text.encode())
 
 
 def _experiment_tree(experiment: Candidate) -> dict[str, Any]:

@@ -199,12 +199,12 @@ def test_predictions_come_true(monkeypatch):
 
 @pytest.fixture(scope="module")
 def pmsyrm():
-    return plan(replace(rough_settings("pmsyrm"), duration=6.0))
+    return plan(replace(rough_settings("pmsyrm"), duration=4.0))
 
 
 def test_a_plan_expects_less_deviation_than_the_papers_experiment(pmsyrm):
     ours, paper = pmsyrm.prediction, pmsyrm.paper_prediction
-    assert pmsyrm.paper.duration == pmsyrm.experiment.duration == 6.0
+    assert pmsyrm.paper.duration == pmsyrm.experiment.duration == 4.0
     assert (ours.values() < paper.values()).all()
     assert ours.free_resistance < 0.5 * paper.free_resistance
     assert max(pmsyrm.voltages) < pmsyrm.machine.largest_voltage

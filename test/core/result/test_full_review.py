@@ -46,7 +46,7 @@ def test_a_good_recording_is_told_nothing(good):
 
 
 def test_swapped_phases_are_refused(good):
-    samples = good.samples
+    samples = good.samples.part(0, 10_000)
     swapped = replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]], u_abc=samples.u_abc[:, [1, 0, 2]])
     with pytest.raises(DataError, match="two phases swapped in currents and voltages alike"):
         fitted(swapped)

@@ -112,10 +112,10 @@ def test_a_jump_of_the_angle_is_refused(good):
 
 def test_references_give_the_disc_unless_the_currents_contradict_them(good):
     i_dq = frames.to_dq(good.i_abc, good.angle)
-    assert identify([replace(good, i_dq_reference=i_dq * 0.97)]).i_max == pytest.approx(291.0, rel=0.01)
-    assert identify([replace(good, i_dq_reference=i_dq / 1000)]).i_max == pytest.approx(300.0, rel=0.01)
+    assert identify([replace(good, i_dq_reference=i_dq * 0.97)], JOINT).i_max == pytest.approx(291.0, rel=0.01)
+    assert identify([replace(good, i_dq_reference=i_dq / 1000)], JOINT).i_max == pytest.approx(300.0, rel=0.01)
     without = replace(good, stamp=good.stamp + 10**12)
-    assert identify([replace(good, i_dq_reference=i_dq / 3), without]).i_max == pytest.approx(300.0, rel=0.01)
+    assert identify([replace(good, i_dq_reference=i_dq / 3), without], JOINT).i_max == pytest.approx(300.0, rel=0.01)
 
 
 def test_a_map_far_from_the_truth_scores_nothing(good):
@@ -124,7 +124,7 @@ def test_a_map_far_from_the_truth_scores_nothing(good):
     psi = saturating_flux(grid)
     truth = GroundTruth("tiny", axis, axis, psi[..., 0], psi[..., 1], 0.02, axis, axis, 0.1, 4)
     small = replace(good, i_abc=good.i_abc * 1000)
-    assert np.isnan(score(identify([small]), truth)).all()
+    assert np.isnan(score(identify([small], JOINT), truth)).all()
 
 
 def test_nothing_and_too_much_are_refused(good):

@@ -1,0 +1,84 @@
+"""What a result is of, in words: below a figure, and as its short form in Python."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_LONGEST_NAME = 50
+"""Characters of a machine's name in a caption."""
+
+
+@dataclass(frozen=True)
+class Caption:
+    """What stands below a figure; unknown entries are left out.
+
+    Parameters
+    ----------
+    machine : str
+        Or another name of what was identified.
+    method : str
+    date : str
+        Of the recording.
+    resistance, sigma_resistance : float
+        Ohm.
+    i_max : float
+        A.
+    speeds : (float, float) or None
+        Lowest and highest electrical speed, rad/s.
+    pole_pairs : int or None
+        With them, the speed is given in rpm.
+    """
+
+    machine: str = ""
+    method: str = ""
+    date: str = ""
+    resistance: float = math.nan
+    sigma_resistance: float = math.nan
+    i_max: float = math.nan
+    speeds: tuple[float, float] | None = None
+    pole_pairs: int | None = None
+
+    def __str__(self) -> str:
+        """Return one line without formulas and without the time of day."""
+        resistance, current = f"R = {1e3 * self.resistance:.4g} mΩ", f"i_max = {self.i_max:.4g} A"
+        said = (self.machine, f"method {self.method}", self.date[:10], resistance, self._speed(), current)
+        return ", ".join(filter(None, said))
+
+    def text(self) -> str:
+        """Return two lines, formulas as mathtext: what was identified, and how."""
+        what = [_plain(self.machine[:_LONGEST_NAME]), f"method {self.method}" if self.method else "", self.date]
+        how = []
+        if math.isfinite(self.resistance):
+            how.append(rf"$R$ = {_with_error(1e3 * self.resistance, 1e3 * self.sigma_resistance)} m$\Omega$")
+        if self.speeds is not None:
+            how.append(f"speed {self._speed()}")
+        if math.isfinite(self.i_max):
+            how.append(rf"$i_\mathrm{{max}}$ = {self.i_max:.4g} A")
+        lines = ("  ·  ".join(entry for entry in entries if entry) for entries in (what, how))
+        return "\n".join(line for line in lines if line)
+
+    def _speed(self) -> str:
+        if self.speeds is None:
+            return ""
+        factor, unit = (30 / math.pi / self.pole_pairs, "rpm") if self.pole_pairs else (1.0, "rad/s electrical")
+        low, high = (factor * speed for speed in self.speeds)
+        narrow = high - low <= 0.02 * max(abs(low), abs(high))
+        return (f"{(low + high) / 2:.4g}" if narrow else f"{low:.4g} to {high:.4g}") + f" {unit}"
+
+
+NO_CAPTION = Caption()
+
+
+def _with_error(value: float, sigma: float) -> str:
+    """Return a value to two digits of its standard error, or to four of its own where that is not known."""
+    if not (math.isfinite(sigma) and sigma > 0):
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    return rf"{value:.{digits}f} $\pm$ {sigma:.{digits}f}"
+
+
+def _plain(text: str) -> str:
+    """Return text that neither is taken for a formula nor lacks a glyph."""
+    printable = "".join(character for character in text if character.isprintable())
+    return printable.encode("latin-1", "replace").decode("latin-1").replace("$", r"\$")

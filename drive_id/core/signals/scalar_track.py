@@ -99,6 +99,12 @@ class ScalarTrack:
         """Return the signal (N,) at increasing stamps (N,), ns, NaN where unknown, and forget what is past."""
         if self._latest is None or self._period is None or int(stamp[-1]) > self._latest:
             self._given_up = int(stamp[-1])
+        begin = int(np.searchsorted(self._stamp, stamp[0]))
+        if np.array_equal(self._stamp[begin : begin + len(stamp)], stamp):  # sampled with the currents
+            found: FloatArray = self._values[begin : begin + len(stamp)].copy()
+            past = begin + len(stamp) - 1
+            self._stamp, self._values = self._stamp[past:], self._values[past:]
+            return found
         found = np.full(len(stamp), np.nan)
         if len(self._stamp):
             after = np.searchsorted(self._stamp, stamp, side="right")

@@ -55,7 +55,11 @@ def test_any_cut_of_the_streams_gives_the_oracle(data):
     n = data.draw(st.integers(300, 2500))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     period = data.draw(st.sampled_from([0.003, 0.01, 0.13, 1.0, 4.0]))
-    stamp = START + np.arange(-2e8, n * STEP + 2e8, period * 1e9).astype(np.int64) + data.draw(st.integers(0, STEP))
+    stamp = (
+        START
+        + np.arange(-2e8, n * STEP + 2e8, period * 1e9).astype(np.int64)
+        + data.draw(st.just(0) | st.integers(0, STEP))
+    )
     gap = data.draw(st.integers(0, len(stamp)))
     stamp = np.delete(stamp, slice(gap, gap + data.draw(st.integers(0, 1 + round(6 / period)))))
     values = rng.normal(size=len(stamp))

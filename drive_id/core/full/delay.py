@@ -49,6 +49,8 @@ class Delay:
     @property
     def physical(self) -> bool:
         """Whether it is a half or a whole number of periods, as the timing of a drive causes."""
+        if np.isnan(self.value):
+            return False
         halves = 2 * self.value
         allowed = max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
         return round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core.numerics.scans import all_finite, apart, bend_square, mark_rests, rising
+from drive_id.core.numerics.scans import all_finite, apart, difference_square, mark_rests, rising
 from drive_id.core.signals.matching import constant_shift
 
 
-def test_rests_and_bends():
+def test_rests_and_differences():
     i_dq = np.array([[0.0, 0], [0, 0], [5, 0], [0, 0], [0, 0], [0, 0], [0, 7]])
     idle = np.zeros(7, np.bool_)
     assert mark_rests(i_dq, 1.0, 1.0, 2.0, 0, idle) == 0
     assert idle.tolist() == [False] * 5 + [True, False]
     assert mark_rests(i_dq[:2], 1.0, 1.0, 2.0, 1, idle[:2]) == 3
     assert idle[:2].tolist() == [False, True]
-    assert bend_square(i_dq) == np.sum(np.diff(i_dq, n=2, axis=0) ** 2)
+    assert difference_square(i_dq) == np.sum(np.diff(i_dq, n=4, axis=0) ** 2)
 
 
 def test_scans():

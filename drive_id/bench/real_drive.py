@@ -30,6 +30,10 @@ from drive_id.types import FloatArray
 
 _FINEST = 1024
 _SQRT3 = math.sqrt(3.0)
+_REACH = (0.5, 0.5, 1.0)  # of Runge-Kutta's stages: how far each rate leads to the next stage
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
+_BEND = (1.0, 0.0, -2.0, 1.0)
 
 Pair = tuple[float, float]
 Five = tuple[float, float, float, float, float]
@@ -157,17 +161,15 @@ def _step(
     good = True
     for stage in range(5):
         rate, current, drop, power = _rates(plant, effects, resistance, u, at, i, f, theta)
-        if stage == 0 or stage == 2 or stage == 4:  # noqa: PLR1714  # numba compiles "in" of a tuple slowly
-            energy = _added(energy, power, h / 1.5 if stage == 2 else h / 6)
+        energy = _added(energy, power, _SIMPSON[stage] * h)
+        if stage % 2 == 0:
             i_start, i_middle, i_stop = i_middle, i_stop, current
         if stage == 4:
             break
-        new_y = _moved(new_y, rate, h / 3 if stage == 1 or stage == 2 else h / 6)  # noqa: PLR1714
-        if stage != 1:
-            weight = -2.0 if stage == 2 else 1.0
-            bend_alpha += weight * drop[0]
-            bend_beta += weight * drop[1]
-        at = new_y if stage == 3 else _moved(y, rate, h if stage == 2 else 0.5 * h)
+        bend_alpha += _BEND[stage] * drop[0]
+        bend_beta += _BEND[stage] * drop[1]
+        new_y = _moved(new_y, rate, _WEIGHTS[stage] * h)
+        at = new_y if stage == 3 else _moved(y, rate, _REACH[stage] * h)
         theta = thetas[1] if stage < 2 else thetas[2]
         f = _map_flux(effects, offset, at, theta)
         guess = (2 * i[0] - first[0], 2 * i[1] - first[1]) if stage == 2 else i

@@ -87,6 +87,9 @@ class InverterEffects:
     output_capacitance: float = setting(
         0.0, "Capacitance of each leg's output that the current charges within the dead time", unit="F", minimum=0.0
     )
+    current_clamping: bool = setting(
+        True, "Let a phase current that reaches zero within the dead time stay zero until its end"
+    )
     drop_factor: tuple[float, float, float] = setting(
         (1.0, 1.0, 1.0), "Factor on the voltage drop of each phase", minimum=0.0, maximum=10.0
     )

@@ -342,11 +342,13 @@ def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_move
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
     A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
-    keeps it high by the diode until the other switch turns on. A current that reaches zero stays zero until then: so
-    long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead time if the
-    leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
+    keeps it high by the diode until the other switch turns on. With clamping, a current that reaches zero stays zero
+    until then: so long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead
+    time if the leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
     """
-    if i <= 0.0:  # the mean of what gets positive
+    if not effects.clamping:
+        i, i_stays, i_moves = max(i, 0.0), 1.0, 0.0
+    elif i <= 0.0:  # the mean of what gets positive
         i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
     x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
     charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x

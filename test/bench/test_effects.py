@@ -419,6 +419,9 @@ def test_a_leg_falls_late_by_its_charge_or_by_a_current_that_stays_at_zero():
     assert delay(hard, -5.0, -4.8, -5.2) == pytest.approx(4e-6)
     assert delay(hard, 0.1, 0.4, -0.2) == pytest.approx(4e-6 / 3)  # ends at zero: 1/3 of 0.4 and 2/3 of -0.2
     assert delay(hard, -0.1, 0.2, -0.4) == pytest.approx(8e-6 / 3)
+    bare = effects_of(machine, dataclasses.replace(settings, current_clamping=False))  # by the sign alone
+    assert delay(bare, 0.1, 0.4, -0.2) == pytest.approx(0.0, abs=1e-18)
+    assert delay(bare, -0.1, 0.2, -0.4) == pytest.approx(4e-6)
     assert delay(soft, 1.5, 1.6, 1.4) == pytest.approx(4e-6 * 0.75)
     assert delay(soft, 3.0, 3.1, 2.9) == pytest.approx(2e-6)
     assert delay(soft, 12.0, 12.1, 11.9) == pytest.approx(4e-6 / 8)
@@ -631,6 +634,7 @@ ASSIGNMENTS = {
     "ambient_temperature=90": [HEATED],
     "dead_time=3e-6": [SWITCHED],
     "output_capacitance=1e-7": [SWITCHED],
+    "current_clamping=false": [SWITCHED, "dead_time=5e-6"],
     "drop_factor=[1.1, 1.0, 1.0]": [],
     "drop_asymmetry=[0.1, 0.0, 0.0]": [],
     "hexagon_limit=true": ["speeds=[12000]", "voltage_limit=2.0"],
@@ -659,7 +663,7 @@ ASSIGNMENTS = {
 
 def signals(assignments: list[str]) -> tuple[Simulation, SimulationSettings]:
     settings = merged_settings(SimulationSettings, None, assignments, {})
-    return simulate(IPM, settings, np.tile((-100.0, 120.0), (400, 1))), settings
+    return simulate(IPM, settings, np.tile((-100.0, 120.0), (900, 1))), settings
 
 
 @pytest.mark.parametrize("assignment", ASSIGNMENTS)

@@ -17,7 +17,7 @@ from drive_id.bench.effects import effects_of
 from drive_id.bench.machines import MACHINES, CoEnergyMachine, machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.cli.options import merged_settings
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 
 T = 1e-4
@@ -586,6 +586,15 @@ def test_a_decimated_log_is_every_nth_sample_of_the_full_one():
     for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference"):
         np.testing.assert_array_equal(getattr(thin.samples, name), getattr(full.samples, name)[::5])
     np.testing.assert_array_equal(thin.i_dq_true, full.i_dq_true[::5])
+
+
+def test_a_block_without_a_logged_sample_is_refused_and_changes_nothing():
+    settings = SimulationSettings(log_decimation=5)
+    drive = Drive(build_machine(IPM, settings), settings)
+    drive.step_block(np.zeros((6, 2)))
+    with pytest.raises(DataError, match="None of the 4 samples is logged with log_decimation 5"):
+        drive.step_block(np.zeros((4, 2)))
+    assert drive.step_block(np.zeros((5, 2))).samples.stamp.tolist() == [1_000_000]
 
 
 def test_the_bench_in_real_time_decimates_too():

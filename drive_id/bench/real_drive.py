@@ -150,7 +150,7 @@ def _step(
 
     Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
     step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged. The stages are a
-    loop, whose fifth is the end, because every further call of these kernels takes seconds to compile.
+    loop, the fifth of which is the end of the step: unrolled, the kernel takes longer to compile.
     """
     resistance, offset = warm
     at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
@@ -341,10 +341,10 @@ def _predicted(
 def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
-    A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
-    keeps it high by the diode until the other switch turns on. With clamping, a current that reaches zero stays zero
-    until then: so long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead
-    time if the leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
+    A positive current discharges the output within the dead time t_d by u = i t / C, at once without capacitance; a
+    negative one keeps it high through the diode until the other switch turns on. With clamping, a current that reaches
+    zero stays there until the end of the dead time, which fixes the mean voltage. ``i_stays`` and ``i_moves`` are the
+    currents at that end if the leg stayed high, or fell at once. A rising edge is a falling one of negated currents.
     """
     if not effects.clamping:
         i, i_stays, i_moves = max(i, 0.0), 1.0, 0.0

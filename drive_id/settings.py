@@ -7,6 +7,7 @@ once. Fields are bool, int, float or str, one of them or ``None``, or tuples of 
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import types
 import typing
@@ -25,6 +26,8 @@ _WORDS = {
     types.NoneType: ("null", "null"),
 }
 _LONGEST_SHOWN = 60
+_MOST_LISTED = 40  # names of settings in a message
+_MOST_NEAR = 5
 
 
 def setting(
@@ -93,9 +96,9 @@ def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) ->
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # any dataclass type
     unknown = [str(name) for name in mapping if name not in names]
     if unknown:
-        raise ConfigurationError(
-            f"{where} sets '{unknown[0]}', which does not exist: the settings are {', '.join(names)}."
-        )
+        near = difflib.get_close_matches(unknown[0], names, _MOST_NEAR, 0.0) if len(names) > _MOST_LISTED else names
+        which = "the settings are" if near is names else f"of {len(names)} settings, the nearest are"
+        raise ConfigurationError(f"{where} sets '{unknown[0]:.200}', which does not exist: {which} {', '.join(near)}.")
     values = {name: _convert(value, hints[name], f"'{name}' in {where}") for name, value in mapping.items()}
     try:
         return cls(**values)

@@ -125,6 +125,15 @@ def test_values_are_refused(mapping, said):
     refused(mapping, said)
 
 
+def test_of_many_settings_the_nearest_are_named():
+    with pytest.raises(ConfigurationError) as caught:
+        from_mapping(SimulationSettings, {"iron_conductanse": 0.1}, "file.yaml")
+    text = str(caught.value)
+    assert text.startswith("file.yaml sets 'iron_conductanse', which does not exist: of ")
+    assert "settings, the nearest are iron_conductance, " in text
+    assert len(text) < 300
+
+
 def test_the_constructor_checks_bounds_without_naming_a_file():
     with pytest.raises(ConfigurationError, match=r"^count is 0: it must be at least 1 and at most 10\.$"):
         Everything(count=0)

@@ -150,7 +150,7 @@ class Drive:
         Raises
         ------
         DataError
-            When the references have the wrong shape or are not finite.
+            When the references have the wrong shape or are not finite, or no sample of the block is logged.
         ConfigurationError
             When the currents run away to where the machine's map cannot be inverted.
         """
@@ -161,9 +161,11 @@ class Drive:
         speed = self._speed(ticks * period) if mean_speed is None else np.ascontiguousarray(mean_speed, np.float64)
         if speed.shape != (n + 1,) or not np.isfinite(speed).all():
             raise DataError(f"mean_speed has shape {speed.shape}: give {n + 1} finite values for {n} samples.")
-        out, course = self._run(reference, speed)
         every = self.settings.log_decimation
         logged = slice(-self._next % every, None, every)
+        if logged.start >= n:
+            raise DataError(f"None of the {n} samples is logged with log_decimation {every}: give longer blocks.")
+        out, course = self._run(reference, speed)
         self._next += n
         stamp, u_abc = ticks[:-1][logged] * (period * 1e9), out.u_abc[logged]
         if self.settings.stamp_jitter > 0:

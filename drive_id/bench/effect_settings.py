@@ -87,12 +87,15 @@ class InverterEffects:
     output_capacitance: float = setting(
         0.0, "Capacitance of each leg's output that the current charges within the dead time", unit="F", minimum=0.0
     )
+    current_clamping: bool = setting(
+        True, "Let a phase current that reaches zero within the dead time stay zero until its end"
+    )
     drop_factor: tuple[float, float, float] = setting(
         (1.0, 1.0, 1.0), "Factor on the voltage drop of each phase", minimum=0.0, maximum=10.0
     )
     drop_asymmetry: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
-        "Excess of each phase's drop at positive current over its mean, lacking at negative current, as a fraction",
+        "Relative increase of each phase's drop at positive current, decrease at negative current",
         minimum=-1.0,
         maximum=1.0,
     )
@@ -124,17 +127,18 @@ class SensorEffects:
         1, "Order of current_filter: 1, or 2 for a Butterworth filter", minimum=1, maximum=2
     )
     current_skew: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), "Age of each phase current when it is sampled, below one period", unit="s", minimum=0.0
+        (0.0, 0.0, 0.0), "Delay of each phase current's sample, less than one period", unit="s", minimum=0.0
     )
     current_dead_band: float = setting(
-        0.0, "Current below which the sensors measure zero, and by which they measure too little", unit="A", minimum=0.0
+        0.0, "Current below which the sensors read zero; above, they read too little by it", unit="A", minimum=0.0
     )
     current_cubic: float = setting(
-        0.0, "Gain error of the current sensors at i_max, growing with the square", minimum=-0.3, maximum=0.3
+        0.0,
+        "Gain error of the current sensors at i_max, proportional to the square of the current",
+        minimum=-0.3,
+        maximum=0.3,
     )
-    resolver_latency: float = setting(
-        0.0, "Age of the measured angle when it is sampled", unit="s", minimum=0.0, maximum=1e-2
-    )
+    resolver_latency: float = setting(0.0, "Delay of the measured angle", unit="s", minimum=0.0, maximum=1e-2)
     resolver_electrical_errors: tuple[float, ...] = setting(
         (), "Amplitudes of the angle error at the electrical orders 1, 2, ...", unit="rad", minimum=-0.5, maximum=0.5
     )

@@ -40,6 +40,7 @@ EFFECTS = np.dtype(
         ("switching", bool),
         ("dead_time", float),  # s
         ("capacitance", float),  # F
+        ("clamping", bool),  # a current that reaches zero in the dead time stays zero
         ("u_dc", float),  # that the commands are made for, V
         ("u_dc_waves", float, (2, 2)),  # amplitude as a fraction and frequency, Hz, of ripple and drift
         ("filter_pole", complex),  # of the current filter, 1/s; 0 without
@@ -139,6 +140,7 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
         switching=s.inverter == "switching",
         dead_time=s.dead_time,
         capacitance=s.output_capacitance,
+        clamping=s.current_clamping,
         u_dc=machine.u_dc,
         u_dc_waves=np.array(((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency))),
         filter_pole=pole,

@@ -30,6 +30,10 @@ from drive_id.types import FloatArray
 
 _FINEST = 1024
 _SQRT3 = math.sqrt(3.0)
+_REACH = (0.5, 0.5, 1.0)  # of Runge-Kutta's stages: how far each rate leads to the next stage
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
+_BEND = (1.0, 0.0, -2.0, 1.0)
 
 Pair = tuple[float, float]
 Five = tuple[float, float, float, float, float]
@@ -146,7 +150,7 @@ def _step(
 
     Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
     step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged. The stages are a
-    loop, whose fifth is the end, because every further call of these kernels takes seconds to compile.
+    loop, the fifth of which is the end of the step: unrolled, the kernel takes longer to compile.
     """
     resistance, offset = warm
     at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
@@ -157,17 +161,15 @@ def _step(
     good = True
     for stage in range(5):
         rate, current, drop, power = _rates(plant, effects, resistance, u, at, i, f, theta)
-        if stage == 0 or stage == 2 or stage == 4:  # noqa: PLR1714  # numba compiles "in" of a tuple slowly
-            energy = _added(energy, power, h / 1.5 if stage == 2 else h / 6)
+        energy = _added(energy, power, _SIMPSON[stage] * h)
+        if stage % 2 == 0:
             i_start, i_middle, i_stop = i_middle, i_stop, current
         if stage == 4:
             break
-        new_y = _moved(new_y, rate, h / 3 if stage == 1 or stage == 2 else h / 6)  # noqa: PLR1714
-        if stage != 1:
-            weight = -2.0 if stage == 2 else 1.0
-            bend_alpha += weight * drop[0]
-            bend_beta += weight * drop[1]
-        at = new_y if stage == 3 else _moved(y, rate, h if stage == 2 else 0.5 * h)
+        bend_alpha += _BEND[stage] * drop[0]
+        bend_beta += _BEND[stage] * drop[1]
+        new_y = _moved(new_y, rate, _WEIGHTS[stage] * h)
+        at = new_y if stage == 3 else _moved(y, rate, _REACH[stage] * h)
         theta = thetas[1] if stage < 2 else thetas[2]
         f = _map_flux(effects, offset, at, theta)
         guess = (2 * i[0] - first[0], 2 * i[1] - first[1]) if stage == 2 else i
@@ -339,12 +341,14 @@ def _predicted(
 def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
-    A positive current discharges the output, at once or within the dead time t_d as far as u = i t / C; a negative one
-    keeps it high by the diode until the other switch turns on. A current that reaches zero stays zero until then: so
-    long is the leg high in the mean. ``i_stays`` and ``i_moves`` are the currents at the end of the dead time if the
-    leg stays high all the while, or falls at once. A rising edge is the falling one of negated currents.
+    A positive current discharges the output within the dead time t_d by u = i t / C, at once without capacitance; a
+    negative one keeps it high through the diode until the other switch turns on. With clamping, a current that reaches
+    zero stays there until the end of the dead time, which fixes the mean voltage. ``i_stays`` and ``i_moves`` are the
+    currents at that end if the leg stayed high, or fell at once. A rising edge is a falling one of negated currents.
     """
-    if i <= 0.0:  # the mean of what gets positive
+    if not effects.clamping:
+        i, i_stays, i_moves = max(i, 0.0), 1.0, 0.0
+    elif i <= 0.0:  # the mean of what gets positive
         i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
     x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
     charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x

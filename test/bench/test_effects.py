@@ -17,7 +17,7 @@ from drive_id.bench.effects import effects_of
 from drive_id.bench.machines import MACHINES, CoEnergyMachine, machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.cli.options import merged_settings
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 
 T = 1e-4
@@ -419,6 +419,9 @@ def test_a_leg_falls_late_by_its_charge_or_by_a_current_that_stays_at_zero():
     assert delay(hard, -5.0, -4.8, -5.2) == pytest.approx(4e-6)
     assert delay(hard, 0.1, 0.4, -0.2) == pytest.approx(4e-6 / 3)  # ends at zero: 1/3 of 0.4 and 2/3 of -0.2
     assert delay(hard, -0.1, 0.2, -0.4) == pytest.approx(8e-6 / 3)
+    bare = effects_of(machine, dataclasses.replace(settings, current_clamping=False))  # by the sign alone
+    assert delay(bare, 0.1, 0.4, -0.2) == pytest.approx(0.0, abs=1e-18)
+    assert delay(bare, -0.1, 0.2, -0.4) == pytest.approx(4e-6)
     assert delay(soft, 1.5, 1.6, 1.4) == pytest.approx(4e-6 * 0.75)
     assert delay(soft, 3.0, 3.1, 2.9) == pytest.approx(2e-6)
     assert delay(soft, 12.0, 12.1, 11.9) == pytest.approx(4e-6 / 8)
@@ -585,6 +588,15 @@ def test_a_decimated_log_is_every_nth_sample_of_the_full_one():
     np.testing.assert_array_equal(thin.i_dq_true, full.i_dq_true[::5])
 
 
+def test_a_block_without_a_logged_sample_is_refused_and_changes_nothing():
+    settings = SimulationSettings(log_decimation=5)
+    drive = Drive(build_machine(IPM, settings), settings)
+    drive.step_block(np.zeros((6, 2)))
+    with pytest.raises(DataError, match="None of the 4 samples is logged with log_decimation 5"):
+        drive.step_block(np.zeros((4, 2)))
+    assert drive.step_block(np.zeros((5, 2))).samples.stamp.tolist() == [1_000_000]
+
+
 def test_the_bench_in_real_time_decimates_too():
     settings = SimulationSettings(log_decimation=4, flux_lag=0.02)
     bench = Bench(IPM, settings, BenchSettings(block_size=50))
@@ -631,6 +643,7 @@ ASSIGNMENTS = {
     "ambient_temperature=90": [HEATED],
     "dead_time=3e-6": [SWITCHED],
     "output_capacitance=1e-7": [SWITCHED],
+    "current_clamping=false": [SWITCHED, "dead_time=5e-6"],
     "drop_factor=[1.1, 1.0, 1.0]": [],
     "drop_asymmetry=[0.1, 0.0, 0.0]": [],
     "hexagon_limit=true": ["speeds=[12000]", "voltage_limit=2.0"],
@@ -659,7 +672,7 @@ ASSIGNMENTS = {
 
 def signals(assignments: list[str]) -> tuple[Simulation, SimulationSettings]:
     settings = merged_settings(SimulationSettings, None, assignments, {})
-    return simulate(IPM, settings, np.tile((-100.0, 120.0), (400, 1))), settings
+    return simulate(IPM, settings, np.tile((-100.0, 120.0), (900, 1))), settings
 
 
 @pytest.mark.parametrize("assignment", ASSIGNMENTS)

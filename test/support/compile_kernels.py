@@ -18,6 +18,7 @@ from drive_id.fitting.sources import Sources
 
 def main():
     simulation = run_experiment(machine_map("ipm"), SimulationSettings(current_noise=1e-3), TRAJECTORY, seconds=1.0)
+    run_experiment(machine_map("ipm"), SimulationSettings(flux_lag=0.01), TRAJECTORY, seconds=0.01)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         write_recording(bag, simulation.samples, simulation.truth)

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
-from drive_id.core.full.model import EFFECTS, FullModel, ModelSpec
+from drive_id.core.full.model import EFFECTS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
@@ -24,6 +24,8 @@ _LEAST_VOLTAGE = 5e-5
 """Rms that an effect must explain, relative to that of the integrated voltages."""
 _CLOSE = 0.05
 """Share of the best saving by which another effect may fall behind and still explain the residuals as well."""
+_MOST_BY_PENALTY = 0.3
+"""Share of an effect by which ten times the penalty may change it."""
 _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may exceed a true delay."""
 _MOST_EFFECTS, _REFINEMENTS = 6, 2
@@ -117,6 +119,9 @@ def search_effects(
         best = _best(savings, physical=delay.physical)
         if best is None or not (best == DELAY or _worthwhile(solver, solution, best, savings[best])):
             break
+        if best != DELAY and not _by_data(solver, solution, best):
+            allowed = [name for name in allowed if name != best]
+            continue
         family = _family(best)
         near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
         rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
@@ -190,6 +195,13 @@ def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float
     voltage = saving * solution.sum_of_squares / max(solution.rows, 1.0)
     least = _LEAST_SAVING + _PER_UNKNOWN * unknowns / max(solution.rows, 1.0)
     return saving > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage
+
+
+def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
+    """Tell whether the data determine an effect: on a ring of currents, the smoothness of the map may decide."""
+    smoother = solver.solve(replace(solution.spec, penalty=PENALTIES[-1]))
+    value, by_smoother = (solver.saving(each, solver.model.effect(name))[1] for each in (solution, smoother))
+    return bool(np.linalg.norm(by_smoother - value) < _MOST_BY_PENALTY * np.linalg.norm(value))
 
 
 def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:

@@ -35,6 +35,8 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
+_SEEN = 3.0
+"""Scale of the narrowest shape that is corrected for noise, in standard deviations of a phase current."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -320,14 +322,15 @@ def noise_products(
     rows = float(solver.counts.sum())
     ends = products * min(rows * noise.variance / len(i_dq), max(squares, 0.0) / shown)
     before, after = model.map.start, model.size - model.map.stop
-    inner = rows / 2 * noise.variance * _integral_products(model, windows)
+    inner = rows / 2 * noise.variance * _integral_products(model, windows, noise.variance)
     return sparse.csr_array(sparse.block_diag([inner, ends, sparse.csr_array((after, after))]) if before else ends)
 
 
-def _integral_products(model: FullModel, windows: Windows) -> sparse.csr_array:
+def _integral_products(model: FullModel, windows: Windows, variance: float) -> sparse.csr_array:
     """Return the mean squares of what noise of unit variance in i_d and i_q does to the integrals over a window.
 
-    (map.start, map.start), s^2 for the shapes. A phase current has 3/2 of the variance of i_d.
+    (map.start, map.start), s^2 for the shapes. A phase current has 3/2 of the variance of i_d. Shapes narrower than the
+    noise are left out: what it takes of them cannot be given back.
     """
     i_dq = windows.i_dq[:, 0] @ np.array([1.0, 1j])
     i_s = i_dq * np.exp(1j * windows.angle[:, 0])
@@ -335,7 +338,8 @@ def _integral_products(model: FullModel, windows: Windows) -> sparse.csr_array:
     step = period * (windows.slope[:, 0] + 1j * windows.speed[:, 0] * i_dq) * np.exp(1j * windows.angle[:, 0])
     weights = period * model.shapes.mean_slopes(frames.phases(i_s), frames.phases(step))  # (N, 3, S)
     samples = float(np.mean(windows.duration)) / period
-    columns = model.phase_columns()  # (S, 3)
+    seen = model.shapes.scales > _SEEN * np.sqrt(1.5 * variance)
+    columns, weights = model.phase_columns()[seen], weights[..., seen]
     out = np.zeros((model.map.start, model.map.start))
     each = 1.5 * samples * (2 / 3) ** 2
     for phase in range(3):

@@ -397,3 +397,13 @@ def test_findings_travel_with_the_evidence(ipm):
     restored.restore(one.state())
     assert restored.findings == (finding,)
     assert finding.message in identify([samples], settings).report.warnings
+
+
+@pytest.mark.parametrize("drive", ["ipm", "spm"])
+def test_a_loss_of_voltage_is_located(drive):
+    samples = recorded(*DRIVES[drive][:2], seconds=5.0)
+    u_abc = samples.u_abc.copy()
+    u_abc[21_550:21_600] = 0.0
+    finding = told(replace(samples, u_abc=u_abc))
+    assert finding.code == "outlier"
+    assert finding.values["time"] == pytest.approx(2.15, abs=0.2)

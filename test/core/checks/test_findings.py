@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_drives import OTHERS, random_recording
+from synthetic import cut
 
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
@@ -384,6 +385,17 @@ def test_good_drives_are_told_nothing():
 def test_recordings_at_several_speeds_and_of_short_runs_are_good(ipm):
     assert found(ipm, replace(recorded("ipm", -900.0), stamp=ipm.stamp + 10**11)) == ()
     assert found(replace(ipm, run_starts=np.arange(0, len(ipm), 250))) == ()
+
+
+@pytest.mark.parametrize("case", ["clockwise", "currents a, b", "8 for 4 pole pairs"])
+def test_pieces_and_arrays_are_judged_alike(ipm, case):
+    """Live samples and bags come in pieces."""
+    changed = READINGS[case][0](ipm)
+    prescan = Prescan()
+    for start in range(0, len(changed), 913):
+        piece, continues = cut(changed, start, min(start + 913, len(changed)))
+        prescan.add(piece, continues=continues)
+    assert prescan.findings() == found(changed)
 
 
 def test_findings_travel_with_the_evidence(ipm):

@@ -247,6 +247,13 @@ BAD_BAGS = [
     (of_arrays("line_q", i_abc=straight_line(np.pi / 2)), "fills the current disc"),
     (of_arrays("line_between", i_abc=straight_line(2.0), u_abc=resistive), "fills the current disc"),
     (of_arrays("no_voltage", u_abc=lambda s: 0 * s.u_abc), "voltages are zero"),
+    (of_arrays("duty_cycles", u_abc=lambda s: s.u_abc / 400 + 0.5), "they are duty cycles"),
+    (of_arrays("degrees", angle=lambda s: np.rad2deg(s.angle)), "in degrees"),
+    (of_arrays("clockwise", angle=lambda s: -s.angle, speed=lambda s: -s.speed), "clockwise encoder"),
+    (
+        of_arrays("pole_pairs", angle=lambda s: wrapped(2 * np.unwrap(s.angle)), speed=lambda s: 2 * s.speed),
+        "4 instead of 8",
+    ),
 ]
 
 
@@ -263,6 +270,7 @@ def test_bad_bags(run, bag, simulation, tmp_path, make, said):
 STATED_WITHOUT_PATH = {
     "no_current", "noise_only", "held_point", "line_d", "line_q", "line_between", "no_voltage", "standstill",
     "speed_zero", "angle_held", "mechanical_angle", "mechanical_speed", "backward_speed", "rpm", "one_spike",
+    "duty_cycles", "degrees", "clockwise", "pole_pairs",
 }  # fmt: skip
 """Judged when all bags are one recording."""
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,8 +28,8 @@ _SIZE = 16
 _RESISTANCE, _DROP, _MAGNET, _INDUCTANCE, _SATURATION, _SALIENCY = 0, 1, slice(2, 4), 4, 5, slice(6, 8)
 _WINDOW_TURN = np.pi / 3
 _LONGEST_WINDOW = 512
-_NODES = 750
-"""Most windows of a run."""
+_NODES, _FEW_NODES = 750, 250
+"""Most windows of a run, and where the likeliest of many readings is searched."""
 _SIGN_WIDTH = 0.02
 """Width of the smoothed sign, share of the largest current."""
 _RIDGE = 1e-9
@@ -79,6 +79,8 @@ class RoughFit:
         ohm, and H, the mean of both axes.
     magnet, saliency : complex
         Wb, and (L_d - L_q)/2, H: turned by once and twice the offset of the angle.
+    estimate : (16,) float
+        All unknowns, of scaled currents.
     """
 
     reading: Reading
@@ -89,6 +91,7 @@ class RoughFit:
     inductance: float
     magnet: complex
     saliency: complex
+    estimate: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,8 @@ class Excerpt:
         Integral of the voltage, Vs.
     window : int
         Samples in which the voltage turns by about 60 degrees.
+    nodes : int
+        Most windows.
     """
 
     i_max: float
@@ -124,6 +129,11 @@ class Excerpt:
     lossy: ComplexArray
     volts: ComplexArray
     window: int
+    nodes: int = _NODES
+
+    def coarse(self) -> Excerpt:
+        """Return the excerpt with fewer windows."""
+        return replace(self, nodes=_FEW_NODES)
 
     @classmethod
     def of(cls, run: Samples, i_max: float) -> Excerpt:
@@ -210,7 +220,16 @@ def rough_fit(
         inductance=float(x[_INDUCTANCE]) / i_max,
         magnet=complex(*x[_MAGNET]),
         saliency=complex(*x[_SALIENCY]) / i_max,
+        estimate=x,
     )
+
+
+def residuals(excerpts: Sequence[Excerpt], fit: RoughFit) -> tuple[FloatArray, FloatArray]:
+    """Return the squared residuals (N,) that a fit leaves of each excerpt, and the squared integrated voltages (N,)."""
+    sums = [_sums(excerpt, fit.reading, (fit.delay,), 0.0) for excerpt in excerpts]
+    pairs = [(0.0, 0.0) if part is None else (part.left(fit.estimate), float(part.square[0])) for part in sums]
+    left, square = np.array(pairs).reshape(-1, 2).T
+    return left, square
 
 
 def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[float]) -> list[_Sums]:
@@ -233,7 +252,7 @@ def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[flo
 
 def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: float) -> _Sums | None:
     n = len(excerpt.i_s)
-    step = max(excerpt.window // 2, -(-n // _NODES))
+    step = max(excerpt.window // 2, -(-n // excerpt.nodes))
     reach = math.ceil(np.abs(delays).max())
     nodes = np.arange(reach, n - reach - 1, step)
     ahead = -(-excerpt.window // step)

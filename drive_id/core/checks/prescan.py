@@ -38,7 +38,7 @@ _JUMP = 0.2
 _JUMP_FACTOR = 5.0
 _TINY = 1e-160
 _LEAST, _MOST = 1e-100, 1e100
-_SPAN, _SPANS, _MOST_RUNS, _SHORTEST_RUN = 1 << 13, 8, 16, 32
+_SPAN, _SPANS, _MOST_RUNS, _SHORTEST_RUN = 1 << 13, 16, 16, 32
 _ERRORS: dict[str, type[DataError]] = {
     "standstill": StandstillError,
     "held_references": CoverageError,

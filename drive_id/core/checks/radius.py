@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from drive_id.core.accumulation.evidence import DOMAIN_MARGIN, Evidence
 from drive_id.errors import CoverageError
 
@@ -9,6 +11,7 @@ _LEAST_COVERAGE = 0.05
 _WEAK_COVERAGE = 0.45
 _MUCH_TOO_SMALL = 2.0
 _TOO_LARGE = 0.7
+_EMPTY_HALF = 0.5
 
 
 def check_radius(evidence: Evidence, coverage: float) -> None:
@@ -50,8 +53,8 @@ def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
         warnings.append(_too_large_sentence(evidence, coverage))
     elif coverage < _WEAK_COVERAGE:
         warnings.append(
-            f"The data cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A: the map is valid only where "
-            "'inside' says so."
+            f"The data cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A{_missing(evidence)}: the map is valid "
+            "only where 'inside' says so."
         )
     if outside and evidence.settings.i_max is not None and reached > DOMAIN_MARGIN * i_max:
         warnings.append(
@@ -64,6 +67,18 @@ def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
             "set too low."
         )
     return warnings
+
+
+def _missing(evidence: Evidence) -> str:
+    """Say in a clause in which half of the disc most is missing; empty where no half has much more than the others."""
+    i_d, i_q = np.meshgrid(evidence.visits.i_d, evidence.visits.i_q, indexing="ij")
+    disc, inside = np.hypot(i_d, i_q) <= evidence.i_max, evidence.inside()
+    halves = {"i_d > 0": i_d > 0, "i_d < 0": i_d < 0, "i_q > 0": i_q > 0, "i_q < 0": i_q < 0}
+    filled = {name: float(inside[disc & half].mean()) for name, half in halves.items() if (disc & half).any()}
+    least = min(filled, key=lambda name: filled[name])
+    if filled[least] > _EMPTY_HALF * max(filled.values()):
+        return ""
+    return f", and {100 * filled[least]:.0f} % of its half with {least}"
 
 
 def _too_large(evidence: Evidence) -> bool:

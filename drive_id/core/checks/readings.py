@@ -8,7 +8,7 @@ from math import gcd
 
 import numpy as np
 
-from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, rough_fit
+from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
 from drive_id.types import Finding, Samples
 
 _BAD = 0.05
@@ -26,6 +26,7 @@ _DECIMATED, _DECIMATED_TURN, _DECIMATED_SHARE = (-0.6, -0.2), np.deg2rad(5.0), 1
 _LARGE_TURN = 0.2
 _SLOW_RATE = 2100.0
 _LATE, _SHIFTED = 40, 0.6
+_PART, _OUTLYING, _LEAST_OUTLYING, _FEWEST_PARTS, _RAMP = 0.2, 30.0, 0.06, 8, 0.3
 _SWAPPED = {0: "b and c", 2: "a and b", 4: "a and c"}
 _ORDER = {2: "c, a, b", 4: "b, c, a"}
 
@@ -56,6 +57,7 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]
         return
     yield from _offset(excerpts, i_max, declared)
     yield from _decimation(declared, runs)
+    yield from _outliers(declared, runs, i_max)
 
 
 def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
@@ -78,7 +80,7 @@ def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
 
 def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
     """Return the fit of the reading that explains the most, if it explains far more than the declared one."""
-    some = runs[:: -(-len(runs) // _FEW_RUNS)]
+    some = [run.coarse() for run in runs[:: -(-len(runs) // _FEW_RUNS)]]
     fits = (rough_fit(some, reading, (0.0, 1.0, -1.0)) for reading in _others())
     likely = min((fit for fit in fits if fit is not None), key=lambda fit: fit.unexplained, default=declared)
     best = rough_fit(runs, likely.reading)
@@ -266,4 +268,24 @@ def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
             f"The log has {1e-3 * rate:.4g} kHz and the rotor turns by {np.rad2deg(turn):.3g} degrees electrical per "
             f"sample, and {why}: log every PWM period, or the mean of the commands since the last sample.",
             {"delay": fit.delay, "turn": turn, "rate": rate},
+        )
+
+
+def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+    """Yield the part whose voltages are explained far worse than those of all others, at one speed."""
+    count = [round(_PART / run.sample_period) for run in runs]
+    parts = [run.part(at, at + n) for run, n in zip(runs, count, strict=True) for at in range(0, len(run) - n + 1, n)]
+    speeds = np.array([part.speed.mean() for part in parts])
+    if len(parts) < _FEWEST_PARTS or np.ptp(speeds) > _RAMP * np.abs(speeds).mean():
+        return
+    left, square = residuals([Excerpt.of(part, i_max) for part in parts], fit)
+    worst = int(left.argmax())
+    usual, share = float(np.median(left)), float(np.sqrt(left[worst] / max(square.mean(), 1e-300)))
+    if left[worst] > _OUTLYING * usual and share > _LEAST_OUTLYING:
+        at = 0.5e-9 * float(parts[worst].stamp[0] + parts[worst].stamp[-1] - 2 * runs[0].stamp[0])
+        yield Finding(
+            "outlier",
+            f"The samples around {at:.1f} s stand out from all others, with {np.sqrt(left[worst] / usual):.0f} times "
+            "their unexplained voltage: check angle, voltages and currents there.",
+            {"time": at, "share": share},
         )

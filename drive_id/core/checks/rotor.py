@@ -16,7 +16,7 @@ _FEWEST_WRAPS = 3
 _COARSE_TURN = np.deg2rad(40.0)
 _HELD_STEP, _HELD_SHARE = 0.02, 0.5
 _DRIFT, _DRIFT_FIT, _DRIFT_PARTS = (0.03, 0.5), 0.9, 6
-_MOST_POLE_PAIRS, _MEANT = 60, 0.004
+_MOST_POLE_PAIRS, _MEANT, _DEGREES_MEANT = 50, 0.004, 0.006
 _RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
 
 
@@ -145,6 +145,8 @@ def _ratio_meaning(ratio: float) -> str:
             (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
             for count in range(1, _MOST_POLE_PAIRS)
         ]
-    apart = [abs(abs(ratio) / value - 1) for value, _ in meanings]
-    best = int(np.argmin(np.where(np.array(apart) < _MEANT, np.arange(len(apart)), len(apart))))
-    return f", as if {meanings[best][1]}{against}" if apart[best] < _MEANT else ""
+    for number, (value, meaning) in enumerate(meanings):
+        tolerance = _DEGREES_MEANT if number == 0 else _MEANT  # degrees may have been wrapped as if in radians
+        if abs(abs(ratio) / value - 1) < tolerance:
+            return f", as if {meaning}{against}"
+    return ""

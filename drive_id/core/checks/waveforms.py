@@ -15,7 +15,7 @@ _LEAST_DROP = 0.15
 """Resistive voltage at the largest current that volts exceed, and duty cycles do not, V."""
 _CURRENTS = (0.02, 5000.0)
 """Smallest and largest current amplitudes that are believed, A."""
-_SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.8
+_SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.97
 _ZERO_SEQUENCE = 0.02
 _ODD_PHASE = 0.1
 _AT_LIMIT, _CLIPPED = 2e-6, 0.015

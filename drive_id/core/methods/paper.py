@@ -29,7 +29,7 @@ _LARGE_NOISE = 0.1
 _LARGE_ASYMMETRY = 0.1
 _FEW_BLOCKS = 8
 _OUTLYING_BLOCK = 10.0
-_LIMITS = Limits(unexplained=0.15, refused=0.8, mad=np.inf)  # noise leaves up to half per sample where it is slow
+_LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf)  # noise leaves up to half of it per sample
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from drive_id.core.result.identification import FluxMap
 
 _REVERSED = 0.1
 _FEW_POINTS = 0.005
+_DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
+"""Delays of the voltages, samples, of a log with every n-th sample, -(n - 1)/(2 n), and the least turn per sample."""
 
 
 def review(
@@ -20,9 +22,14 @@ def review(
     """Return one sentence per weakness, most basic first: what is wrong, where, and what to do."""
     limits = method_named(evidence.settings.method).limits
     return (
-        *(finding.message for finding in evidence.findings),
+        *(
+            finding.message
+            for finding in evidence.findings
+            if finding.code != "outlier" or estimate.outlying_time is None  # the fit knows the time more precisely
+        ),
         *radius_warnings(evidence, coverage),
         *_on_fit(estimate, limits),
+        *_on_decimation(evidence, estimate),
         *_on_map(evidence, estimate, flux_map, limits),
         *estimate.warnings,
         *_on_simulation(evidence, mad, limits),
@@ -67,6 +74,20 @@ def _on_fit(estimate: Estimate, limits: Limits) -> list[str]:
             "voltages and currents there."
         )
     return warnings
+
+
+def _on_decimation(evidence: Evidence, estimate: Estimate) -> list[str]:
+    """Recognize a decimated log by the delay that method full finds, unless the checks did before."""
+    delay = next((c.value for c in estimate.calibrations if c.name == "voltage_delay"), 0.0)
+    told = any(finding.code == "decimated" for finding in evidence.findings)
+    if told or evidence.turn < _DECIMATED_TURN or not _DECIMATED[0] <= delay <= _DECIMATED[1]:
+        return []
+    sentence = (
+        f"The voltages act {-delay:.2f} samples early and the rotor turns by {np.rad2deg(evidence.turn):.1f} degrees "
+        "electrical per sample, the marks of a log with every n-th sample only: log every PWM period, or the mean of "
+        "the commands since the last sample."
+    )
+    return [sentence]
 
 
 def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: Limits) -> list[str]:

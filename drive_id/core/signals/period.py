@@ -135,6 +135,19 @@ def check_agreement(claims: Sequence[tuple[str, float]]) -> None:
         said, period = claims[0]
         if abs(value / period - 1.0) > PERIOD_TOLERANCE:
             raise SamplePeriodError(
-                f"The sample periods disagree, {said} {period_text(period)} but {other} {period_text(value)}: "
-                "record all signals at one rate, or correct sample_period or the stamp source in a signals file."
+                f"The sample periods disagree, {said} {period_text(period)} but {other} {period_text(value)}"
+                f"{_wrong_unit(period, value)}: record all signals at one rate, or correct sample_period or the stamp "
+                "source in a signals file."
             )
+
+
+def _wrong_unit(period: float, value: float) -> str:
+    """Say in a clause which wrong unit would explain two sample periods, s; empty if none does."""
+    for one, other in ((period, value), (value, period)):
+        for factor, unit in ((1e-3, "kHz"), (1.0, "Hz")):
+            if abs(one * other / factor - 1.0) < PERIOD_TOLERANCE:
+                return f", as if {max(one, other):.4g} were in {unit}"
+        for factor, unit in ((1e3, "ms"), (1e6, "us"), (1e9, "ns")):
+            if abs(one / other / factor - 1.0) < PERIOD_TOLERANCE:
+                return f", as if one were in {unit}"
+    return ""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_drives import OTHERS, random_recording
+from synthetic import cut
 
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
@@ -386,6 +387,17 @@ def test_recordings_at_several_speeds_and_of_short_runs_are_good(ipm):
     assert found(replace(ipm, run_starts=np.arange(0, len(ipm), 250))) == ()
 
 
+@pytest.mark.parametrize("case", ["clockwise", "currents a, b", "8 for 4 pole pairs"])
+def test_pieces_and_arrays_are_judged_alike(ipm, case):
+    """Live samples and bags come in pieces."""
+    changed = READINGS[case][0](ipm)
+    prescan = Prescan()
+    for start in range(0, len(changed), 913):
+        piece, continues = cut(changed, start, min(start + 913, len(changed)))
+        prescan.add(piece, continues=continues)
+    assert prescan.findings() == found(changed)
+
+
 def test_findings_travel_with_the_evidence(ipm):
     samples = replace(ipm, angle=ipm.angle + 1.0)
     settings = FitSettings("joint", i_max=300.0)
@@ -397,3 +409,13 @@ def test_findings_travel_with_the_evidence(ipm):
     restored.restore(one.state())
     assert restored.findings == (finding,)
     assert finding.message in identify([samples], settings).report.warnings
+
+
+@pytest.mark.parametrize("drive", ["ipm", "spm"])
+def test_a_loss_of_voltage_is_located(drive):
+    samples = recorded(*DRIVES[drive][:2], seconds=5.0)
+    u_abc = samples.u_abc.copy()
+    u_abc[21_550:21_600] = 0.0
+    finding = told(replace(samples, u_abc=u_abc))
+    assert finding.code == "outlier"
+    assert finding.values["time"] == pytest.approx(2.15, abs=0.2)

@@ -105,6 +105,15 @@ def test_delays_of_several_samples_are_taken_out(logged, late):
     assert max(score(found, simulation.truth)) < 1e-3
 
 
+def test_a_decimated_log_is_recognized_by_its_delay():
+    """Where the checks before the fit cannot tell: at 2.5 kHz, 5 degrees per sample."""
+    samples = simulate(speeds=(520.0,)).samples
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
+    every = replace(samples, **{n: getattr(samples, n)[::4] for n in names}, sample_period=4e-4, i_dq_reference=None)
+    assert "log with every n-th sample only" in told(every)
+    assert "n-th sample" not in told(samples)
+
+
 def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
     found = fitted(logged_late(good.samples, 7))
     assert delay_of(found).doubtful

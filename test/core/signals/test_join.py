@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drive_id.core.signals.join import join
-from drive_id.core.signals.period import measured_period
+from drive_id.core.signals.period import check_agreement, measured_period
 from drive_id.core.signals.pieces import merge
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import (
@@ -207,6 +208,15 @@ def test_declared_periods_that_disagree():
     signals[2] = replace(signals[2], sample_period=2e-4)
     with pytest.raises(SamplePeriodError, match=r"/i declares 100 us but /resolver declares 200 us"):
         join(*signals)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(10.0, "10 were in kHz"), (1e4, "1e+04 were in Hz"), (0.1, "in ms"), (100.0, "in us"), (3e-4, "")],
+)
+def test_a_period_in_a_wrong_unit(value, said):
+    with pytest.raises(SamplePeriodError, match=f"as if .*{re.escape(said)}: record" if said else "300 us: record"):
+        check_agreement([("the currents declare", 1e-4), ("the stamps have", value)])
 
 
 def test_stamped_periods_that_disagree():

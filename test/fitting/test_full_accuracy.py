@@ -137,7 +137,9 @@ def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map(
     plain, plain_errors = errors(run_experiment(IPM, NOISY, seconds=5.0))
     assert not any("compensates its inverter" in sentence for sentence in plain.statements)
     assert np.all(full_errors < 1.5 * plain_errors)
-    assert np.abs(found.inverter_voltage).max() < 0.02 * np.abs(plain.inverter_voltage).max()
+    away = np.abs(found.inverter_current) > 0.03 * IPM.i_max  # nearer to zero, noise makes the curve uncertain
+    assert np.abs(found.inverter_voltage[away]).max() < 0.02 * np.abs(plain.inverter_voltage).max()
+    assert np.all(np.abs(found.inverter_voltage) < 4 * found.sigma_inverter_voltage + 1e-3)
 
 
 def along_a_ring(machine, settings, seconds, turns=1.1, share=1.0, against=0.0):

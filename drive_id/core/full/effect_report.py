@@ -11,6 +11,7 @@ from drive_id.core.full.calibration import Calibration
 from drive_id.core.full.effect_search import Taken
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.fit import sigma as fitted_sigma
+from drive_id.core.full.lack_of_fit import LEAST_TOLD
 from drive_id.core.full.model import COPPER, RESISTANCE
 from drive_id.core.full.windows import LAGS
 from drive_id.core.maps.flux_models import jacobian
@@ -38,6 +39,42 @@ NOUNS = {
 """What each effect is called in a sentence."""
 
 _MICRO, _MILLI = 1e6, 1e3
+_NEGLIGIBLE = 3e-4
+"""Rms of residuals over that of the integrated voltages that is not worth a warning."""
+_CONCENTRATED, _SUSPICIOUS = 1.5, 0.05
+
+
+def misfit_warning(fit: FullFit) -> str | None:
+    """Say what the model leaves beyond noise, where, and what may cause it; None where it leaves little."""
+    misfit = fit.misfit
+    if misfit.ratio < LEAST_TOLD or fit.solution.residual_rms**2 < _NEGLIGIBLE**2 * fit.total_voltage:
+        return None
+    d, q = misfit.i_dq
+    where = f"most of all around i_d = {d:.3g} A, i_q = {q:.3g} A ({misfit.worst:.1f} times)"
+    return (
+        f"The residuals are {misfit.ratio:.1f} times as large as current noise explains, {where}: {_suspect(fit)}; the "
+        "standard errors include what repeats over current and rotor position."
+    )
+
+
+def _suspect(fit: FullFit) -> str:
+    """Name what explains the residuals best among what was tried."""
+    misfit, left = fit.misfit, fit.selection.search.left
+    best = max(left, key=lambda name: left[name], default="")
+    if misfit.low > _CONCENTRATED * misfit.ratio:
+        return (
+            "they gather at small currents, where the dead time and the ripple of the inverter act; lower the dead time "
+            "or the DC-link voltage"
+        )
+    if best and left[best] > _SUSPICIOUS:
+        return f"{NOUNS[best]} would explain {100 * left[best]:.0f} % of their squares, but not in data left out"
+    tried = ", ".join(
+        dict.fromkeys(NOUNS[name] for name in left if name in ("iron_loss", "current_latency", "dc_link"))
+    )
+    return (
+        f"no effect that was tried explains them ({tried} and others); check for voltages limited by the DC link, a "
+        "DC-link voltage that varies, or devices that differ"
+    )
 
 
 def effect_entries(fit: FullFit, *, several_speeds: bool) -> list[Calibration]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,8 @@ class EffectSearch:
     taken : tuple of Taken
     delay, sigma_delay : float
         Estimated delay of the voltages and its standard error, samples; NaN when not requested.
+    left : mapping of str to float
+        Share of the squared residuals that each effect not taken would save.
     """
 
     sums: WindowSums
@@ -77,6 +79,7 @@ class EffectSearch:
     taken: tuple[Taken, ...]
     delay: float
     sigma_delay: float
+    left: Mapping[str, float]
 
 
 def search_effects(
@@ -108,6 +111,7 @@ def search_effects(
     solution = solver.solve(solution.spec)
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
     taken: list[Taken] = []
+    savings: dict[str, float] = {}
     while len(taken) < _MOST_EFFECTS:
         savings = _savings(solver, solution, [name for name in allowed if name not in solution.spec.effects])
         if turn > 0 and solution.spec.delay == 0:
@@ -136,7 +140,7 @@ def search_effects(
         columns = replace(columns, estimate=solver.solve(spec).estimate)
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(spec)
-    return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma)
+    return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:

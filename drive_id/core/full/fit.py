@@ -11,6 +11,7 @@ from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.lack_of_fit import LackOfFit, lack_of_fit
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
@@ -44,7 +45,9 @@ class FullFit:
     changes : (size, B) float
         First-order change of the estimate when each batch's residuals are left out, then the bias by the penalties and
         the bound on the bias by current noise: ``changes @ changes.T`` is the covariance of the estimate,
-        heteroscedasticity and autocorrelation consistent, plus squared biases.
+        heteroscedasticity and autocorrelation consistent, plus squared biases and what repeats beyond noise.
+    misfit : LackOfFit
+        What the model leaves beyond noise.
     selection : Selection
         How the model was found.
     speeds : (N,) float
@@ -65,6 +68,7 @@ class FullFit:
     model: FullModel
     solution: FullSolution
     changes: FloatArray
+    misfit: LackOfFit
     selection: Selection
     speeds: FloatArray
     drop_slope: float
@@ -149,12 +153,14 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     batches, energy, times = batch_changes(sums, solution)
+    misfit = lack_of_fit(sums, solution, noise)
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny
     return FullFit(
         model=sums.model,
         solution=solution,
-        changes=np.column_stack([batches, solver.shrinkage(solution), bias_bound]),
+        changes=np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes]),
+        misfit=misfit,
         selection=selection,
         speeds=speeds,
         drop_slope=_drop_slope(sums.model, solution, kept),

@@ -1,6 +1,6 @@
 """The regression of method ``full``: its columns, the unknowns behind them, and the penalties.
 
-    int u_s + delta [shifts] = R (1 + alpha dT) int i_s + u_0 dt + sum_j c_j int h_j(i)_s
+    int u_s + delta [shifts] = R (1 + alpha dT) int i_s + u_0 dt + sum_j c_j int h_j(i)_s + t sum of crossings
                                + sum_j l_j int (h_j(i) - h_j(i'))_s + k dT [e^{j theta}]
                                + [e^{j theta} (f(i) + sum_h a_h(i) cos h theta + b_h(i) sin h theta)] at the ends
 
@@ -138,9 +138,14 @@ class FullModel:
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
 
     @property
+    def crossing(self) -> int:
+        """Column of the time by which the drop's step comes early."""
+        return int(self.lags.stop)
+
+    @property
     def effects(self) -> slice:
         """Columns of the effects that depend on the map, see :mod:`drive_id.core.full.effects`."""
-        return slice(self.lags.stop, self.lags.stop + EFFECT_COLUMNS)
+        return slice(self.crossing + 1, self.crossing + 1 + EFFECT_COLUMNS)
 
     def effect(self, name: str) -> slice:
         """Columns of one effect."""
@@ -230,6 +235,7 @@ class FullModel:
         out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
         lag = windows.lag * windows.drop_scale[:, None]
         out[:, 0, self.lags], out[:, 1, self.lags] = lag.real, lag.imag
+        out[:, 0, self.crossing], out[:, 1, self.crossing] = windows.crossing.real, windows.crossing.imag
         if windows.effects is not None:
             out[:, 0, self.effects], out[:, 1, self.effects] = windows.effects.real, windows.effects.imag
         return out
@@ -396,6 +402,8 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         shapes = len(model.shapes.scales)
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         place(drops, model.drops.start)
+        if "current_latency" not in spec.effects:
+            place(np.ones((1, 1)), model.crossing)
     if spec.lag:
         place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)
     for name in spec.effects:
@@ -421,6 +429,7 @@ def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr
     for name in EFFECTS:
         columns = model.effect(name)
         ridge[columns] = np.maximum(_EFFECT_RIDGE * diagonal[columns], _TINY)
+    ridge[model.crossing] = max(_EFFECT_RIDGE * diagonal[model.crossing], _TINY)
     for inverter in (model.drops, model.lags):
         ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
     before, after = model.map.start, model.size - model.map.stop

@@ -1,10 +1,11 @@
 """Penalized least squares on accumulated cross products, cross-validation over folds, correction for current noise.
 
 Noise n of variance sigma^2 in the currents stands in the regressors and flattens the map (regression dilution): it
-leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products, and likewise to those
-of the integrals of the current and of the inverter's shapes. Adding N once more gives the estimate at twice the noise;
-the step between the two is what the noise has cost already. This is simulation-extrapolation (Cook and Stefanski 1994)
-with the expectation in place of the simulation.
+leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more
+gives the estimate at twice the noise; the step between the two is what the noise has cost already. This is
+simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation. The variance comes
+from fourth differences of the currents, because the residuals hold more than this noise. Noise within the integrals of
+the current and of the inverter's shapes attenuates R and the curve, too, but by too little to be seen.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 
-from drive_id.core import frames
 from drive_id.core.full.model import (
     PENALTIES,
     RESISTANCE,
@@ -35,8 +35,6 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
-_SEEN = 3.0
-"""Scale of the narrowest shape that is corrected for noise, in standard deviations of a phase current."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -288,20 +286,10 @@ class CurrentNoise:
         return cls(variance, windows.part(slice(None, None, -(-len(windows) // _THINNED))))
 
 
-def noise_floor(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> float:
-    """Return the sum of squared residuals that noise in the currents causes by itself, (Vs)^2."""
-    estimate = solution.estimate
-    return float(estimate @ (noise_products(solver, solution, noise) @ estimate))
-
-
 def noise_products(
     solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float = np.inf
 ) -> sparse.csr_array:
     """Return N (size, size), (Vs)^2, see the module.
-
-    Noise at the ends of a window stands in the map's columns. The samples between them stand in the integrals of the
-    current and of the inverter's shapes h_j: a sample moves the integral of h_j by T times the mean slope of h_j over
-    the currents up to its neighbours, and that of the current by T.
 
     Parameters
     ----------
@@ -322,32 +310,8 @@ def noise_products(
     rows = float(solver.counts.sum())
     ends = products * min(rows * noise.variance / len(i_dq), max(squares, 0.0) / shown)
     before, after = model.map.start, model.size - model.map.stop
-    inner = rows / 2 * noise.variance * _integral_products(model, windows, noise.variance)
-    return sparse.csr_array(sparse.block_diag([inner, ends, sparse.csr_array((after, after))]) if before else ends)
-
-
-def _integral_products(model: FullModel, windows: Windows, variance: float) -> sparse.csr_array:
-    """Return the mean squares of what noise of unit variance in i_d and i_q does to the integrals over a window.
-
-    (map.start, map.start), s^2 for the shapes. A phase current has 3/2 of the variance of i_d. Shapes narrower than the
-    noise are left out: what it takes of them cannot be given back.
-    """
-    i_dq = windows.i_dq[:, 0] @ np.array([1.0, 1j])
-    i_s = i_dq * np.exp(1j * windows.angle[:, 0])
-    period = float(windows.step.mean())
-    step = period * (windows.slope[:, 0] + 1j * windows.speed[:, 0] * i_dq) * np.exp(1j * windows.angle[:, 0])
-    weights = period * model.shapes.mean_slopes(frames.phases(i_s), frames.phases(step))  # (N, 3, S)
-    samples = float(np.mean(windows.duration)) / period
-    seen = model.shapes.scales > _SEEN * np.sqrt(1.5 * variance)
-    columns, weights = model.phase_columns()[seen], weights[..., seen]
-    out = np.zeros((model.map.start, model.map.start))
-    each = 1.5 * samples * (2 / 3) ** 2
-    for phase in range(3):
-        own, mine = columns[:, phase], weights[:, phase]
-        out[np.ix_(own, own)] = each * (mine.T @ mine) / len(mine)
-        out[RESISTANCE, own] = out[own, RESISTANCE] = each * period * mine.mean(axis=0)
-    out[RESISTANCE, RESISTANCE] = 3 * each * period**2
-    return sparse.csr_array(out)
+    parts = [sparse.csr_array((before, before)), ends, sparse.csr_array((after, after))]
+    return sparse.csr_array(sparse.block_diag(parts))
 
 
 def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[FullSolution, FloatArray]:

@@ -70,37 +70,6 @@ class CapacitiveShapes:
         x = np.asarray(i)[..., None] / self.scales
         return np.where(np.abs(x) < 1, x / 2, np.sign(x) * (1 - 0.5 / np.maximum(np.abs(x), 1)))
 
-    def mean_slopes(self, i: FloatArray, step: FloatArray) -> FloatArray:
-        """Return by how much a current sample moves the integral of the curves, over the sample period, per ampere.
-
-        Parameters
-        ----------
-        i : (...)
-            Phase currents, A.
-        step : (...)
-            Their change per sample, A. The mean slope is weighted by a hat that reaches to both neighbours.
-
-        Returns
-        -------
-        (..., S)
-            1/A.
-        """
-        reach = np.abs(step)[..., None]
-        at, below, above = (self._primitive(np.asarray(x)) for x in (i, i - step, i + step))
-        flat = reach < 1e-3 * self.scales
-        small = np.where(flat, 1e-3 * self.scales, reach)
-        near, far = (self._primitive_at(np.asarray(i)[..., None] + sign * small) for sign in (-1, 1))
-        return np.asarray(np.where(flat, near + far - 2 * at, above + below - 2 * at) / small**2)
-
-    def _primitive(self, i: FloatArray) -> FloatArray:
-        """Return the integrals (..., S) of the curves from zero to currents (...), A."""
-        return self._primitive_at(i[..., None])
-
-    def _primitive_at(self, i: FloatArray) -> FloatArray:
-        x = np.abs(i) / self.scales
-        beyond = np.maximum(x, 1.0)
-        return np.asarray(self.scales * (np.minimum(x, 1.0) ** 2 / 4 + (beyond - 1) - 0.5 * np.log(beyond)))
-
     def integrals(self, i_abc: FloatArray, period: float) -> FloatArray:
         """Integrate over time, exactly for currents that are linear between samples.
 

@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.effect_report import effect_entries
+from drive_id.core.full.effect_report import effect_entries, misfit_warning
 from drive_id.core.full.fit import FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
@@ -217,7 +217,8 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
 
 def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray) -> tuple[str, ...]:
     """Return warnings of the windows and of the standard errors of the flux map."""
-    warnings = []
+    misfit = misfit_warning(fit)
+    warnings = [misfit] if misfit else []
     if fit.turn < _LEAST_TURN:
         warnings.append(
             f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so the "

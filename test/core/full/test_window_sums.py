@@ -172,10 +172,11 @@ def test_a_basis_selects_the_unknowns(model):
     everything = ModelSpec(reciprocal=False, orders=model.all_orders, per_phase=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))
     assert set(range(model.size)) - set(columns) == {
-        VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET, *range(model.lags.start, model.effects.stop)
+        VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET, *range(model.lags.start, model.lags.stop),
+        *range(model.effects.start, model.effects.stop),
     }  # fmt: skip
     effects = basis(model, ModelSpec(reciprocal=True, orders=(), effects=("iron_loss", "eccentricity")))
     assert effects.shape[1] == basis(model, ModelSpec(reciprocal=True, orders=())).shape[1] + 9
     one = basis(model, ModelSpec(reciprocal=True, orders=()))
-    assert one.shape[1] == 1 + 2 + len(model.shapes.scales) + model.flux.gradient.shape[1] - 1
+    assert one.shape[1] == 1 + 2 + 1 + len(model.shapes.scales) + model.flux.gradient.shape[1] - 1
     assert dataclasses.replace(everything, orders=()).orders == ()

@@ -1,0 +1,142 @@
+"""What the model leaves beyond noise: how much, where, and what it adds to the standard errors.
+
+Noise in the currents explains residuals of a known size. What repeats beyond it in the same region of the current
+plane, or at the same rotor position, is no noise: it does not average out over passes of the trajectory, as batches of
+time take it to do. Summing the scores over such groups, as over batches of time, gives its share of the covariance
+(clustering in several ways, Cameron, Gelbach and Miller 2011).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from drive_id.core.full.solver import CurrentNoise, FullSolution
+from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import Windows
+from drive_id.core.maps.flux_models import jacobian
+from drive_id.core.numerics.threads import in_threads
+from drive_id.types import BoolArray, FloatArray, IntArray
+
+LEAST_TOLD = 1.3
+"""Ratio of the residuals to noise above which the reader is told."""
+
+_CELLS, _POSITIONS = 12, 48
+_FEWEST = 8
+"""Windows in a group below which it says nothing."""
+_SIGNIFICANCE = 4.0
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class LackOfFit:
+    """What the model leaves beyond noise.
+
+    Parameters
+    ----------
+    ratio : float
+        Rms of the residuals over that which noise in the currents explains.
+    i_dq : (2,) float
+        Centre of the region of the current plane with the largest residuals, A.
+    worst : float
+        The same ratio there.
+    low : float
+        The same ratio below a fifth of i_max.
+    by_current, by_position : float
+        Mean square of what repeats in a region, or at a rotor position, over that of white residuals; 1 for white ones.
+    changes : (size, G) float
+        Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
+    """
+
+    ratio: float
+    i_dq: FloatArray
+    worst: float
+    low: float
+    by_current: float
+    by_position: float
+    changes: FloatArray
+
+
+def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -> LackOfFit:
+    """Compare the residuals with noise, by region of the current plane and by rotor position."""
+    model, kept = sums.model, sums.kept()
+    through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
+    unknowns, gamma = solution.basis.shape[1], solution.estimate[sums.model.map]
+
+    def grouped(segment: Windows) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        rows = model.design_times(segment, through, solution.spec.orders)
+        error = rows[..., -1]
+        turn = np.exp(-1j * segment.angle.mean(axis=1))
+        turned = (error[:, 0] + 1j * error[:, 1]) * turn
+        inductances = jacobian(model.flux, gamma, segment.i_dq.reshape(-1, 2)).reshape(len(segment), -1)
+        expected = noise.variance * np.square(inductances).sum(axis=1)
+        scores = np.einsum("nak,na->nk", rows[..., :-1], error)
+        sums_of = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
+        means = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]
+        for group, total, mean in zip(_groups(segment, model.i_max), sums_of, means, strict=True):
+            np.add.at(total, group, scores)
+            facts = np.stack([np.ones(len(segment)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
+            np.add.at(mean, group, facts)
+        return sums_of[0], sums_of[1], means[0], means[1]
+
+    parts = in_threads(grouped, kept)
+    by_cell, by_position, cells, positions = (np.sum([part[k] for part in parts], axis=0) for k in range(4))
+    squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
+    enough = cells[:, 0] > _FEWEST
+    worst = int(np.argmax(np.where(enough, squares, 0.0)))
+    share = sums.windows / max(sum(len(segment) for segment in kept), 1)
+    ratios = [_repeating(facts) for facts in (cells, positions)]
+    changes = [
+        solution.basis @ solution.gain(np.sqrt(max(1 - 1 / ratio, 0.0)) * share * scores.T)
+        for ratio, scores in zip(ratios, (by_cell, by_position), strict=True)
+        if ratio > 1
+    ]
+    inner = _inner_cells() & enough
+    return LackOfFit(
+        ratio=_rms_ratio(cells[enough]),
+        i_dq=_centre(worst, model.i_max),
+        worst=float(np.sqrt(squares[worst])),
+        low=_rms_ratio(cells[inner]),
+        by_current=ratios[0],
+        by_position=ratios[1],
+        changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
+    )
+
+
+def _rms_ratio(facts: FloatArray) -> float:
+    """Return the rms of the residuals of groups over that of noise; 1 without any."""
+    return float(np.sqrt(facts[:, 3].sum() / max(facts[:, 4].sum(), _TINY))) if len(facts) else 1.0
+
+
+def _groups(windows: Windows, i_max: float) -> Sequence[IntArray]:
+    """Return for each window the number of its cell of the current plane and of its rotor position."""
+    place = np.clip((windows.i_dq.mean(axis=1) / i_max + 1) / 2, 0.0, 1.0 - 1e-9)
+    cell = (place * _CELLS).astype(np.int64)
+    position = np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi)
+    return cell[:, 0] * _CELLS + cell[:, 1], np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+
+
+def _centre(cell: int, i_max: float) -> FloatArray:
+    return np.asarray((2 * (np.array(divmod(cell, _CELLS)) + 0.5) / _CELLS - 1) * i_max)
+
+
+def _inner_cells() -> BoolArray:
+    centres = np.array([_centre(cell, 1.0) for cell in range(_CELLS**2)])
+    return np.asarray(np.hypot(*centres.T) < 0.2)
+
+
+def _repeating(facts: FloatArray) -> float:
+    """Return the mean square of the groups' mean residuals over that of white ones; 1 unless it is significant.
+
+    ``facts`` (G, 5) are count, sum of both parts, sum of squares, and that of noise, of each group.
+    """
+    count, real, imag, square, _ = facts[facts[:, 0] > _FEWEST].T
+    if not len(count):
+        return 1.0
+    white = square.sum() / count.sum()
+    found = (real**2 + imag**2) / count / max(white, _TINY)
+    ratio = float(found.mean())
+    return ratio if ratio > 1 + _SIGNIFICANCE / np.sqrt(len(count)) else 1.0

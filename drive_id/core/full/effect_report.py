@@ -41,7 +41,7 @@ NOUNS = {
 _MICRO, _MILLI = 1e6, 1e3
 _NEGLIGIBLE = 3e-4
 """Rms of residuals over that of the integrated voltages that is not worth a warning."""
-_CONCENTRATED, _SUSPICIOUS = 1.5, 0.05
+_CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.05, 20.0
 
 
 def misfit_warning(fit: FullFit) -> str | None:
@@ -60,11 +60,13 @@ def misfit_warning(fit: FullFit) -> str | None:
 def _suspect(fit: FullFit) -> str:
     """Name what explains the residuals best among what was tried."""
     misfit, left = fit.misfit, fit.selection.search.left
+    if fit.outlying > _OUTLYING:
+        return f"the samples around {fit.outlying_time:.2f} s of data stand out from all others"
     best = max(left, key=lambda name: left[name], default="")
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return (
-            "they gather at small currents, where the dead time and the ripple of the inverter act; lower the dead time "
-            "or the DC-link voltage"
+            "they gather at small currents, where dead time and ripple of the inverter act; lower the dead time or the "
+            "DC-link voltage"
         )
     if best and left[best] > _SUSPICIOUS:
         return f"{NOUNS[best]} would explain {100 * left[best]:.0f} % of their squares, but not in data left out"

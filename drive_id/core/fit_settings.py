@@ -9,6 +9,8 @@ from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
+REFERENCE_TEMPERATURE = 20.0
+"""Degrees Celsius at which resistance and flux map are given where temperatures are known."""
 _OF_FULL = (
     "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
     "calibrate_angle", "calibrate_currents", "temperatures", "u_dc", "u_dc_reference", "voltage_delay",

@@ -41,8 +41,14 @@ def fit_report_message(reply: Reply) -> FitReport:
     if reply.identification is not None:
         report = reply.identification.report
         for name in message.get_fields_and_field_types():
-            if name != "warnings":
+            if name != "warnings" and not name.startswith("calibration_"):
                 setattr(message, name, getattr(report, name))
+        found = reply.identification.calibrations
+        message.calibration_names = [entry.name for entry in found]
+        message.calibration_values = _doubles([entry.value for entry in found])
+        message.calibration_sigmas = _doubles([entry.sigma for entry in found])
+        message.calibration_units = [entry.unit for entry in found]
+        message.calibration_applied = [entry.applied for entry in found]
     elif reply.samples is not None:
         message.samples_read = reply.samples.samples
         message.gaps = reply.samples.gaps

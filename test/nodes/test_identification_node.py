@@ -124,6 +124,10 @@ def assert_close(reply, identification, tolerance=1e-9):
         report.samples_read, report.samples_used, report.rows, report.gaps
     )  # fmt: skip
     assert reply.report.coverage == pytest.approx(report.coverage)
+    found = identification.calibrations
+    assert list(reply.report.calibration_names) == [entry.name for entry in found]
+    assert list(reply.report.calibration_units) == [entry.unit for entry in found]
+    assert list(reply.report.calibration_applied) == [entry.applied for entry in found]
 
 
 def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulation):

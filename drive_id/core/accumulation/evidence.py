@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core import frames
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.fit_settings import REFERENCE_TEMPERATURE, FitSettings
 from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.registry import method_named
@@ -25,8 +25,6 @@ from drive_id.types import BoolArray, Finding, FloatArray, Samples
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
 _IDLE_CURRENT = 0.02
-REFERENCE_TEMPERATURE = 20.0
-"""Degrees Celsius at which resistance and flux map are given where temperatures are known."""
 _SHAPING = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
     "harmonic_orders", "grid_points",

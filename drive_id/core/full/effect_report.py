@@ -29,6 +29,7 @@ NOUNS = {
     "copper_recordings": "another winding temperature in a later recording",
     "magnet_recordings": "another magnet temperature in a later recording",
     "eccentricity": "an eccentric resolver",
+    "eccentric_rotor": "a flux that varies over the mechanical turn (eccentric rotor)",
     "resolver_first": "a resolver error of the first electrical order",
     "resolver_second": "a resolver error of the second electrical order",
     "dc_link": "a varying DC-link voltage",
@@ -224,6 +225,19 @@ def _resolver(found: _Found) -> list[Value]:
     return [(f"resolver_{found.name.removeprefix('resolver_')}", amplitude, deviation, "rad", sentence)]
 
 
+def _rotor(found: _Found) -> list[Value]:
+    pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
+    met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
+    amplitude = float(np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1))))
+    deviation = float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
+    poles = found.fit.selection.search.columns.pole_pairs
+    sentence = (
+        f"The flux varies by {100 * amplitude:.3g} +- {100 * deviation:.2g} % over the mechanical turn of {poles} pole "
+        "pairs, as an eccentric rotor causes; the map is the mean."
+    )
+    return [("rotor_eccentricity", amplitude, deviation, "1", sentence)]
+
+
 def _link(found: _Found) -> list[Value]:
     x, dx = float(found.value[0]), float(found.sigma[0])
     sentence = (
@@ -260,6 +274,7 @@ _REPORTS: dict[str, Report] = {
     "magnet_heating": _magnet,
     "magnet_recordings": _magnet,
     "eccentricity": _resolver,
+    "eccentric_rotor": _rotor,
     "resolver_first": _resolver,
     "resolver_second": _resolver,
     "dc_link": _link,

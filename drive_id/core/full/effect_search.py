@@ -140,6 +140,8 @@ def search_effects(
         columns = replace(columns, estimate=solver.solve(spec).estimate)
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(spec)
+    names = {each.name for each in taken}
+    taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
     return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
 
 
@@ -204,8 +206,10 @@ def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float
 def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
     """Tell whether the data determine an effect: on a ring of currents, the smoothness of the map may decide."""
     smoother = solver.solve(replace(solution.spec, penalty=PENALTIES[-1]))
-    value, by_smoother = (solver.saving(each, solver.model.effect(name))[1] for each in (solution, smoother))
-    return bool(np.linalg.norm(by_smoother - value) < _MOST_BY_PENALTY * np.linalg.norm(value))
+    own = solver.model.effect(name)
+    value, by_smoother = (solver.saving(each, own)[1] for each in (solution, smoother))
+    squares, change = (float(x @ solver.total[own, own] @ x) for x in (value, by_smoother - value))
+    return change < _MOST_BY_PENALTY**2 * squares
 
 
 def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
@@ -232,16 +236,18 @@ def _columns(
 
 
 def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
-    """Return the number of pole pairs at which an eccentric resolver explains most of the residuals."""
+    """Return the number of pole pairs at which an eccentric resolver or rotor explains most of the residuals."""
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
     left = columns.model.design(windows) @ columns.estimate
     error = left[:, 0] + 1j * left[:, 1]
-    own = EFFECTS["eccentricity"]
+    both = np.concatenate([error.real, error.imag])
     shares = {}
     for pairs in range(2, _MOST_POLE_PAIRS + 1):
-        z = replace(columns, pole_pairs=pairs)(windows)[:, own]
-        rows = np.concatenate([z.real, z.imag])
-        found = np.linalg.lstsq(rows, np.concatenate([error.real, error.imag]), rcond=1e-9)[0]
-        shares[pairs] = float(np.sum((rows @ found) ** 2))
+        z = replace(columns, pole_pairs=pairs)(windows)
+        shares[pairs] = 0.0
+        for name in ("eccentricity", "eccentric_rotor"):
+            rows = np.concatenate([z[:, EFFECTS[name]].real, z[:, EFFECTS[name]].imag])
+            found = np.linalg.lstsq(rows, both, rcond=1e-9)[0]
+            shares[pairs] = max(shares[pairs], float(np.sum((rows @ found) ** 2)))
     return max(shares, key=lambda pairs: shares[pairs])

@@ -19,6 +19,7 @@ magnet_heating      change over the recording of psi_d and of the current       
 copper_recordings   R of a recording minus that of the first                    int i_s
 magnet_recordings   the same, of a recording minus that of the first            [e^{j theta}], [e^{j theta} f'(i)]
 eccentricity        error of the angle, cosine and sine of theta / p, per run   [e^{j theta} cos (j f - f'(i) j i)]
+eccentric_rotor     share of the flux, cosine and sine of theta / p, per run    [e^{j theta} cos f]
 resolver_first      error of the angle, cosine and sine of theta                likewise
 resolver_second     error of the angle, cosine and sine of 2 theta              likewise
 dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
@@ -119,7 +120,9 @@ class EffectColumns:
         if self.pole_pairs is not None and self.pole_pairs > 1:
             mechanical = windows.turned / self.pole_pairs
             runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
-            put("eccentricity", *(between(tilt * own * f(mechanical)) for own in runs for f in (np.cos, np.sin)))
+            waves = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
+            put("eccentricity", *(between(tilt * wave) for wave in waves))
+            put("eccentric_rotor", *(between(turn * psi * wave) for wave in waves))
         put("resolver_first", *(between(tilt * f(windows.angle)) for f in (np.cos, np.sin)))
         put("resolver_second", *(between(tilt * f(2 * windows.angle)) for f in (np.cos, np.sin)))
         if np.isfinite(self.link):

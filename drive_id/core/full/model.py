@@ -63,6 +63,7 @@ EFFECTS = _layout(
         "copper_recordings": MOST_RECORDINGS - 1,
         "magnet_recordings": 2 * (MOST_RECORDINGS - 1),
         "eccentricity": 2 * MOST_RUNS,
+        "eccentric_rotor": 2 * MOST_RUNS,
         "resolver_first": 2,
         "resolver_second": 2,
         "dc_link": 1,
@@ -227,7 +228,7 @@ class FullModel:
         out[:, 0, :2], out[:, 1, :2] = known.real, known.imag
         out[:, 0, CONSTANT.start] = out[:, 1, CONSTANT.start + 1] = windows.duration
         out[:, 0, SHIFT], out[:, 1, SHIFT] = windows.shifted.real, windows.shifted.imag
-        magnet = windows.heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
+        magnet = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
         out[:, 0, MAGNET], out[:, 1, MAGNET] = magnet.real, magnet.imag
         a, b, c = np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
         zero = np.zeros_like(a)

@@ -94,7 +94,7 @@ def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: Current
     distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
     orders = tuple(order for order in model.all_orders if order in distinct)
     kept = sums.kept()
-    heating = np.concatenate([windows.heating for windows in kept])
+    heating = np.concatenate([windows.magnet_heating for windows in kept])
     i_dq = noise.windows.i_dq[:, 0]
     spec = ModelSpec(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
     spec = replace(spec, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
@@ -149,6 +149,7 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         "copper_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "magnet_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "eccentricity": runs <= MOST_RUNS,
+        "eccentric_rotor": runs <= MOST_RUNS,
         "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
     }
     return tuple(name for name in EFFECTS if known.get(name, True))

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import signal
 
 from drive_id.core import frames
+from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
@@ -75,8 +76,9 @@ class Windows:
         a drive compensates the drop, s.
     crossing : (N,) complex
         Sum over the zero crossings of the phase currents, see :func:`crossings`, s.
-    heating : (N,) float
-        Temperature above the reference temperature of resistance and flux map, K.
+    heating, magnet_heating : (N,) float
+        Temperature of winding and magnet above the reference temperature of resistance and flux map, K: as recorded,
+        else as set for the recording; the magnet's else that of the winding.
     drop_scale : (N,) float
         DC-link voltage over the reference voltage of the inverter's curve.
     step : (N,) float
@@ -114,6 +116,7 @@ class Windows:
     lag: ComplexArray
     crossing: ComplexArray
     heating: FloatArray
+    magnet_heating: FloatArray
     drop_scale: FloatArray
     step: FloatArray
     held: ComplexArray
@@ -164,6 +167,8 @@ class _Stretch:
     heat: FloatArray
     lagged: ComplexArray  # i_dq after each of LAGS
     link: FloatArray  # DC-link voltage, NaN where unknown
+    winding: FloatArray  # temperature, degrees Celsius, NaN where unknown
+    magnet: FloatArray
 
     def __len__(self) -> int:
         return len(self.angle)
@@ -268,7 +273,10 @@ class WindowCutter:
             turns[continues:],
             heat[continues:],
             lagged[continues:],
-            np.full(new.stop - new.start, np.nan) if samples.dc_link_voltage is None else samples.dc_link_voltage[new],
+            *(
+                np.full(new.stop - new.start, np.nan) if values is None else values[new]
+                for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
+            ),
         )
 
     def finish(self) -> Iterator[Windows]:
@@ -331,6 +339,8 @@ class WindowCutter:
         decay = np.exp(-period / np.array(LAGS))
         lagged = decay * before + (1 - decay) * predicted[..., None]
         speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
+        winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
+        heating = np.where(np.isnan(winding), self._heating, winding)
         unknown = np.cumsum(np.append(0, np.isnan(stretch.link[:-1])))
         link: ComplexArray = period * np.cumsum(
             np.append(0j, (u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
@@ -346,7 +356,8 @@ class WindowCutter:
             shape=shape[end // grain] - shape[begin // grain],
             lag=lag[end // grain] - lag[begin // grain],
             crossing=crossing[end] - crossing[begin],
-            heating=np.full(len(begin), self._heating),
+            heating=heating,
+            magnet_heating=np.where(np.isnan(magnet), heating, magnet),
             drop_scale=np.full(len(begin), self._drop_scale),
             step=np.full(len(begin), grain * period),
             held=u_s[ends - 1] * np.exp(0.5j * period * speed),

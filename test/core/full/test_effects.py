@@ -1,0 +1,245 @@
+"""Columns of the effects of real drives, against drives in closed form that have a little of each effect.
+
+A current that is a sum of exponentials, a flux map in closed form and a constant speed give every effect exactly. The
+balance over the windows of such a recording, with the true map, leaves a residual: its derivative by the size of the
+effect must be minus the effect's column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from synthetic import saturating_flux
+
+from drive_id.core import frames
+from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
+from drive_id.core.full.windows import LAGS, WindowCutter, Windows
+from drive_id.types import Samples
+
+I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5, 209.0, 3
+NEAR, STEPPED = 0.02, 0.06
+"""Relative error of a column; that of the shortest lag, which is stepped by half a sample of its 1 ms."""
+U_DC, LINK_TURN = 400.0, 2 * np.pi * 9.0
+SETTLED = 0.08
+"""Time after which the lagging currents have forgotten their unknown start, s."""
+TURNS = 2 * np.pi * np.array([2.6, -2.6, 4.8, -4.8, 1.1, -1.1])
+SHARES = RADIUS * np.array([0.25j, -0.25j, -0.25j, 0.25j, 0.5, -0.5])
+"""cos(1.1) sin(3.7) along d and sin(1.1) along q, as exponentials (1.1, 3.7: frequencies in Hz)."""
+MODEL = FullModel(np.full(2, -I_MAX), np.full(2, I_MAX), RADIUS, (6,))
+HEIGHT = 4.0
+"""Of one of the inverter's shapes, V."""
+
+
+def current(t, lag=0.0):
+    """Return i_d + j i_q, after a first-order lag, A."""
+    return np.sum(SHARES / (1 + 1j * TURNS * lag) * np.exp(1j * TURNS * np.asarray(t)[..., None]), axis=-1)
+
+
+def flux(i):
+    psi = saturating_flux(np.stack([i.real, i.imag], axis=-1))
+    return psi[..., 0] + 1j * psi[..., 1]
+
+
+def by_time(f, t, step=1e-6):
+    return (f(t + step) - f(t - step)) / (2 * step)
+
+
+def turning(t):
+    return np.exp(1j * SPEED * t)
+
+
+def drop_of(i_s):
+    """Return the space vector of the drop at a terminal current, V."""
+    shape = MODEL.shapes(frames.phases(i_s.ravel()))[:, :, 3]
+    return HEIGHT * frames.space_vector(shape).reshape(i_s.shape)
+
+
+def dq_flux(t):
+    return flux(current(t))
+
+
+def plain_flux(t):
+    """Return psi_s of the drive without effects, Vs."""
+    return turning(t) * dq_flux(t)
+
+
+def plain_current(t):
+    return turning(t) * current(t)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What an effect changes: functions of time, in the stator frame."""
+
+    psi: Callable = plain_flux
+    terminal: Callable = plain_current
+    resistive: Callable = lambda _, i_s: R * i_s
+    measured: Callable | None = None
+    angle_error: Callable = np.zeros_like
+    logged: Callable = lambda _, u_s: u_s
+
+    def record(self, link=False):
+        """Return the samples; held voltages are exact, integrals by Gauss-Legendre quadrature."""
+        t = PERIOD * np.arange(round(SECONDS / PERIOD) + 1)
+        u_s = np.diff(self.psi(t)) / PERIOD
+        for node, weight in zip(*np.polynomial.legendre.leggauss(4), strict=True):
+            at = t[:-1] + (node + 1) / 2 * PERIOD
+            i_s = self.terminal(at)
+            u_s = u_s + weight / 2 * (self.resistive(at, i_s) + drop_of(i_s))
+        t = t[:-1]
+        return Samples(
+            stamp=np.rint(t * 1e9).astype(np.int64),
+            i_abc=frames.phases((self.measured or self.terminal)(t)),
+            u_abc=frames.phases(self.logged(t, u_s)),
+            angle=np.angle(np.exp(1j * (SPEED * t + self.angle_error(t)))),
+            speed=np.full(len(t), SPEED),
+            sample_period=PERIOD,
+            dc_link_voltage=U_DC * (1 + 0.01 * np.cos(LINK_TURN * t)) if link else None,
+        )
+
+
+def voltage(t):
+    """Return the induced voltage e, V."""
+    return by_time(plain_flux, t)
+
+
+def iron(x, factor=1.0):
+    return Drive(terminal=lambda t: plain_current(t) + x * factor * voltage(t))
+
+
+def lagging(x, lag):
+    return Drive(psi=lambda t: turning(t) * (dq_flux(t) - x * (dq_flux(t) - flux(current(t, lag)))))
+
+
+def heat(t):
+    """Return int abs(i)^2 dt, relative to that over the recording."""
+    fine = np.linspace(0.0, SECONDS, 20001)
+    integral = np.append(0.0, np.cumsum(np.abs(current(fine[1:] - fine[1] / 2)) ** 2))
+    return np.interp(t, fine, integral / integral[-1])
+
+
+def turned_resolver(x, order, shift=0.0):
+    """Measure an angle too small by x cos(order theta - shift)."""
+    return Drive(angle_error=lambda t: -x * np.cos(order * SPEED * t - shift))
+
+
+def unequal(x):
+    """Add x to the resistance of phase a and take it from that of phase c."""
+    return Drive(resistive=lambda _, i_s: R * i_s + x * frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0]))
+
+
+CASES = {
+    "iron_loss": (0, iron, 0.05),
+    "hysteresis": (0, lambda x: iron(x, 1 / SPEED), 10.0),
+    "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
+    "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
+    "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
+    **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},
+    "copper_heating": (0, lambda x: Drive(resistive=lambda t, i_s: (R + x * heat(t)) * i_s), 1e-3),
+    "magnet_heating": (0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * heat(t) * turning(t)), 1e-3),
+    "magnet_heating, by current": (1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x * heat(t))), 1.0),
+    "eccentricity": (0, lambda x: turned_resolver(x, 1 / PAIRS), 5e-3),
+    "eccentricity, sine": (1, lambda x: turned_resolver(x, 1 / PAIRS, np.pi / 2), 5e-3),
+    "resolver_first": (0, lambda x: turned_resolver(x, 1), 5e-3),
+    "resolver_second, sine": (1, lambda x: turned_resolver(x, 2, np.pi / 2), 5e-3),
+    "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
+    "phase_resistance": (0, unequal, 1e-3),
+    "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
+    "voltage_gains, imaginary": (1, lambda x: Drive(logged=lambda _, u_s: u_s - 1j * x * u_s.conj()), 1e-3),
+}  # fmt: skip
+"""Of each effect: number of the column, a drive with so much of it, and how much to try."""
+
+
+def cut(*recordings):
+    cutter, parts = WindowCutter(MODEL.shapes), []
+    for number, samples in enumerate(recordings):
+        if number:
+            parts += cutter.finish()
+            cutter.restart(number * SECONDS, number)
+        parts += cutter.cut(samples)
+    return Windows.joined([*parts, *cutter.finish()])
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    """The true parameters: the spline map that meets the flux on a grid, R, and one shape of the inverter."""
+    axis = np.linspace(-I_MAX, I_MAX, 45)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    rows = MODEL.flux.rows(grid)
+    matrix = np.zeros((len(grid), 2, MODEL.flux.parameters))
+    np.put_along_axis(matrix, rows.column, rows.value, axis=2)
+    matrix = matrix.reshape(-1, MODEL.flux.parameters)
+    ridge = 1e-9 * np.eye(MODEL.flux.parameters)
+    out = np.zeros(MODEL.size)
+    out[MODEL.map] = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ saturating_flux(grid).ravel())
+    out[VOLTAGE], out[RESISTANCE] = -1.0, R
+    out[MODEL.phase_columns()[3]] = HEIGHT
+    return out
+
+
+@pytest.fixture(scope="module")
+def columns(estimate):
+    """The columns of the drive without effects (N, EFFECT_COLUMNS), from one recording and from two."""
+    one, two = cut(Drive().record(link=True)), cut(Drive().record(), Drive().record())
+    return [EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, PAIRS)(windows) for windows in (one, two)]
+
+
+def residual(windows, estimate):
+    left = MODEL.design(windows) @ estimate
+    return left[:, 0] + 1j * left[:, 1]
+
+
+def close(windows, column, derivative, tolerance):
+    settled = windows.time > SETTLED
+    error = np.linalg.norm((column + derivative)[settled]) / np.linalg.norm(column[settled])
+    assert error < tolerance, f"{100 * error:.2g} % off"
+
+
+def test_the_drive_without_effects_leaves_next_to_nothing(estimate):
+    windows = cut(Drive().record())
+    assert np.abs(residual(windows, estimate)).max() < 1e-4 * np.abs(windows.voltage).max()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_column_is_what_a_little_of_the_effect_changes(case, estimate, columns):
+    number, drive, size = CASES[case]
+    windows = [cut(drive(sign * size).record()) for sign in (1, -1)]
+    plus, minus = (residual(each, estimate) for each in windows)
+    column = columns[0][:, EFFECTS[case.split(",")[0]].start + number]
+    close(windows[0], column, (plus - minus) / (2 * size), STEPPED if case == "flux_lag_1ms" else NEAR)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "warm", "size"),
+    [
+        ("copper_recordings", 0, lambda x: Drive(resistive=lambda _, i_s: (R + x) * i_s), 1e-3),
+        ("magnet_recordings", 0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * turning(t)), 1e-3),
+        ("magnet_recordings", 1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x)), 1.0),
+    ],
+)
+def test_a_recording_of_its_own_temperature_changes_its_own_windows(name, number, warm, size, estimate, columns):
+    windows = [cut(Drive().record(), warm(sign * size).record()) for sign in (1, -1)]
+    plus, minus = (residual(each, estimate) for each in windows)
+    column = columns[1][:, EFFECTS[name].start + number]
+    close(windows[0], column, (plus - minus) / (2 * size), NEAR)
+    assert not column[: len(column) // 2 - 1].any()
+
+
+def test_the_effects_add_up(estimate, columns):
+    """Two effects at once: to first order the columns times their sizes explain the whole residual."""
+    x, g = 3e-5, 0.02
+    drive = replace(iron(g), angle_error=lambda t: np.full_like(t, -x * SPEED))
+    left = residual(cut(drive.record()), estimate)
+    late, loss = (columns[0][:, EFFECTS[name].start] for name in ("angle_latency", "iron_loss"))
+    assert np.linalg.norm(left + x * late + g * loss) < 0.02 * np.linalg.norm(left)
+
+
+def test_what_the_recording_lacks_leaves_no_column(estimate):
+    windows = cut(Drive().record())
+    columns = EffectColumns(MODEL, estimate, 1.0, np.nan, None)(windows)
+    for name in ("dc_link", "eccentricity", "copper_recordings", "magnet_recordings"):
+        assert not columns[:, EFFECTS[name]].any()

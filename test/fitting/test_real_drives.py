@@ -1,0 +1,122 @@
+"""Method ``full`` on simulated drives with the effects of real ones: each is found by its name and value.
+
+Every drive is the ipm at 10 kHz with 0.1 % current noise and an inverter with dead time. Where an effect shows at one
+speed, one is used; the others turn forwards and backwards within one recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.full.model import EFFECTS
+from drive_id.core.result.identify import identify, score
+from drive_id.fitting.simulated import run_experiment
+
+IPM = machine_map("ipm")
+GOOD = SimulationSettings(current_noise=1e-3)
+BOTH_WAYS = {"speeds": (500.0, -900.0)}
+FAST = Lissajous(frequency_d=18.5, frequency_q=5.5)
+SECONDS = 5.0
+FLUX, RESISTANCE = 0.05, 0.5
+"""Largest errors of the flux (NRMSE) and of R beyond 2 standard errors, %."""
+NAMES = {
+    "iron_loss_conductance", "iron_loss_hysteresis", "current_latency", "angle_latency", "resistance_rise",
+    "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
+    "resolver_eccentricity", "resolver_first", "resolver_second", "resistance_a", "resistance_b", "resistance_c",
+    *(name for name in EFFECTS if name.startswith("flux_lag")),
+}  # fmt: skip
+"""Entries of the calibrations that are effects."""
+
+
+def change(before, after):
+    """Return a truth by two details of the simulation: the change from the first to the second."""
+    return lambda truths: truths[-1].details[after] - truths[0].details[before]
+
+
+def magnet_loss(start, end):
+    """Return the change of the magnet's flux between two of the simulation's temperatures."""
+
+    def of(truths):
+        warming = end(truths[-1].details) - start(truths[0].details)
+        return -truths[0].details["magnet_coefficient"] * warming * truths[0].details["magnet_flux"]
+
+    return of
+
+
+@dataclass(frozen=True)
+class Case:
+    """Settings of the recordings, and values of the effects to be found, relative tolerance, others allowed besides."""
+
+    recordings: tuple[dict, ...]
+    found: dict = field(default_factory=dict)
+    trajectory: Lissajous | None = None
+    tolerance: float = 0.05
+    besides: tuple[str, ...] = ()
+
+
+CASES = {
+    "no effect": Case((BOTH_WAYS,)),
+    "iron loss": Case(
+        (BOTH_WAYS | {"iron_conductance": 0.2, "iron_time_constant": 5e-6},), {"iron_loss_conductance": 0.2}
+    ),
+    "iron loss at one speed": Case(
+        ({"iron_conductance": 0.2, "iron_time_constant": 5e-6},), {"iron_loss_conductance": 0.2}
+    ),
+    "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
+    "current filter": Case(
+        (BOTH_WAYS | {"current_filter": 5000.0},),
+        {"current_latency": 1e6 / (2 * np.pi * 5000.0)},
+        besides=("flux_lag_1ms",),
+    ),
+    "heating": Case(
+        ({"copper_heat_capacity": 300.0, "magnet_heat_capacity": 500.0},),
+        {
+            "resistance_rise": change("resistance_start", "resistance_end"),
+            "magnet_flux_change": magnet_loss(lambda d: d["magnet_temperature"], lambda d: d["magnet_temperature_end"]),
+        },
+    ),
+    "warm second recording": Case(
+        ({}, {"speeds": (-900.0,), "copper_temperature": 45.0, "magnet_temperature": 30.0, "seed": 1}),
+        {
+            "resistance_change_2": lambda truths: 0.00393 * 25.0 * truths[0].resistance,
+            "magnet_flux_change_2": lambda truths: -0.001 * 10.0 * truths[1].details["magnet_flux"],
+        },
+    ),
+    "eccentric resolver": Case(
+        ({"resolver_mechanical_errors": (np.deg2rad(0.5),)},), {"resolver_eccentricity": np.deg2rad(0.5)}
+    ),
+    "lagging flux": Case(({"flux_lag": 0.03},), {"flux_lag_1ms": 0.03}, FAST, tolerance=0.06),
+    "drifting DC link, recorded": Case(
+        ({"u_dc_drift": 0.005, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)},),
+        {"dc_link_share": 1.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_effect_is_found_and_corrected(name):
+    case = CASES[name]
+    seconds = SECONDS / len(case.recordings)
+    simulations = [run_experiment(IPM, replace(GOOD, **each), case.trajectory, seconds) for each in case.recordings]
+    found = identify([simulation.samples for simulation in simulations])
+    truths = [simulation.truth for simulation in simulations]
+
+    assert 100 * max(score(found, truths[0])) < FLUX
+    resistance = truths[0].details.get("resistance_start", truths[0].resistance)
+    allowed = max(RESISTANCE / 100 * resistance, 2 * found.sigma_resistance)
+    assert found.resistance == pytest.approx(resistance, abs=allowed)
+
+    effects = {entry.name: entry for entry in found.calibrations if entry.name in NAMES}
+    assert case.found.keys() <= effects.keys() <= case.found.keys() | set(case.besides)
+    for key, true in case.found.items():
+        entry, expected = effects[key], true(truths) if callable(true) else true
+        assert entry.applied
+        assert entry.value == pytest.approx(expected, rel=case.tolerance, abs=entry.sigma)
+    assert not next(entry for entry in found.calibrations if entry.name == "voltage_delay").applied
+    assert found.report.warnings == ()

@@ -248,7 +248,8 @@ def _found(found: IdentifiedDrive) -> Iterator[str]:
     for entry in found.calibrations:
         if entry.applied and not entry.name.startswith(_SENSORS):
             unit = "" if entry.unit == "1" else f" {entry.unit}"
-            yield f"{entry.name} {entry.value:.3g}{unit}".replace("-", "−")
+            doubt = " (open)" if entry.doubtful else ""
+            yield f"{entry.name} {entry.value:.3g}{unit}{doubt}".replace("-", "−")
 
 
 def _shortened(sentence: str) -> str:
@@ -321,8 +322,8 @@ def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]
         "percent, against the map at the start of the first recording and, with iron loss, over the machine's current",
         "(without the iron's). R: error in percent and, in brackets, in stated standard errors. Band: share of map",
         "points whose nominal 95 % interval holds the truth. Said: effects that were identified and corrected, with",
-        "values, then the first warning, shortened (+ further ones). **No warning** marks results with an error of the",
-        "flux above 0.3 %, or of R above 1 % and 3 σ, without any.",
+        "values, (open) where another would explain as much, then the first warning, shortened (+ further ones).",
+        "**No warning** marks results with an error of the flux above 0.3 %, or of R above 1 % and 3 σ, without any.",
         "",
     )
     for number, name in enumerate(machines):

@@ -21,8 +21,10 @@ from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.types import Samples
 
 I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5, 209.0, 3
-NEAR, STEPPED = 0.02, 0.06
-"""Relative error of a column; that of the shortest lag, which is stepped by half a sample of its 1 ms."""
+NEAR = 0.02
+OF_SAMPLING = {"flux_lag_1ms": 0.06, "current_latency": 0.03}
+"""Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
+drive is smooth between the samples, where that of a real drive has the ripple of the held voltage."""
 U_DC, LINK_TURN = 400.0, 2 * np.pi * 9.0
 SETTLED = 0.08
 """Time after which the lagging currents have forgotten their unknown start, s."""
@@ -210,7 +212,7 @@ def test_a_column_is_what_a_little_of_the_effect_changes(case, estimate, columns
     windows = [cut(drive(sign * size).record()) for sign in (1, -1)]
     plus, minus = (residual(each, estimate) for each in windows)
     column = columns[0][:, EFFECTS[case.split(",")[0]].start + number]
-    close(windows[0], column, (plus - minus) / (2 * size), STEPPED if case == "flux_lag_1ms" else NEAR)
+    close(windows[0], column, (plus - minus) / (2 * size), OF_SAMPLING.get(case, NEAR))
 
 
 @pytest.mark.parametrize(

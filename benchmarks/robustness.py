@@ -115,9 +115,7 @@ EFFECTS = {
     "none": Effect("nothing added", short=True),
     "iron": Effect("iron loss, G = 0.27 i_max/u_dc", lambda m: {"iron_conductance": 0.27 * admittance(m)}, short=True),
     "iron_small": Effect("iron loss, a quarter of it", lambda m: {"iron_conductance": 0.07 * admittance(m)}),
-    "hysteresis": Effect(
-        "hysteresis, 1 % of i_max", lambda m: {"iron_hysteresis": 0.01 * default_amplitude(m)}, short=True
-    ),
+    "hysteresis": Effect("hysteresis, 1 % of i_max", lambda m: {"iron_hysteresis": 0.01 * default_amplitude(m)}),
     "filter": Effect("current filter 5 kHz", of(current_filter=5000.0), short=True),
     "latency": Effect("angle 30 µs late", of(resolver_latency=3e-5), short=True),
     "warm": Effect(
@@ -143,7 +141,7 @@ EFFECTS = {
         hexagon=True,
     ),
     "ripple": Effect("u_dc ripple 2 %, 300 Hz, not logged", of(u_dc_ripple=0.02)),
-    "drift": Effect("u_dc ±0.5 % at 2.3 Hz, not logged", of(u_dc_drift=0.005, u_dc_drift_frequency=2.3), short=True),
+    "drift": Effect("u_dc ±0.5 % at 2.3 Hz, not logged", of(u_dc_drift=0.005, u_dc_drift_frequency=2.3)),
     "drift_logged": Effect(
         "the same, DC-link voltage logged",
         of(u_dc_drift=0.005, u_dc_drift_frequency=2.3, log_scalars=("dc_link_voltage",)),
@@ -163,7 +161,7 @@ EFFECTS = {
         of(log_zero_sequence=True, resolver_quantization=2 * np.pi / 4096, stamp_jitter=2e-5),
     ),
     "decimated": Effect("log decimated to 2 kHz", of(log_decimation=5)),
-    "decimated_more": Effect("log decimated to 1 kHz", of(log_decimation=10), short=True),
+    "decimated_more": Effect("log decimated to 1 kHz", of(log_decimation=10)),
     "duty": Effect("duty cycles taken for volts", spoil=as_duty_cycles, short=True),
 }
 """All but the last few are effects of the drive; the magnitudes are common ones."""

@@ -28,7 +28,8 @@ FLUX, RESISTANCE = 0.05, 0.5
 NAMES = {
     "iron_loss_conductance", "iron_loss_hysteresis", "current_latency", "angle_latency", "resistance_rise",
     "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
-    "resolver_eccentricity", "resolver_first", "resolver_second", "resistance_a", "resistance_b", "resistance_c",
+    "resolver_eccentricity", "rotor_eccentricity", "resolver_first", "resolver_second",
+    "resistance_a", "resistance_b", "resistance_c",
     *(name for name in EFFECTS if name.startswith("flux_lag")),
 }  # fmt: skip
 """Entries of the calibrations that are effects."""
@@ -91,6 +92,7 @@ CASES = {
     "eccentric resolver": Case(
         ({"resolver_mechanical_errors": (np.deg2rad(0.5),)},), {"resolver_eccentricity": np.deg2rad(0.5)}
     ),
+    "eccentric rotor": Case(({"eccentricity": (0.005,)},), {"rotor_eccentricity": 0.005}),
     "lagging flux": Case(({"flux_lag": 0.03},), {"flux_lag_1ms": 0.03}, FAST, tolerance=0.06),
     "drifting DC link, recorded": Case(
         ({"u_dc_drift": 0.005, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)},),

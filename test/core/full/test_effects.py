@@ -146,6 +146,7 @@ CASES = {
     "magnet_heating, by current": (1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x * heat(t))), 1.0),
     "eccentricity": (0, lambda x: turned_resolver(x, 1 / PAIRS), 5e-3),
     "eccentricity, sine": (1, lambda x: turned_resolver(x, 1 / PAIRS, np.pi / 2), 5e-3),
+    "eccentric_rotor": (0, lambda x: Drive(psi=lambda t: plain_flux(t) * (1 + x * np.cos(SPEED / PAIRS * t))), 5e-3),
     "resolver_first": (0, lambda x: turned_resolver(x, 1), 5e-3),
     "resolver_second, sine": (1, lambda x: turned_resolver(x, 2, np.pi / 2), 5e-3),
     "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
@@ -243,5 +244,5 @@ def test_the_effects_add_up(estimate, columns):
 def test_what_the_recording_lacks_leaves_no_column(estimate):
     windows = cut(Drive().record())
     columns = EffectColumns(MODEL, estimate, 1.0, np.nan, None)(windows)
-    for name in ("dc_link", "eccentricity", "copper_recordings", "magnet_recordings"):
+    for name in ("dc_link", "eccentricity", "eccentric_rotor", "copper_recordings", "magnet_recordings"):
         assert not columns[:, EFFECTS[name]].any()

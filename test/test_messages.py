@@ -33,7 +33,9 @@ CONTRACT = {
     ),
     "msg/FitReport": (
         "uint64 samples_read; uint64 samples_used; uint64 rows; uint32 gaps; uint32 parameters; uint32 rank; "
-        "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings"
+        "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings; "
+        "string[] calibration_names; float64[] calibration_values; float64[] calibration_sigmas; "
+        "string[] calibration_units; bool[] calibration_applied"
     ),
     "srv/Identify": (
         "string[] bags; string method; ---; bool success; string code; string message; "

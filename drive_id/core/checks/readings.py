@@ -26,6 +26,8 @@ _DECIMATED, _DECIMATED_TURN, _DECIMATED_SHARE = (-0.6, -0.2), np.deg2rad(5.0), 1
 _LARGE_TURN = 0.2
 _SLOW_RATE = 2100.0
 _LATE, _SHIFTED = 40, 0.6
+_RESTING = 0.05
+"""Mean phase current of a part at rest, relative to i_max."""
 _PART, _OUTLYING, _LEAST_OUTLYING, _FEWEST_PARTS, _RAMP = 0.2, 30.0, 0.06, 8, 0.3
 _SWAPPED = {0: "b and c", 2: "a and b", 4: "a and c"}
 _ORDER = {2: "c, a, b", 4: "b, c, a"}
@@ -272,9 +274,10 @@ def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
 
 
 def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield the part whose voltages are explained far worse than those of all others, at one speed."""
+    """Yield the part whose voltages are explained far worse than those of all others that do not rest, at one speed."""
     count = [round(_PART / run.sample_period) for run in runs]
     parts = [run.part(at, at + n) for run, n in zip(runs, count, strict=True) for at in range(0, len(run) - n + 1, n)]
+    parts = [part for part in parts if np.abs(part.i_abc).mean() > _RESTING * i_max]
     speeds = np.array([part.speed.mean() for part in parts])
     if len(parts) < _FEWEST_PARTS or np.ptp(speeds) > _RAMP * np.abs(speeds).mean():
         return

@@ -79,6 +79,7 @@ def test_rows_say_what_the_balance_says(model, samples):
     expected = expected + windows.shifted @ x[SHIFT]
     per_phase = np.einsum("nsp,sp->np", windows.shape, drops)
     expected = expected + 2 / 3 * per_phase @ np.exp(2j * np.pi / 3 * np.arange(3)) + windows.lag @ x[model.lags]
+    expected = expected + windows.crossing * x[model.crossing]
     for end, sign in ((0, -1), (1, 1)):
         i_dq, theta = windows.i_dq[:, end], windows.angle[:, end]
         psi = flux_by_scipy(model.flux, x[model.map], i_dq)

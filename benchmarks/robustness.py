@@ -196,7 +196,8 @@ def cells(effect: Effect, name: str, speeds: tuple[float, ...]) -> list[str]:
     simulations = simulated(effect, name, speeds)
     recordings = [simulation.samples for simulation in simulations]
     try:
-        found = conclude(gather(recordings, FitSettings()), recordings)
+        settings = FitSettings(pole_pairs=simulations[0].truth.pole_pairs)
+        found = conclude(gather(recordings, settings), recordings)
     except DriveIdError as error:
         return ["–", "–", "–", f"refused: {_shortened(str(error))}"]
     truth = simulations[0].truth

@@ -101,8 +101,8 @@ class FitSettings:
     )
     pole_pairs: int = setting(
         0,
-        "number of pole pairs, to compare a recorded shaft torque with the map; 0: that of the signals file or the "
-        "simulation",
+        "number of pole pairs, to compare a recorded shaft torque with the map (0: that of the signals file or the "
+        "simulation) and to tell an eccentric rotor",
         minimum=0,
         maximum=1000,
     )

@@ -19,6 +19,8 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
 _AGREEMENT, _LEAST_SHOWN, _LEAST_EXPLAINED = 0.5, 5e-4, 0.5
+_DECIMATED = -0.23
+"""Samples; a log of every n-th sample looks like a delay of -(n-1)/2n, from -1/4 on."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
@@ -221,6 +223,13 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
         sentence = (
             f"The voltages seem to act {found} later than recorded, at the limit of what can be corrected: align the "
             "recorded voltages with the currents."
+        )
+        return Calibration(name, used, sigma, "samples", True, sentence, doubtful=True)
+    every = 1 / (1 + 2 * used) if -0.5 < used < _DECIMATED else 0.0
+    if every > 1:
+        sentence = (
+            f"The voltages seem to act {found} later than recorded, as where only one sample in {max(2, every):.0f} or "
+            "so was logged, a delay of -(n-1)/2n: log every period; this was corrected on average only."
         )
         return Calibration(name, used, sigma, "samples", True, sentence, doubtful=True)
     sentence = (

@@ -32,6 +32,8 @@ _MOST_EFFECTS, _REFINEMENTS = 6, 2
 _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
+_LONGEST_LATENCY, _LARGEST_LAG = 1.0, 0.2
+"""Sample periods by which angle or currents may be late, and share of the flux that may lag."""
 _POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "flux_lag": "flux"}
 
@@ -110,10 +112,11 @@ def search_effects(
     extended, solver = _linearized(sums, columns)
     solution = solver.solve(solution.spec)
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
+    period = float(noise.windows.period.mean())
     taken: list[Taken] = []
     savings: dict[str, float] = {}
     while len(taken) < _MOST_EFFECTS:
-        savings = _savings(solver, solution, [name for name in allowed if name not in solution.spec.effects])
+        savings = _savings(solver, solution, [name for name in allowed if name not in solution.spec.effects], period)
         if turn > 0 and solution.spec.delay == 0:
             if taken:
                 delay = estimate_delay(solver, solution, noise)
@@ -146,24 +149,39 @@ def search_effects(
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
-    """Linearize the effects about the estimate with them, as Gauss-Newton does."""
-    if not search.solution.spec.effects:
-        return search
+    """Linearize the effects about the estimate with them, as Gauss-Newton does, and drop the implausible ones."""
     columns, solution = search.columns, search.solution
-    for _ in range(_REFINEMENTS):
+    extended, solver = search.sums, search.solver
+    rounds = 0
+    while solution.spec.effects and rounds < _REFINEMENTS:
         columns = replace(columns, estimate=solution.estimate)
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(solution.spec)
+        period = float(sums.kept()[0].period[0])
+        values = {name: float(solution.estimate[sums.model.effect(name).start]) for name in solution.spec.effects}
+        kept = tuple(name for name, value in values.items() if _plausible(name, value, period))
+        rounds = rounds + 1 if kept == solution.spec.effects else 0
+        if rounds == 0:
+            solution = solver.solve(replace(solution.spec, effects=kept))
     return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
 
 
-def _savings(solver: Solver, solution: FullSolution, names: Sequence[str]) -> dict[str, float]:
-    """Return the share of the squared residuals that each effect saves; 0 where its value would not be physical."""
+def _savings(solver: Solver, solution: FullSolution, names: Sequence[str], period: float) -> dict[str, float]:
+    """Return the share of the squared residuals that each effect saves; 0 where its value is not plausible."""
     savings = {}
     for name in names:
         saving, value = solver.saving(solution, solver.model.effect(name))
-        savings[name] = 0.0 if _family(name) in _POSITIVE and value[0] < 0 else saving
+        savings[name] = saving if _plausible(name, float(value[0]), period) else 0.0
     return savings
+
+
+def _plausible(name: str, value: float, period: float) -> bool:
+    """Tell whether a drive can have an effect of this value."""
+    if name.endswith("_latency"):
+        return abs(value) < _LONGEST_LATENCY * period
+    if name.startswith("flux_lag_"):
+        return 0 <= value < _LARGEST_LAG
+    return _family(name) not in _POSITIVE or value >= 0
 
 
 def _family(name: str) -> str:
@@ -236,7 +254,7 @@ def _columns(
 
 
 def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
-    """Return the number of pole pairs at which an eccentric resolver or rotor explains most of the residuals."""
+    """Return the number of pole pairs at which an eccentric resolver explains most of the residuals."""
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
     left = columns.model.design(windows) @ columns.estimate
@@ -244,10 +262,7 @@ def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
     both = np.concatenate([error.real, error.imag])
     shares = {}
     for pairs in range(2, _MOST_POLE_PAIRS + 1):
-        z = replace(columns, pole_pairs=pairs)(windows)
-        shares[pairs] = 0.0
-        for name in ("eccentricity", "eccentric_rotor"):
-            rows = np.concatenate([z[:, EFFECTS[name]].real, z[:, EFFECTS[name]].imag])
-            found = np.linalg.lstsq(rows, both, rcond=1e-9)[0]
-            shares[pairs] = max(shares[pairs], float(np.sum((rows @ found) ** 2)))
+        z = replace(columns, pole_pairs=pairs)(windows)[:, EFFECTS["eccentricity"]]
+        rows = np.concatenate([z.real, z.imag])
+        shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, both, rcond=1e-9)[0]) ** 2))
     return max(shares, key=lambda pairs: shares[pairs])

@@ -8,8 +8,8 @@ effect              unknown                                                     
 ==================  ==========================================================  =====================================
 iron_loss           G, conductance parallel to the induced voltage e            -[e^{j theta} f'(i) e]
 hysteresis          G omega                                                     -[e^{j theta} f'(i) e / abs(omega)]
-current_latency     tau, time constant of the currents' filter or their delay   [e^{j theta} f'(i) (di/dt + j omega i)]
-                                                                                + R [i_s] + [drop_s]
+current_latency     tau, time constant of the currents' filter or their delay   [u_s - omega e^{j theta}
+                                                                                (j f - f'(i) j i)]
 angle_latency       tau                                                         [omega e^{j theta} (j f - f'(i) j i)]
 flux_lag            tau times the share of the flux that lags by a short tau    -[e^{j theta} f'(i) di/dt]
 flux_lag_...ms      share of the flux that lags by this time                    -[e^{j theta} (f(i) - f(i_lag))]
@@ -92,7 +92,8 @@ class EffectColumns:
 
         i_s = i_dq * turn
         drop = self._drop(i_s, windows)
-        e = (windows.held - resistance * i_s - drop) / turn
+        half_turn = np.exp(0.5j * windows.period[:, None] * windows.speed)  # since the mean of the held voltage
+        e = (windows.held * half_turn - resistance * i_s - drop) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
         tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
         heat = (windows.heat / max(self.heat, 1e-12))[:, None]
@@ -105,8 +106,7 @@ class EffectColumns:
 
         put("iron_loss", -between(turn * through(e)))
         put("hysteresis", -between(turn * through(e / speed)))
-        moved = turn * through(windows.slope + 1j * windows.speed * i_dq)
-        put("current_latency", between(moved + resistance * i_s + drop))
+        put("current_latency", between(windows.held - windows.speed * tilt))  # with the ripple of a held voltage
         put("angle_latency", between(windows.speed * tilt))
         put("flux_lag", -between(turn * through(windows.slope)))
         for k, lag in enumerate(LAGS):

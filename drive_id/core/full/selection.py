@@ -20,7 +20,7 @@ from drive_id.core.full.model import (
 )
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import Windows
+from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -103,7 +103,7 @@ def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: Current
     first = _first_candidate(sums, spec, noise, settings, turn)
     search, solver = first.search, first.search.solver
     spec, advantage = first.spec, np.nan
-    if settings.maps == "auto":
+    if settings.maps == "auto" and abs(spec.delay) < MOST_DELAY:  # signals further apart look like anything
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
         advantage, clearly = _advantage(solver, free, first.error)
         if clearly and _advantage_beyond_noise(solver, first, free, noise) > _CLEAR_GAIN:
@@ -134,7 +134,9 @@ def _first_candidate(
             spec, solution = lagged.spec, lagged
     allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
     calibrated = settings.calibrate_delay and spec.reciprocal
-    search = refined(sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0))
+    search = refined(
+        sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
+    )
     solver, solution = search.solver, search.solution
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
@@ -149,7 +151,8 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         "copper_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "magnet_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "eccentricity": runs <= MOST_RUNS,
-        "eccentric_rotor": runs <= MOST_RUNS,
+        # a flux that varies over θ/p looks like a map where the trajectory repeats at the same rate: p must be known
+        "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
         "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
     }
     return tuple(name for name in EFFECTS if known.get(name, True))

@@ -81,10 +81,10 @@ class Windows:
         else as set for the recording; the magnet's else that of the winding.
     drop_scale : (N,) float
         DC-link voltage over the reference voltage of the inverter's curve.
-    step : (N,) float
-        Time between the samples of which the shapes are integrated, s.
+    period : (N,) float
+        Sample period, s.
     held : (N, 2) complex
-        Voltage u_s held before [start, end], turned by the half period that has passed since its mean, V.
+        Voltage u_s held before [start, end], V.
     slope : (N, 2) complex
         d i_dq / dt before [start, end], A/s. It is taken from earlier samples only: a controller answers the noise of a
         sample later, so that noise and slope are independent.
@@ -118,7 +118,7 @@ class Windows:
     heating: FloatArray
     magnet_heating: FloatArray
     drop_scale: FloatArray
-    step: FloatArray
+    period: FloatArray
     held: ComplexArray
     slope: ComplexArray
     lagging: ComplexArray
@@ -254,11 +254,11 @@ class WindowCutter:
         i_dq = frames.space_vector(i_abc) * np.exp(-1j * angle)
         if not continues:
             self._lagged = np.full(len(LAGS), i_dq[0])
-        decay = np.exp(-samples.sample_period / np.array(LAGS))
+        decay, before, now = _lag_weights(samples.sample_period)
         lagged = np.stack(
             [
-                signal.lfilter([1 - d], [1, -d], i_dq[1:], zi=[d * start])[0]
-                for d, start in zip(decay, self._lagged, strict=True)
+                signal.lfilter([b, a], [1, -d], i_dq[1:], zi=[d * start + a * i_dq[0]])[0]
+                for d, a, b, start in zip(decay, before, now, self._lagged, strict=True)
             ],
             axis=1,
         )
@@ -335,9 +335,9 @@ class WindowCutter:
         lines = np.linalg.pinv(np.stack([np.ones(len(_PAST)), period * _PAST], axis=1))
         past = ends[..., None] + _PAST
         predicted, slope = np.moveaxis((i_s[past] * np.exp(-1j * stretch.angle[past])) @ lines.T, -1, 0)
-        before = stretch.lagged[ends - 1]
-        decay = np.exp(-period / np.array(LAGS))
-        lagged = decay * before + (1 - decay) * predicted[..., None]
+        decay, by_last, by_now = _lag_weights(period)
+        last = predicted - period * slope
+        lagged = decay * stretch.lagged[ends - 1] + by_last * last[..., None] + by_now * predicted[..., None]
         speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
         winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
         heating = np.where(np.isnan(winding), self._heating, winding)
@@ -359,8 +359,8 @@ class WindowCutter:
             heating=heating,
             magnet_heating=np.where(np.isnan(magnet), heating, magnet),
             drop_scale=np.full(len(begin), self._drop_scale),
-            step=np.full(len(begin), grain * period),
-            held=u_s[ends - 1] * np.exp(0.5j * period * speed),
+            period=np.full(len(begin), period),
+            held=u_s[ends - 1],
             slope=slope,
             lagging=np.concatenate([predicted[..., None] - lagged, predicted[..., None]], axis=-1),
             speed=speed,
@@ -394,6 +394,14 @@ def crossings(i_abc: FloatArray, period: float) -> ComplexArray:
         at = np.flatnonzero(i[:-1] * i[1:] < 0)
         out[at + 1] += 2 / 3 * period * np.sign(i[at + 1]) * np.exp(1j * shift)
     return out
+
+
+def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights of the last lagging, the last and the present current; between samples it is linear."""
+    lags = np.array(LAGS)
+    decay = np.exp(-period / lags)
+    now = 1 - (1 - decay) * lags / period
+    return decay, 1 - decay - now, now
 
 
 def _grain(period: float) -> int:

@@ -355,6 +355,8 @@ class ModelSpec:
         With a magnet flux that changes with temperature.
     lag : bool
         With the remainder of a compensation by the currents one sample earlier.
+    crossing : bool
+        With a time by which the drop's steps come early; none beside a latency of the currents, which moves them, too.
     effects : tuple of str
         Names in ``EFFECTS`` that are fitted.
     """
@@ -368,6 +370,7 @@ class ModelSpec:
     delay: float = 0.0
     magnet: bool = False
     lag: bool = False
+    crossing: bool = False
     effects: tuple[str, ...] = ()
 
 
@@ -403,7 +406,7 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         shapes = len(model.shapes.scales)
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         place(drops, model.drops.start)
-        if "current_latency" not in spec.effects:
+        if spec.crossing and "current_latency" not in spec.effects:
             place(np.ones((1, 1)), model.crossing)
     if spec.lag:
         place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)

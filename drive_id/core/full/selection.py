@@ -132,6 +132,11 @@ def _first_candidate(
         lagged = solver.solve(replace(spec, lag=True))
         if compensates(solver.model, lagged):
             spec, solution = lagged.spec, lagged
+    crossing = solver.model.crossing
+    if (
+        solver.saving(solution, slice(crossing, crossing + 1))[1][0] > 0
+    ):  # a step that comes late is none of the inverter's
+        solution = solver.solve(replace(solution.spec, crossing=True))
     allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
     calibrated = settings.calibrate_delay and spec.reciprocal
     search = refined(

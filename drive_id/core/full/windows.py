@@ -312,7 +312,7 @@ class WindowCutter:
         stride = max(1.0, STRIDE / self._period / grain)
         number = self._number + np.arange(int(len(stretch) / grain / stride) + 2)
         place = np.floor((number + number * _GOLDEN % 1.0) * stride).astype(np.int64)
-        begin = grain * (place - (_PAST[0] // grain)) - self._origin
+        begin = grain * (place - (2 * _PAST[0] // grain)) - self._origin  # not at once: the lags settle first
         span = max(1, round(_SPEED_SPAN / self._period))
         travelled = np.concatenate([[0.0], np.cumsum(np.abs(stretch.speed))])
         first = np.clip(begin, 0, len(stretch) - 1)

@@ -233,7 +233,7 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     products = noise_products(solver, solution, CurrentNoise.met(variance, once.kept()), squares)
     foreseen = solver.delay(solver.solve(choice, products))[0] - delay
     solver = Solver(twice.model, twice.folds, twice.counts)
-    assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.3)
+    assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.35)
     assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)
 
 

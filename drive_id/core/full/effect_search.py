@@ -158,12 +158,17 @@ def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(solution.spec)
         period = float(sums.kept()[0].period[0])
-        values = {name: float(solution.estimate[sums.model.effect(name).start]) for name in solution.spec.effects}
-        kept = tuple(name for name, value in values.items() if _plausible(name, value, period))
+        kept = plausible_effects(solution, sums.model, period)
         rounds = rounds + 1 if kept == solution.spec.effects else 0
         if rounds == 0:
             solution = solver.solve(replace(solution.spec, effects=kept))
     return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
+
+
+def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:
+    """Return the effects of a solution whose values a drive can have; ``period`` is the sample period, s."""
+    values = {name: float(solution.estimate[model.effect(name).start]) for name in solution.spec.effects}
+    return tuple(name for name, value in values.items() if _plausible(name, value, period))
 
 
 def _savings(solver: Solver, solution: FullSolution, names: Sequence[str], period: float) -> dict[str, float]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.effect_search import EffectSearch, refined, search_effects
+from drive_id.core.full.effect_search import EffectSearch, plausible_effects, refined, search_effects
 from drive_id.core.full.model import (
     EFFECTS,
     MOST_RECORDINGS,
@@ -145,6 +145,9 @@ def _first_candidate(
     solver, solution = search.solver, search.solution
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
+    plausible = plausible_effects(solver.solve(spec), solver.model, float(noise.windows.period.mean()))
+    if plausible != spec.effects:
+        spec, error = solver.best_penalty(replace(spec, effects=plausible))
     return _Candidate(spec, error, search)
 
 

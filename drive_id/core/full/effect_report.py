@@ -207,11 +207,17 @@ def _magnet(found: _Found) -> list[Value]:
     return out
 
 
-def _resolver(found: _Found) -> list[Value]:
+def _of_pairs(found: _Found) -> tuple[float, float]:
+    """Return the amplitude of cosine and sine, rms over the runs that have them, and its standard error."""
     pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
     amplitude = float(np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1))))
     deviation = float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
+    return amplitude, deviation
+
+
+def _resolver(found: _Found) -> list[Value]:
+    amplitude, deviation = _of_pairs(found)
     poles = found.fit.selection.search.columns.pole_pairs
     turn = {
         "eccentricity": f"once per mechanical turn of {poles} pole pairs",
@@ -226,10 +232,7 @@ def _resolver(found: _Found) -> list[Value]:
 
 
 def _rotor(found: _Found) -> list[Value]:
-    pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
-    met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
-    amplitude = float(np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1))))
-    deviation = float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
+    amplitude, deviation = _of_pairs(found)
     poles = found.fit.selection.search.columns.pole_pairs
     sentence = (
         f"The flux varies by {100 * amplitude:.3g} +- {100 * deviation:.2g} % over the mechanical turn of {poles} pole "

@@ -122,3 +122,19 @@ def test_an_effect_is_found_and_corrected(name):
         assert entry.value == pytest.approx(expected, rel=case.tolerance, abs=entry.sigma)
     assert not next(entry for entry in found.calibrations if entry.name == "voltage_delay").applied
     assert found.report.warnings == ()
+
+
+@pytest.mark.parametrize(("speeds", "name"), [((500.0,), "ipm"), ((500.0, -900.0), "ipm"), ((700.0,), "spm")])
+def test_a_hard_dead_time_is_kept_out_of_the_map_and_said(speeds, name):
+    """4 us at 10 kHz is a step of 4 % of the DC link, at which the currents stay for a while when they reach zero."""
+    settings = replace(GOOD, speeds=speeds, inverter="switching", dead_time=4e-6, output_capacitance=0.0)
+    simulation = run_experiment(machine_map(name), settings, seconds=SECONDS)
+    found = identify([simulation.samples])
+    assert 100 * max(score(found, simulation.truth)) < 0.15
+    truth = simulation.truth
+    large = truth.inverter_current > 0.5 * truth.i_max
+    slope = np.polyfit(truth.inverter_current[large], truth.inverter_voltage[large], 1)[0]
+    assert found.resistance == pytest.approx(truth.resistance + slope, abs=3 * found.sigma_resistance)
+    assert found.sigma_resistance < 0.02 * found.resistance
+    assert any("Near zero crossings of the phase currents" in sentence for sentence in found.statements)
+    assert found.report.warnings == ()

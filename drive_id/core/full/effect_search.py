@@ -268,6 +268,7 @@ def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
     shares = {}
     for pairs in range(2, _MOST_POLE_PAIRS + 1):
         z = replace(columns, pole_pairs=pairs)(windows)[:, EFFECTS["eccentricity"]]
+        z = np.sqrt(windows.weights)[:, None] * z
         rows = np.concatenate([z.real, z.imag])
         shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, both, rcond=1e-9)[0]) ** 2))
     return max(shares, key=lambda pairs: shares[pairs])

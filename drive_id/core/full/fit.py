@@ -88,6 +88,11 @@ class FullFit:
         """Mean square of the integrated voltages, (Vs)^2."""
         return self.selection.solver.total_voltage
 
+    @property
+    def crossings(self) -> float:
+        """Excess of the residuals near zero crossings, see :class:`~drive_id.core.full.selection.Selection`."""
+        return self.selection.crossings
+
     def met(self, effect: str, column: int) -> bool:
         """Tell whether the data have any of a column of an effect."""
         at = self.model.effect(effect).start + column
@@ -146,6 +151,7 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
     """
     noise = CurrentNoise.met(variance, sums.kept())
     sums, selection = select(sums, settings, turn, noise)
+    noise = CurrentNoise.met(variance, sums.kept())
     kept, solver = sums.kept(), selection.solver
     solution, bias_bound = correct_attenuation(solver, selection.solution, noise)
     if settings.passive_maps:
@@ -194,7 +200,7 @@ def batch_changes(sums: WindowSums, solution: FullSolution) -> tuple[FloatArray,
         rows = model.design_times(segment, through, solution.spec.orders)
         away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
         inductances = jacobian(model.flux, solution.estimate[model.map], segment.i_dq.reshape(-1, 2))
-        squares = np.square(inductances).reshape(len(segment), -1).sum(axis=1)
+        squares = segment.weights * np.square(inductances).reshape(len(segment), -1).sum(axis=1)
         return _batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0))
 
     batches = [batch for several in in_threads(batches_of, kept) for batch in several]

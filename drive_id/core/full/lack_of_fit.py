@@ -72,7 +72,7 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
         turn = np.exp(-1j * segment.angle.mean(axis=1))
         turned = (error[:, 0] + 1j * error[:, 1]) * turn
         inductances = jacobian(model.flux, gamma, segment.i_dq.reshape(-1, 2)).reshape(len(segment), -1)
-        expected = noise.variance * np.square(inductances).sum(axis=1)
+        expected = segment.weights * noise.variance * np.square(inductances).sum(axis=1)
         scores = np.einsum("nak,na->nk", rows[..., :-1], error)
         sums_of = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
         means = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]

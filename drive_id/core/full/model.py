@@ -196,7 +196,7 @@ class FullModel:
         out[:, :, : self.map.start] = self._beside_flux(windows)
         for turn, column, value, start, factor in self._ends(windows, self.all_orders):
             add_end(column, value, turn, start, factor, out)
-        return out
+        return _weighted(windows, out)
 
     def effect_products(self, windows: Windows) -> FloatArray:
         """Return Z'z (size, EFFECT_COLUMNS), z being the columns of the effects."""
@@ -216,7 +216,7 @@ class FullModel:
         out[:, :, used] = self._beside_flux(windows) @ beside[:, used]
         for turn, column, value, start, factor in self._ends(windows, orders):
             add_end_through(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
-        return out
+        return _weighted(windows, out)
 
     def _beside_flux(self, windows: Windows) -> FloatArray:
         """Return the columns before those of the flux, (N, 2, map.start)."""
@@ -261,6 +261,13 @@ class FullModel:
             maps.setdefault(space, []).append((start, np.cos(order * angle)))
             maps[space].append((start + space.parameters, np.sin(order * angle)))
         return maps
+
+
+def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
+    """Multiply rows (N, 2, M) by the roots of the windows' weights."""
+    if windows.weight is not None:
+        rows *= np.sqrt(windows.weight)[:, None, None]
+    return rows
 
 
 @compiled

@@ -21,6 +21,7 @@ from drive_id.core.full.model import (
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
+from drive_id.core.full.zero_crossings import BetweenCrossings, between_crossings
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -55,6 +56,9 @@ class Selection:
         Share by which free maps reduce the squared error on data left out; negative when they increase it.
     search : EffectSearch
         What real drives do besides the model, as far as it was found.
+    crossings : float
+        Excess of the residuals of windows with a zero crossing, see
+        :class:`~drive_id.core.full.zero_crossings.BetweenCrossings`; NaN where the fit includes them.
     """
 
     solver: Solver
@@ -63,6 +67,7 @@ class Selection:
     sigma_delay: float
     advantage: float
     search: EffectSearch
+    crossings: float = np.nan
 
 
 def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> tuple[WindowSums, Selection]:
@@ -73,6 +78,10 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     WindowSums, Selection
         The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
+    crossings = np.nan
+    if between := _between_crossings(sums, settings, turn, noise):
+        sums, crossings = between.sums, between.excess
+        noise = CurrentNoise.met(noise.variance, sums.kept())
     selection, plain = _select(sums, settings, turn, noise), sums
     known = sums.model.all_orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
@@ -85,21 +94,37 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums = plain.with_orders((*kept, *new)[:MOST_ORDERS])
         known = (*known, *new)
         selection = _select(sums, settings, turn, noise)
-    return selection.search.sums, selection
+    return selection.search.sums, replace(selection, crossings=crossings)
+
+
+def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:
+    """Return the variant with all candidate harmonics and no effects."""
+    model = sums.model
+    distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
+    orders = tuple(order for order in model.all_orders if order in distinct)
+    heating = np.concatenate([windows.magnet_heating for windows in sums.kept()])
+    return ModelSpec(
+        settings.maps != "free",
+        orders,
+        per_phase=settings.per_phase_inverter,
+        penalty=PENALTIES[-2],
+        magnet=bool(np.ptp(heating) > _LEAST_HEATING),
+        delay=0.0 if settings.calibrate_delay else settings.voltage_delay,
+    )
+
+
+def _between_crossings(
+    sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> BetweenCrossings | None:
+    """Tell whether the drop near zero crossings spoils a fit that includes what a compensation leaves of it."""
+    solver = Solver(sums.model, sums.folds, sums.counts)
+    return between_crossings(sums, solver, _compensated(solver, _first_spec(sums, settings, turn)), noise)
 
 
 def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> Selection:
     """Select among the harmonics that the sums cover."""
-    model = sums.model
-    distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
-    orders = tuple(order for order in model.all_orders if order in distinct)
-    kept = sums.kept()
-    heating = np.concatenate([windows.magnet_heating for windows in kept])
-    i_dq = noise.windows.i_dq[:, 0]
-    spec = ModelSpec(settings.maps != "free", orders, per_phase=settings.per_phase_inverter, penalty=PENALTIES[-2])
-    spec = replace(spec, magnet=bool(np.ptp(heating) > _LEAST_HEATING))
-    if not settings.calibrate_delay:
-        spec = replace(spec, delay=settings.voltage_delay)
+    model, spec = sums.model, _first_spec(sums, settings, turn)
+    orders, i_dq = spec.orders, noise.windows.i_dq[:, 0]
     first = _first_candidate(sums, spec, noise, settings, turn)
     search, solver = first.search, first.search.solver
     spec, advantage = first.spec, np.nan
@@ -127,11 +152,8 @@ def _first_candidate(
 ) -> _Candidate:
     """Detect an inverter compensation, then further effects or a delay, then the harmonics, then the penalty."""
     solver = Solver(sums.model, sums.folds, sums.counts)
-    solution = solver.solve(spec)
-    if solver.saving(solution, solver.model.lags)[0] > _CLEAR_GAIN:
-        lagged = solver.solve(replace(spec, lag=True))
-        if compensates(solver.model, lagged):
-            spec, solution = lagged.spec, lagged
+    solution = _compensated(solver, spec)
+    spec = solution.spec
     crossing = solver.model.crossing
     if (
         solver.saving(solution, slice(crossing, crossing + 1))[1][0] > 0
@@ -149,6 +171,16 @@ def _first_candidate(
     if plausible != spec.effects:
         spec, error = solver.best_penalty(replace(spec, effects=plausible))
     return _Candidate(spec, error, search)
+
+
+def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
+    """Solve, with the remainder of an inverter compensation where one is detected."""
+    solution = solver.solve(spec)
+    if solver.saving(solution, solver.model.lags)[0] > _CLEAR_GAIN:
+        lagged = solver.solve(replace(spec, lag=True))
+        if compensates(solver.model, lagged):
+            return lagged
+    return solution
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
@@ -276,7 +308,7 @@ def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Wind
     left = model.design(windows) @ estimate
     error = left[:, 0] + 1j * left[:, 1]
     currents = np.concatenate([np.ones((len(windows), 2, 1)), windows.i_dq / model.i_max], axis=2)
-    turned = np.exp(1j * windows.angle)[..., None] * currents  # (N, end, 3)
+    turned = np.sqrt(windows.weights)[:, None, None] * np.exp(1j * windows.angle)[..., None] * currents  # (N, end, 3)
     step, phase = np.exp(1j * windows.angle), np.ones((len(windows), 2), np.complex128)
     shares = np.empty(highest)
     for order in range(highest):

@@ -304,11 +304,12 @@ def noise_products(
     windows = noise.windows
     i_dq = windows.i_dq[:, 0]
     slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
-    products = sum(one.T @ one for one in slopes)
+    weights = windows.weights
+    products = sum(one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one for one in slopes)
     gamma = solution.estimate[model.map]
     shown = max(float(gamma @ (products @ gamma)), _TINY)
     rows = float(solver.counts.sum())
-    ends = products * min(rows * noise.variance / len(i_dq), max(squares, 0.0) / shown)
+    ends = products * min(rows * noise.variance / weights.sum(), max(squares, 0.0) / shown)
     before, after = model.map.start, model.size - model.map.stop
     parts = [sparse.csr_array((before, before)), ends, sparse.csr_array((after, after))]
     return sparse.csr_array(sparse.block_diag(parts))

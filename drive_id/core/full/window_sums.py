@@ -48,10 +48,10 @@ class WindowSums:
         self.model = model
         self.windows = 0
         self.outside = 0
-        self._cutter = WindowCutter(model.shapes)
+        self._cutter = WindowCutter(model.shapes, short=True)
         self._folds: list[FloatArray] = []
         self._shared: set[int] = set()  # folds that a copy holds, too
-        self._counts = np.zeros(FOLDS, np.int64)
+        self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
         self._last = -1  # last segment with windows
@@ -94,9 +94,23 @@ class WindowSums:
     def with_orders(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model with other harmonics."""
         model = self.model
-        other = WindowSums(FullModel(model.low, model.high, model.i_max, orders))
-        for number in sorted(self._kept):
-            other._segment, other._pending = number, [self._kept[number]]  # of its own class
+        return self._over(FullModel(model.low, model.high, model.i_max, orders), self._kept)
+
+    def between_crossings(self, weights: Callable[[Windows], FloatArray]) -> WindowSums:
+        """Return the sums over the kept short windows instead, with weights (N,) on their squared residuals."""
+        short = {number: windows.part(windows.short) for number, windows in self._kept.items()}
+        return self._over(
+            self.model,
+            {
+                number: replace(windows, short=np.zeros(len(windows), np.bool_), weight=weights(windows))
+                for number, windows in short.items()
+            },
+        )
+
+    def _over(self, model: FullModel, kept: Mapping[int, Windows]) -> WindowSums:
+        other = WindowSums(model)
+        for number in sorted(kept):
+            other._segment, other._pending = number, [kept[number]]  # of its own class
             other._flush()
         other.outside = self.outside
         return other
@@ -116,7 +130,8 @@ class WindowSums:
         """
         other = self.copy()
         model, effects = self.model, self.model.effects
-        kept = {number: replace(windows, effects=columns(windows)) for number, windows in self._kept.items()}
+        kept = {number: windows.part(~windows.short) for number, windows in self._kept.items()}
+        kept = {number: replace(windows, effects=columns(windows)) for number, windows in kept.items()}
         other._kept = kept  # noqa: SLF001  # of its own class
         rows = in_threads(model.effect_products, [kept[number] for number in sorted(kept)])
         products = np.zeros((FOLDS, model.size, EFFECT_COLUMNS))
@@ -144,7 +159,7 @@ class WindowSums:
         b = linalg.cho_solve(linalg.cho_factor(scaled, lower=True), outer) / scale[:, None]
         out = np.empty_like(products)
         for fold, product in enumerate(products):
-            share = self._counts[fold] / max(int(some._counts[fold]), 1)  # noqa: SLF001
+            share = self._counts[fold] / max(float(some._counts[fold]), 1.0)  # noqa: SLF001
             left = share * (product - kept_folds[fold] @ b)
             out[fold] = folds[fold] @ b + left
             inner = share * (product[effects] - b.T @ (kept_folds[fold] @ b)) + b.T @ (folds[fold] @ b)
@@ -181,12 +196,12 @@ class WindowSums:
         done = self.finished()
         out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
-        kept = done.kept()
+        kept = [done._kept[number] for number in sorted(done._kept)]  # noqa: SLF001
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
         if kept:
             together = Windows.joined(kept)
             out |= {f"windows.{name}": getattr(together, name) for name in MEASURED}
-        if done.windows > int(out["length"].sum()):
+        if done.windows > sum(len(windows) for windows in done.kept()):
             rows, columns = np.tril_indices(self.model.size)
             out["folds"] = np.array([fold[rows, columns] for fold in done._matrices()])  # noqa: SLF001
             out["counts"], out["last"] = done._counts, np.array(done._last)  # noqa: SLF001
@@ -231,7 +246,11 @@ class WindowSums:
 
     def kept(self) -> list[Windows]:
         """Return the kept segments in order of time."""
-        return [self._kept[number] for number in sorted(self._kept)]
+        return [windows.part(~windows.short) for _, windows in sorted(self._kept.items())]
+
+    def kept_short(self) -> list[Windows]:
+        """Return the short windows of the kept segments in order of time."""
+        return [windows.part(windows.short) for _, windows in sorted(self._kept.items())]
 
     def _next_start(self) -> int:
         """Return the segment in which the next recording begins, the same for merging and adding."""
@@ -253,7 +272,7 @@ class WindowSums:
     def _take(self, windows: Windows) -> None:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
-        self.outside += int((~usable).sum())
+        self.outside += int((~usable & ~windows.short).sum())
         segment = windows.interval(SEGMENT)
         for number in np.unique(segment):
             if number != self._segment:
@@ -265,16 +284,16 @@ class WindowSums:
         """Accumulate the windows of a segment."""
         windows = Windows.joined(self._pending) if self._pending else None
         self._pending = []
-        if windows is None or not len(windows):
+        if windows is None or windows.short.all():
             return
-        fold = self._segment % FOLDS
+        fold, whole = self._segment % FOLDS, windows.part(~windows.short)
         matrix = self._own(fold)
         with one_blas_thread(with_scipy=True):
-            for start in range(0, len(windows), _CHUNK):
-                few = windows.part(slice(start, start + _CHUNK))
+            for start in range(0, len(whole), _CHUNK):
+                few = whole.part(slice(start, start + _CHUNK))
                 add_products(self.model.design(few).reshape(-1, self.model.size), matrix)
-        self._counts[fold] += len(windows)
-        self.windows += len(windows)
+        self._counts[fold] += len(whole) if whole.weight is None else whole.weight.sum()
+        self.windows += len(whole)
         self._last = self._segment
         if self._segment % self._every == 0:
             earlier = self._kept.get(self._segment)
@@ -282,7 +301,7 @@ class WindowSums:
             self._thin()
 
     def _thin(self) -> None:
-        while len(self._kept) > 1 and sum(len(windows) for windows in self._kept.values()) > MOST_KEPT:
+        while len(self._kept) > 1 and sum(int((~windows.short).sum()) for windows in self._kept.values()) > MOST_KEPT:
             self._every *= 2
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
 

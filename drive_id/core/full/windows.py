@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -23,7 +24,8 @@ from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
-WINDOW_ANGLE = np.deg2rad(60.0)
+WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)
+"""Angle turned in a window, and in a short one, which fits between the zero crossings of two phase currents."""
 LONGEST_WINDOW = 0.1
 """Limit at low speed, where 60 degrees would take longer, s."""
 STRIDE = 0.8e-3
@@ -45,6 +47,7 @@ _FEWEST = 4096
 """Samples to collect before windows are cut, so that overlaps cost little."""
 _FINEST = 1e-4
 """Grid of the ends of windows where samples are closer, s."""
+_SOME = 4
 _SPEED_SPAN = 5e-3
 _GOLDEN = 0.6180339887498949
 
@@ -101,8 +104,14 @@ class Windows:
         int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known.
     run, recording : (N,) int
         Number of the gap-free run and of the recording.
+    clearance : (N,) float
+        Smallest absolute value of a phase current within the window, 0 where one crosses zero, A.
+    short : (N,) bool
+        Whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE.
     effects : (N, EFFECT_COLUMNS) complex, optional
         Columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`.
+    weight : (N,) float, optional
+        Of the squared residuals; default: 1.
     """
 
     time: FloatArray
@@ -128,7 +137,10 @@ class Windows:
     link: ComplexArray
     run: IntArray
     recording: IntArray
+    clearance: FloatArray
+    short: BoolArray
     effects: ComplexArray | None = None
+    weight: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -137,20 +149,26 @@ class Windows:
         """Return the number (N,) of the interval of ``length`` seconds in which each window starts."""
         return np.asarray((self.time + _ROUNDING) / length).astype(np.int64)
 
-    def part(self, selected: slice | IntArray) -> Windows:
+    def part(self, selected: slice | IntArray | BoolArray) -> Windows:
         """Return some of the windows."""
-        arrays = {name: getattr(self, name)[selected] for name in MEASURED}
-        return Windows(**arrays, effects=None if self.effects is None else self.effects[selected])
+        own: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        chosen: dict[str, Any] = {name: x if x is None else x[selected] for name, x in own.items()}
+        return Windows(**chosen)
 
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
         """Concatenate windows."""
-        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in MEASURED}
-        effects = [part.effects for part in parts if part.effects is not None]
-        return Windows(**arrays, effects=np.concatenate(effects) if effects else None)
+        known = [name for name in (*MEASURED, *_ADDED) if all(getattr(part, name) is not None for part in parts)]
+        return Windows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in known})
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights (N,) of the squared residuals."""
+        return np.ones(len(self)) if self.weight is None else self.weight
 
 
-MEASURED = tuple(field.name for field in fields(Windows) if field.name != "effects")
+_ADDED = ("effects", "weight")
+MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
 """Arrays of windows that come from samples alone."""
 
 
@@ -188,10 +206,13 @@ class WindowCutter:
     ----------
     shapes : CapacitiveShapes
         Of the inverter.
+    short : bool
+        Cut short windows as well, from the same beginnings: those without a zero crossing of a phase current, those
+        at small current, and a quarter of the others.
     """
 
-    def __init__(self, shapes: CapacitiveShapes) -> None:
-        self._shapes = shapes
+    def __init__(self, shapes: CapacitiveShapes, *, short: bool = False) -> None:
+        self._shapes, self._short = shapes, short
         self._heating, self._drop_scale = 0.0, 1.0
         self._turned = self._heat = 0.0  # up to the last sample, rad and A^2 s
         self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
@@ -295,7 +316,11 @@ class WindowCutter:
         begin_used, end_used = begin[:count], begin[:count] + length[:count]
         moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
         if moving.any():
-            yield self._windows(stretch, begin_used[moving], end_used[moving])
+            begin_used, end_used = begin_used[moving], end_used[moving]
+            whole = len(begin_used)
+            if self._short:
+                begin_used, end_used = self._with_short(stretch, begin_used, end_used)
+            yield self._windows(stretch, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
         grain = _grain(self._period)
         past = max(0, int(begin[count]) - grain * -(_PAST[0] // grain)) if count < len(begin) else 0
@@ -322,7 +347,19 @@ class WindowCutter:
         length = np.clip(np.rint(WINDOW_ANGLE / np.maximum(turn, WINDOW_ANGLE / longest)), 2, longest)
         return begin, grain * length.astype(np.int64)
 
-    def _windows(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> Windows:
+    def _with_short(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
+        """Append the places of the short windows."""
+        grain = _grain(self._period)
+        turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
+        sooner = begin + grain * np.maximum(turns, 1)
+        current = np.abs(frames.space_vector(stretch.i_abc))
+        current = np.maximum(current[begin], current[sooner])
+        scales = self._shapes.scales
+        useful = (_clearance(stretch.i_abc, begin, sooner) > scales[1]) | (current < scales[-1])
+        useful |= (self._origin + begin) // grain % _SOME == 0
+        return np.append(begin, begin[useful]), np.append(end, sooner[useful])
+
+    def _windows(self, stretch: _Stretch, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
         period, grain = self._period, _grain(self._period)
         i_s, u_s = frames.space_vector(stretch.i_abc), frames.space_vector(stretch.u_abc)
         voltage: ComplexArray = period * np.cumsum(np.append(0j, u_s[:-1]), dtype=np.complex128)
@@ -369,6 +406,8 @@ class WindowCutter:
             link=np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan),
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
+            clearance=_clearance(stretch.i_abc, begin, end),
+            short=short,
         )
 
     def _lag(self, i_s: ComplexArray, angle: FloatArray) -> ComplexArray:
@@ -394,6 +433,14 @@ def crossings(i_abc: FloatArray, period: float) -> ComplexArray:
         at = np.flatnonzero(i[:-1] * i[1:] < 0)
         out[at + 1] += 2 / 3 * period * np.sign(i[at + 1]) * np.exp(1j * shift)
     return out
+
+
+def _clearance(i_abc: FloatArray, begin: IntArray, end: IntArray) -> FloatArray:
+    """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if it crosses zero, A."""
+    least = np.min(np.abs(i_abc), axis=1)
+    until = least.copy()
+    until[:-1][np.any((i_abc[:-1] < 0) != (i_abc[1:] < 0), axis=1)] = 0.0
+    return np.minimum(np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2], least[end])
 
 
 def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from drive_id.core.full.fit import FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
 from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
@@ -25,7 +26,8 @@ from drive_id.types import BoolArray, FloatArray
 
 _FINE, _DENSITY = 72, 2
 _OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
-_LEAST_TURN = np.deg2rad(45.0)
+_LEAST_TURN = 0.75
+"""Share of a window's angle."""
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
@@ -219,7 +221,7 @@ def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray
     """Return warnings of the windows and of the standard errors of the flux map."""
     misfit = misfit_warning(fit)
     warnings = [misfit] if misfit else []
-    if fit.turn < _LEAST_TURN:
+    if fit.turn < _LEAST_TURN * (SHORT_ANGLE if fit.crossings > 1 else WINDOW_ANGLE):
         warnings.append(
             f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so the "
             "effect of voltage errors exceeds the stated standard errors: record at a higher speed."
@@ -284,10 +286,19 @@ def _statements(
         ),
         "A common gain error of all currents or all voltages scales the result and cannot be detected in these data.",
         *([_COMPENSATION] if fit.spec.lag else []),
+        *([_on_crossings(fit)] if fit.crossings > 1 else []),
         *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, inside),
         f"What would help most: {advice}.",
+    )
+
+
+def _on_crossings(fit: FullFit) -> str:
+    return (
+        f"Near zero crossings of the phase currents the residuals are {fit.crossings:.2g} times as large as current "
+        "noise explains, as with a dead time that is not short against the ripple: the map rests on what lies between "
+        "the crossings, and the inverter curve near zero current is a mean."
     )
 
 

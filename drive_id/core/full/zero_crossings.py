@@ -1,0 +1,121 @@
+"""Weights on windows near zero crossings of the phase currents, where no curve over the current gives the drop.
+
+With a hard dead time the drop depends on the currents at the edges of the switches, their ripple included, and a phase
+whose current reaches zero within the dead time stays there. Between crossings the drop is constant whatever the
+inverter does. Where the residuals of windows with a crossing exceed those of short windows between crossings, the fit
+is repeated over the short ones. Their weights fall with the excess over noise, by the distance from zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.full.model import FullModel
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
+from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import Windows
+from drive_id.core.maps.flux_models import jacobian
+from drive_id.types import FloatArray, IntArray
+
+_EDGES = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.08])
+"""Lower edges of the classes of clearance, relative to i_max."""
+_CLEAR = 5
+"""First class that a first fit relies on."""
+_FIRST = 1e-3
+_POWER = 4.0
+"""Of the excess: the misfit of a crossing is the same in each pass and does not average out like noise."""
+_LEAST_EXCESS, _ABOVE_CLEAR = 1.3, 1.15
+_LEAST_VOLTAGE = 3e-4
+"""Rms of the excess relative to that of the integrated voltages."""
+_ROUNDS = 2
+_FEWEST, _MOST = 32, 1500
+
+
+@dataclass(frozen=True, eq=False)
+class BetweenCrossings:
+    """Sums over short windows, weighted by their clearance from zero crossings.
+
+    Parameters
+    ----------
+    sums : WindowSums
+    excess : float
+        Rms of the residuals of windows with a crossing over that which noise in the currents explains.
+    """
+
+    sums: WindowSums
+    excess: float
+
+
+def between_crossings(
+    sums: WindowSums, solver: Solver, solution: FullSolution, noise: CurrentNoise
+) -> BetweenCrossings | None:
+    """Return the weighted sums over short windows where the drop near zero crossings spoils a fit, else None.
+
+    Parameters
+    ----------
+    sums : WindowSums
+    solver : Solver
+        Of these sums.
+    solution : FullSolution
+        The fit to them.
+    noise : CurrentNoise
+    """
+    model, short = sums.model, Windows.joined(sums.kept_short())
+    clear = _classes(short, model.i_max) >= _CLEAR
+    if 2 * clear.sum() < solution.basis.shape[1] or not _spoiled(solver, solution, short, noise):
+        return None
+    spec = replace(solution.spec, crossing=False)
+    weights = np.where(np.arange(len(_EDGES)) >= _CLEAR, 1.0, _FIRST)
+    for _ in range(_ROUNDS):
+        chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])  # noqa: B023
+        found = Solver(chosen.model, chosen.folds, chosen.counts).solve(spec)
+        excess = _excess(model, found, short, noise)
+        weights = np.maximum(excess / max(1.0, excess[_CLEAR:].min()), 1.0) ** -_POWER
+    chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])
+    return BetweenCrossings(chosen, float(excess[0]))
+
+
+def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
+    """Tell whether short windows with a crossing leave more than noise and more than those clear of crossings do."""
+    some = short.part(slice(None, None, -(-len(short) // _MOST)))
+    number = _classes(some, solver.model.i_max)
+    squares, expected = _squares(solver.model, solution, some, noise)
+    crossing, clear = number == 0, number >= _CLEAR
+    if min(crossing.sum(), clear.sum()) < _FEWEST:
+        return False
+    excess, usual = (_ratio(squares[own], expected[own]) for own in (crossing, clear))
+    voltage = (squares - expected)[crossing].mean()
+    least = max(_LEAST_EXCESS**2, _ABOVE_CLEAR**2 * usual)
+    return bool(excess > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage)
+
+
+def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise) -> FloatArray:
+    """Return the rms of the residuals over noise in each class; in one without windows that of the next one."""
+    number = _classes(windows, model.i_max)
+    squares, expected = _squares(model, solution, windows, noise)
+    out = np.ones(len(_EDGES))
+    for k in reversed(range(len(_EDGES))):
+        own = number == k
+        enough = own.sum() >= _FEWEST
+        out[k] = np.sqrt(_ratio(squares[own], expected[own])) if enough else out[min(k + 1, len(_EDGES) - 1)]
+    return out
+
+
+def _squares(
+    model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise
+) -> tuple[FloatArray, FloatArray]:
+    """Return the squared residuals (N,) and those that noise explains, (Vs)^2."""
+    left = model.design(windows) @ solution.estimate
+    slopes = jacobian(model.flux, solution.estimate[model.map], windows.i_dq.reshape(-1, 2))
+    return np.square(left).sum(axis=1), noise.variance * np.square(slopes).reshape(len(windows), -1).sum(axis=1)
+
+
+def _ratio(squares: FloatArray, expected: FloatArray) -> float:
+    return float(squares.sum() / max(expected.sum(), np.finfo(np.float64).tiny))
+
+
+def _classes(windows: Windows, i_max: float) -> IntArray:
+    """Return the class (N,) of clearance of each window."""
+    return np.asarray(np.searchsorted(_EDGES * i_max, windows.clearance, side="right") - 1)

@@ -25,11 +25,17 @@ resolver_second     error of the angle, cosine and sine of 2 theta              
 dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
 phase_resistance    R of phases a and b above the mean, c below                 of int i_a, int i_b, int i_c
 voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
+remainder           none: what the columns above, linear in the effects, leave  [e^{j (theta + eps)} f((i + di)
+                    of the flux at the estimated effects                        e^{-j eps}) - e^{j theta} (f + ...)]
 ==================  ==========================================================  =====================================
 
 [x] is the difference of x at the ends of the window, f' the Jacobian of the map as far as it is known, i the current
 in the rotor frame, and e = u - R i - drop the induced voltage. All columns use earlier samples only, e the voltage held
 before: a controller answers the noise of a sample with voltage and current, which would bias them.
+
+Effects of several percent of the current also act in second order. With di, the sum of what the effects change of the
+current, and eps, that of the angle, both at the estimate, the remainder is the exact change of the flux minus the linear
+one. It has no unknown of its own and makes the repeated linearization converge to the nonlinear model.
 """
 
 from __future__ import annotations
@@ -80,7 +86,7 @@ class EffectColumns:
         flat = windows.i_dq.reshape(-1, 2)
         gamma = self.estimate[model.map]
         slopes = jacobian(model.flux, gamma, flat).reshape(*i_dq.shape, 2, 2)
-        psi, by_angle = self._flux(windows)
+        psi, by_angle = self._flux(i_dq, windows.angle)
 
         def through(x: ComplexArray) -> ComplexArray:
             """Return f'(i) x."""
@@ -92,12 +98,15 @@ class EffectColumns:
 
         i_s = i_dq * turn
         drop = self._drop(i_s, windows)
-        half_turn = np.exp(0.5j * windows.period[:, None] * windows.speed)  # since the mean of the held voltage
-        e = (windows.held * half_turn - resistance * i_s - drop) / turn
+        e = (windows.held - resistance * i_s - drop) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
         tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
         heat = (windows.heat / max(self.heat, 1e-12))[:, None]
         out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
+        shift, error = np.zeros_like(i_dq), np.zeros(i_dq.shape)  # of current and angle by the effects at the estimate
+
+        def value(name: str) -> FloatArray:
+            return self.estimate[model.effect(name)]
 
         def put(name: str, *columns: ComplexArray) -> None:
             start = EFFECTS[name].start
@@ -106,36 +115,50 @@ class EffectColumns:
 
         put("iron_loss", -between(turn * through(e)))
         put("hysteresis", -between(turn * through(e / speed)))
+        shift -= value("iron_loss") * e + value("hysteresis") * e / speed
         put("current_latency", between(windows.held - windows.speed * tilt))  # with the ripple of a held voltage
+        late = value("current_latency") * windows.speed  # the flux rotated less when these currents flowed
+        error -= late
         put("angle_latency", between(windows.speed * tilt))
+        error += value("angle_latency") * windows.speed
         put("flux_lag", -between(turn * through(windows.slope)))
         for k, lag in enumerate(LAGS):
             put(f"flux_lag_{1e3 * lag:g}ms", -between(turn * self._change(windows, windows.lagging[..., k])))
         put("copper_heating", windows.current * heat[:, 0])
         of_magnet = between(turn), between(turn * through(np.ones_like(i_dq)))
         put("magnet_heating", *(column * heat[:, 0] for column in of_magnet))
+        shift += value("magnet_heating")[1] * heat
         later = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
         put("copper_recordings", *(windows.current * own for own in later))
         put("magnet_recordings", *(column * own for own in later for column in of_magnet))
+        shift += sum(own[:, None] * x for own, x in zip(later, value("magnet_recordings")[1::2], strict=True))
         if self.pole_pairs is not None and self.pole_pairs > 1:
             mechanical = windows.turned / self.pole_pairs
             runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
             waves = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
             put("eccentricity", *(between(tilt * wave) for wave in waves))
+            error += sum(wave * x for wave, x in zip(waves, value("eccentricity"), strict=True))
             put("eccentric_rotor", *(between(turn * psi * wave) for wave in waves))
-        put("resolver_first", *(between(tilt * f(windows.angle)) for f in (np.cos, np.sin)))
-        put("resolver_second", *(between(tilt * f(2 * windows.angle)) for f in (np.cos, np.sin)))
+        for name, order in (("resolver_first", 1), ("resolver_second", 2)):
+            waves = [f(order * windows.angle) for f in (np.cos, np.sin)]
+            put(name, *(between(tilt * wave) for wave in waves))
+            error += sum(wave * x for wave, x in zip(waves, value(name), strict=True))
         if np.isfinite(self.link):
             put("dc_link", -np.nan_to_num(windows.link / self.link - windows.voltage))
         a, b, c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
         put("phase_resistance", a - c, b - c)
         put("voltage_gains", -windows.voltage.conj(), -1j * windows.voltage.conj())
+        if shift.any() or error.any():
+            ahead = np.exp(1j * error)
+            changed = self._flux((i_dq + shift) * ahead.conj(), windows.angle + error)[0]
+            ripple = 0.5 * np.square(np.maximum(late * np.sign(windows.speed), 0.0)) * (psi - through(i_dq))
+            put("remainder", between(turn * (ahead * changed - psi - through(shift) - ripple) - error * tilt))
         return out
 
-    def _flux(self, windows: Windows) -> tuple[ComplexArray, ComplexArray]:
-        """Return f(i, theta) and its derivative by theta (N, 2) at the ends, Wb."""
+    def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return f(i, theta) and its derivative by theta (N, 2) at currents, A, and angles (N, 2), rad, Wb."""
         model, estimate = self.model, self.estimate
-        flat, angle = windows.i_dq.reshape(-1, 2), windows.angle.reshape(-1, 1)
+        flat, angle = frames.as_pairs(i_dq.ravel()), at.reshape(-1, 1)
         flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))
         harmonic = model.harmonic.rows(flat)
         for order in model.orders:
@@ -143,11 +166,11 @@ class EffectColumns:
                 a, b = (harmonic.dot(half) for half in np.split(estimate[model.harmonics[order]], 2))
                 cosine, sine = np.cos(order * angle), np.sin(order * angle)
                 flux, by_angle = flux + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
-        psi, slope = ((x @ np.array([1.0, 1j])).reshape(windows.angle.shape) for x in (flux, by_angle))
+        psi, slope = ((x @ np.array([1.0, 1j])).reshape(at.shape) for x in (flux, by_angle))
         return psi, slope
 
     def _change(self, windows: Windows, lagging: ComplexArray) -> ComplexArray:
-        """Return f(i) - f(i - lagging) (N, 2) at the predicted currents i, Wb."""
+        """Return f(i) - f(i - lagging) (N, 2) at the interpolated currents i, Wb."""
         model, gamma = self.model, self.estimate[self.model.map]
         now = windows.lagging[..., -1]
         one, other = (frames.as_pairs(i.ravel()) for i in (now, now - lagging))

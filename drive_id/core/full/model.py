@@ -69,9 +69,11 @@ EFFECTS = _layout(
         "dc_link": 1,
         "phase_resistance": 2,
         "voltage_gains": 2,
+        "remainder": 1,
     }
 )
-"""Effects beside the model that a fit tries, and their columns relative to the first one."""
+"""Effects beside the model that a fit tries, and their columns relative to the first one; last, what is left of them
+in second order, which has no unknown."""
 
 EFFECT_COLUMNS = max(columns.stop for columns in EFFECTS.values())
 
@@ -363,7 +365,7 @@ class ModelSpec:
     lag : bool
         With the remainder of a compensation by the currents one sample earlier.
     crossing : bool
-        With a time by which the drop's steps come early; none beside a latency of the currents, which moves them, too.
+        With a time by which the drop's steps come early.
     effects : tuple of str
         Names in ``EFFECTS`` that are fitted.
     """
@@ -413,7 +415,7 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         shapes = len(model.shapes.scales)
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         place(drops, model.drops.start)
-        if spec.crossing and "current_latency" not in spec.effects:
+        if spec.crossing:
             place(np.ones((1, 1)), model.crossing)
     if spec.lag:
         place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)

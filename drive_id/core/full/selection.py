@@ -154,17 +154,14 @@ def _first_candidate(
     solver = Solver(sums.model, sums.folds, sums.counts)
     solution = _compensated(solver, spec)
     spec = solution.spec
-    crossing = solver.model.crossing
-    if (
-        solver.saving(solution, slice(crossing, crossing + 1))[1][0] > 0
-    ):  # a step that comes late is none of the inverter's
-        solution = solver.solve(replace(solution.spec, crossing=True))
+    solution = _with_crossing(solver, solution)
     allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
     calibrated = settings.calibrate_delay and spec.reciprocal
     search = refined(
         sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     )
-    solver, solution = search.solver, search.solution
+    solver = search.solver
+    solution = _with_crossing(solver, search.solution)  # a filter of the currents hides it
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
     plausible = plausible_effects(solver.solve(spec), solver.model, float(noise.windows.period.mean()))
@@ -183,6 +180,14 @@ def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
     return solution
 
 
+def _with_crossing(solver: Solver, solution: FullSolution) -> FullSolution:
+    """Fit the time by which the drop's steps come early; one that came late would be none of the inverter's."""
+    crossing = slice(solver.model.crossing, solver.model.crossing + 1)
+    if solution.spec.crossing or solver.saving(solution, crossing)[1][0] <= 0:
+        return solution
+    return solver.solve(replace(solution.spec, crossing=True))
+
+
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
     """Return the effects that these data may show."""
     kept = sums.kept()
@@ -195,7 +200,7 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
         "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
     }
-    return tuple(name for name in EFFECTS if known.get(name, True))
+    return tuple(name for name in EFFECTS if name != "remainder" and known.get(name, True))
 
 
 def compensates(model: FullModel, solution: FullSolution) -> bool:

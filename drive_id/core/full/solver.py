@@ -214,11 +214,11 @@ class Solver:
         squares : float
             Sum of squared residuals with this delay, (Vs)^2.
         """
-        columns = np.r_[VOLTAGE, SHIFT]
+        columns = np.r_[VOLTAGE, SHIFT, self.model.effect("remainder")]
         left = self._left(solution, columns)
         best, least, bend = 0.0, np.inf, 1.0
         for low in SHIFTS:
-            start, end = (np.concatenate([[1.0], -delay_shares(low + e)]) for e in (0.0, 1.0))
+            start, end = (np.concatenate([[1.0], -delay_shares(low + e), [-1.0]]) for e in (0.0, 1.0))
             step = end - start
             bend_here = float(step @ left @ step)
             where = float(np.clip(-(step @ left @ start) / max(bend_here, 1e-300), 0.0, 1.0))
@@ -250,6 +250,7 @@ class Solver:
         voltage = np.zeros(self.model.size)
         voltage[VOLTAGE] = 1.0
         voltage[SHIFT] = -delay_shares(spec.delay)
+        voltage[self.model.effect("remainder")] = -1.0
         return voltage
 
     def _penalty(self, t: sparse.csr_array, penalty: float) -> FloatArray:

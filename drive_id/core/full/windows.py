@@ -42,6 +42,8 @@ _REACH = 4
 _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""
+_BESIDE, _CUBIC = np.array([-2, -1, 1, 2]), np.array([-1, 4, 4, -1]) / 6
+"""Samples beside the end of a window, and the weights of the cubic through them at the end."""
 _ROUNDING = 1e-9  # s
 _FEWEST = 4096
 """Samples to collect before windows are cut, so that overlaps cost little."""
@@ -92,8 +94,8 @@ class Windows:
         d i_dq / dt before [start, end], A/s. It is taken from earlier samples only: a controller answers the noise of a
         sample later, so that noise and slope are independent.
     lagging : (N, 2, len(LAGS) + 1) complex
-        i_dq predicted at [start, end] from earlier samples, minus the same after first-order lags of LAGS seconds;
-        last, the prediction itself, A.
+        i_dq at [start, end], interpolated between the samples beside, which do not have the noise of the sample itself,
+        minus the same after first-order lags of LAGS seconds; last, the interpolated current itself, A.
     speed : (N, 2) float
         Electrical speed at [start, end], rad/s.
     turned : (N, 2) float
@@ -368,13 +370,13 @@ class WindowCutter:
         lag = self._lag(i_s, stretch.angle)
         crossing = np.cumsum(crossings(stretch.i_abc, period))
         ends = np.stack([begin, end], axis=1)
-        i_dq = i_s[ends] * np.exp(-1j * stretch.angle[ends])
+        turned = i_s * np.exp(-1j * stretch.angle)
+        i_dq = turned[ends]
         lines = np.linalg.pinv(np.stack([np.ones(len(_PAST)), period * _PAST], axis=1))
-        past = ends[..., None] + _PAST
-        predicted, slope = np.moveaxis((i_s[past] * np.exp(-1j * stretch.angle[past])) @ lines.T, -1, 0)
+        slope = turned[ends[..., None] + _PAST] @ lines[1]
+        now = turned[ends[..., None] + _BESIDE] @ _CUBIC
         decay, by_last, by_now = _lag_weights(period)
-        last = predicted - period * slope
-        lagged = decay * stretch.lagged[ends - 1] + by_last * last[..., None] + by_now * predicted[..., None]
+        lagged = decay * stretch.lagged[ends - 1] + by_last * turned[ends - 1, None] + by_now * now[..., None]
         speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
         winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
         heating = np.where(np.isnan(winding), self._heating, winding)
@@ -399,7 +401,7 @@ class WindowCutter:
             period=np.full(len(begin), period),
             held=u_s[ends - 1],
             slope=slope,
-            lagging=np.concatenate([predicted[..., None] - lagged, predicted[..., None]], axis=-1),
+            lagging=np.concatenate([now[..., None] - lagged, now[..., None]], axis=-1),
             speed=speed,
             turned=stretch.turned[ends],
             heat=stretch.heat[begin],

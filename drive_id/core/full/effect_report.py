@@ -20,6 +20,7 @@ from drive_id.types import FloatArray
 NOUNS = {
     "iron_loss": "iron loss",
     "hysteresis": "iron loss by hysteresis",
+    "coercivity": "iron loss by hysteresis of constant coercivity",
     "current_latency": "a filter or a latency of the currents",
     "angle_latency": "a latency of the angle",
     "flux_lag": "flux that lags the current (eddy currents in the magnets)",
@@ -134,6 +135,12 @@ def _iron(found: _Found) -> list[Value]:
             "currents and hysteresis cannot be told apart below three speeds."
         )
         return [("iron_loss_conductance", g, dg, "S", sentence)]
+    if found.name == "coercivity":
+        sentence = (
+            f"Iron loss was identified as hysteresis: a current of {g:.4g} +- {dg:.2g} A along the induced voltage, "
+            "whatever its size."
+        )
+        return [("iron_loss_current", g, dg, "A", sentence)]
     sentence = f"Iron loss was identified as hysteresis: a conductance of {g:.4g} +- {dg:.2g} S rad/s over the speed."
     return [("iron_loss_hysteresis", g, dg, "S rad/s", sentence)]
 
@@ -269,6 +276,7 @@ def _amplitude(found: _Found) -> list[Value]:
 _REPORTS: dict[str, Report] = {
     "iron_loss": _iron,
     "hysteresis": _iron,
+    "coercivity": _iron,
     "current_latency": _latency,
     "angle_latency": _latency,
     "flux_lag": _lag,

@@ -35,7 +35,7 @@ _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
 _LONGEST_LATENCY, _LARGEST_LAG = 1.0, 0.2
 """Sample periods by which angle or currents may be late, and share of the flux that may lag."""
 _POSITIVE = ("iron_loss", "flux")
-_FAMILIES = {"hysteresis": "iron_loss", "flux_lag": "flux"}
+_FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ effect              unknown                                                     
 ==================  ==========================================================  =====================================
 iron_loss           G, conductance parallel to the induced voltage e            -[e^{j theta} f'(i) e]
 hysteresis          G omega                                                     -[e^{j theta} f'(i) e / abs(omega)]
+coercivity          constant iron current along e                               -[e^{j theta} f'(i) e / abs(e)]
 current_latency     tau, time constant of the currents' filter or their delay   [u_s - omega e^{j theta}
                                                                                 (j f - f'(i) j i)]
 angle_latency       tau                                                         [omega e^{j theta} (j f - f'(i) j i)]
@@ -33,13 +34,14 @@ remainder           none: what the columns above, linear in the effects, leave  
 in the rotor frame, and e = u - R i - drop the induced voltage. All columns use earlier samples only, e the voltage held
 before: a controller answers the noise of a sample with voltage and current, which would bias them.
 
-Effects of several percent of the current also act in second order. With di, the sum of what the effects change of the
-current, and eps, that of the angle, both at the estimate, the remainder is the exact change of the flux minus the linear
-one. It has no unknown of its own and makes the repeated linearization converge to the nonlinear model.
+Effects of several percent of the current also act in second order. With di, what the effects change of the current,
+and eps, what they change of the angle, both at the estimate, the remainder is the exact change of the flux minus the
+linear one. It has no unknown of its own and makes the repeated linearization converge to the nonlinear model.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,12 +49,30 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, MOST_RECORDINGS, MOST_RUNS, RESISTANCE, FullModel
-from drive_id.core.full.windows import LAGS, Windows
+from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, Samples
+
+OF_RECORDINGS = (
+    "copper_heating",
+    "magnet_heating",
+    "copper_recordings",
+    "magnet_recordings",
+    "eccentricity",
+    "eccentric_rotor",
+)
+"""Effects that depend on the number of a recording or a run, or on the time since the start."""
 
 _SLOWEST = 1.0
 """Speed below which hysteresis is not told from noise, rad/s."""
+
+
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+def between(x: ComplexArray) -> ComplexArray:
+    """Return the differences (N,) between the ends of windows (N, 2)."""
+    return np.asarray(x[:, 1] - x[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,79 +100,110 @@ class EffectColumns:
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
-        model, resistance = self.model, float(self.estimate[RESISTANCE])
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
-        flat = windows.i_dq.reshape(-1, 2)
-        gamma = self.estimate[model.map]
-        slopes = jacobian(model.flux, gamma, flat).reshape(*i_dq.shape, 2, 2)
+        through = self._jacobian(windows)
         psi, by_angle = self._flux(i_dq, windows.angle)
-
-        def through(x: ComplexArray) -> ComplexArray:
-            """Return f'(i) x."""
-            d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
-            return np.asarray(d * x.real + q * x.imag)
-
-        def between(x: ComplexArray) -> ComplexArray:
-            return np.asarray(x[:, 1] - x[:, 0])
-
-        i_s = i_dq * turn
-        drop = self._drop(i_s, windows)
-        e = (windows.held - resistance * i_s - drop) / turn
-        speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
+        currents, waves = self._currents(windows, i_dq, turn), self._waves(windows)
         tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
-        heat = (windows.heat / max(self.heat, 1e-12))[:, None]
-        out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
-        shift, error = np.zeros_like(i_dq), np.zeros(i_dq.shape)  # of current and angle by the effects at the estimate
-
-        def value(name: str) -> FloatArray:
-            return self.estimate[model.effect(name)]
-
-        def put(name: str, *columns: ComplexArray) -> None:
-            start = EFFECTS[name].start
-            for k, column in enumerate(columns):
-                out[:, start + k] = column
-
-        put("iron_loss", -between(turn * through(e)))
-        put("hysteresis", -between(turn * through(e / speed)))
-        shift -= value("iron_loss") * e + value("hysteresis") * e / speed
-        put("current_latency", between(windows.held - windows.speed * tilt))  # with the ripple of a held voltage
-        late = value("current_latency") * windows.speed  # the flux rotated less when these currents flowed
-        error -= late
-        put("angle_latency", between(windows.speed * tilt))
-        error += value("angle_latency") * windows.speed
-        put("flux_lag", -between(turn * through(windows.slope)))
-        for k, lag in enumerate(LAGS):
-            put(f"flux_lag_{1e3 * lag:g}ms", -between(turn * self._change(windows, windows.lagging[..., k])))
-        put("copper_heating", windows.current * heat[:, 0])
+        heat = windows.heat / max(self.heat, 1e-12)
         of_magnet = between(turn), between(turn * through(np.ones_like(i_dq)))
-        put("magnet_heating", *(column * heat[:, 0] for column in of_magnet))
-        shift += value("magnet_heating")[1] * heat
-        later = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
-        put("copper_recordings", *(windows.current * own for own in later))
-        put("magnet_recordings", *(column * own for own in later for column in of_magnet))
-        shift += sum(own[:, None] * x for own, x in zip(later, value("magnet_recordings")[1::2], strict=True))
-        if self.pole_pairs is not None and self.pole_pairs > 1:
-            mechanical = windows.turned / self.pole_pairs
-            runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
-            waves = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
-            put("eccentricity", *(between(tilt * wave) for wave in waves))
-            error += sum(wave * x for wave, x in zip(waves, value("eccentricity"), strict=True))
-            put("eccentric_rotor", *(between(turn * psi * wave) for wave in waves))
-        for name, order in (("resolver_first", 1), ("resolver_second", 2)):
-            waves = [f(order * windows.angle) for f in (np.cos, np.sin)]
-            put(name, *(between(tilt * wave) for wave in waves))
-            error += sum(wave * x for wave, x in zip(waves, value(name), strict=True))
+        own = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
+        i_a, i_b, i_c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
+        columns = {name: [between(turn * through(shift)) for shift in shifts] for name, shifts in currents.items()}
+        columns |= {
+            "current_latency": [between(windows.held - windows.speed * tilt)],  # with the ripple of a held voltage
+            "angle_latency": [between(windows.speed * tilt)],
+            "flux_lag": [-between(turn * through(windows.slope))],
+            "copper_heating": [windows.current * heat],
+            "magnet_heating": [column * heat for column in of_magnet],
+            "copper_recordings": [windows.current * own_windows for own_windows in own],
+            "magnet_recordings": [column * own_windows for own_windows in own for column in of_magnet],
+            "phase_resistance": [i_a - i_c, i_b - i_c],
+            "voltage_gains": [-windows.voltage.conj(), -1j * windows.voltage.conj()],
+            **{name: [between(tilt * wave) for wave in of_order] for name, of_order in waves.items()},
+        }
+        for k, lag in enumerate(LAGS):
+            columns[f"flux_lag_{1e3 * lag:g}ms"] = [-between(turn * self._change(windows, windows.lagging[..., k]))]
+        if "eccentricity" in waves:
+            columns["eccentric_rotor"] = [between(turn * psi * wave) for wave in waves["eccentricity"]]
         if np.isfinite(self.link):
-            put("dc_link", -np.nan_to_num(windows.link / self.link - windows.voltage))
-        a, b, c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
-        put("phase_resistance", a - c, b - c)
-        put("voltage_gains", -windows.voltage.conj(), -1j * windows.voltage.conj())
+            columns["dc_link"] = [-np.nan_to_num(windows.link / self.link - windows.voltage)]
+
+        shift = self._sum(currents) + sum(
+            self._value("magnet_recordings")[2 * k + 1] * own_windows[:, None] for k, own_windows in enumerate(own)
+        )
+        shift = shift + self._value("magnet_heating")[1] * heat[:, None]
+        late = self._value("current_latency") * windows.speed  # the flux rotated less when these currents flowed
+        error = self._sum(waves).real + self._value("angle_latency") * windows.speed - late
         if shift.any() or error.any():
             ahead = np.exp(1j * error)
             changed = self._flux((i_dq + shift) * ahead.conj(), windows.angle + error)[0]
             ripple = 0.5 * np.square(np.maximum(late * np.sign(windows.speed), 0.0)) * (psi - through(i_dq))
-            put("remainder", between(turn * (ahead * changed - psi - through(shift) - ripple) - error * tilt))
+            remainder = turn * (ahead * changed - psi - through(shift) - ripple) - error * tilt
+            columns["remainder"] = [between(remainder)]
+        out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
+        for name, own_columns in columns.items():
+            for k, column in enumerate(own_columns):
+                out[:, EFFECTS[name].start + k] = column
+        return out
+
+    def _value(self, name: str) -> FloatArray:
+        return self.estimate[self.model.effect(name)]
+
+    def _sum(self, parts: Mapping[str, Sequence[FloatArray | ComplexArray]]) -> ComplexArray:
+        """Return the sum (N, 2) of parts per unit of each effect, at the estimate."""
+        both = [(part, x) for name, own in parts.items() for part, x in zip(own, self._value(name), strict=False)]
+        return np.asarray(sum(part * x for part, x in both), np.complex128)
+
+    def _jacobian(self, windows: Windows) -> Callable[[ComplexArray], ComplexArray]:
+        """Return the function f'(i) x of x (N, 2)."""
+        flat = windows.i_dq.reshape(-1, 2)
+        slopes = jacobian(self.model.flux, self.estimate[self.model.map], flat).reshape(len(windows), 2, 2, 2)
+        d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
+        return lambda x: np.asarray(d * x.real + q * x.imag)
+
+    def _currents(self, windows: Windows, i_dq: ComplexArray, turn: ComplexArray) -> dict[str, list[ComplexArray]]:
+        """Return the currents (N, 2) that each effect adds to that of the map, per unit."""
+        i_s = i_dq * turn
+        e = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
+        speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
+        return {
+            "iron_loss": [-e],
+            "hysteresis": [-e / speed],
+            "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
+        }
+
+    def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
+        """Return the errors (N, 2) of the angle by the resolver, per unit."""
+        waves = {
+            name: [f(order * windows.angle) for f in (np.cos, np.sin)]
+            for name, order in (("resolver_first", 1), ("resolver_second", 2))
+        }
+        if self.pole_pairs is not None and self.pole_pairs > 1:
+            mechanical = windows.turned / self.pole_pairs
+            runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
+            waves["eccentricity"] = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
+        return waves
+
+    def voltages(self, recordings: Sequence[Samples], length: int) -> list[ComplexArray]:
+        """Return the voltages (N,) that the effects take at the measured currents, V, in the stator frame.
+
+        Parameters
+        ----------
+        recordings : sequence of Samples
+            The whole ones, unless the estimate has none of the effects ``OF_RECORDINGS``.
+        length : int
+            Samples over which the voltage is averaged.
+        """
+        cutter, out = WindowCutter(self.model.shapes), []
+        for number, samples in enumerate(recordings):
+            cutter.restart(0.0, number)
+            voltage = np.zeros(len(samples), np.complex128)
+            for start, windows in cutter.adjacent(samples, length):
+                taken = self(windows) @ self.estimate[self.model.effects] / windows.duration
+                voltage[start : start + length * len(taken)] = np.repeat(taken, length)
+            out.append(voltage)
         return out
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:

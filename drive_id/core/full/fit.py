@@ -24,6 +24,9 @@ from drive_id.types import BoolArray, FloatArray
 BATCH = 0.05
 """Residuals of windows that start within this time are treated as dependent, others as independent, s."""
 
+_SIGNIFICANCE = 4.0
+"""Standard errors by which an effect must differ from zero to be corrected."""
+
 _SERIES, _CONVERGED = 16, 1e-3
 _SLOPE_STEP = 0.02
 _STUDENT = 1.21
@@ -152,20 +155,27 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
     noise = CurrentNoise.met(variance, sums.kept())
     sums, selection = select(sums, settings, turn, noise)
     noise = CurrentNoise.met(variance, sums.kept())
-    kept, solver = sums.kept(), selection.solver
-    solution, bias_bound = correct_attenuation(solver, selection.solution, noise)
-    if settings.passive_maps:
-        solution = enforce_passivity(solver, solution)
+    kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
+    while True:
+        solution, bias_bound = correct_attenuation(solver, uncertain, noise)
+        if settings.passive_maps:
+            solution = enforce_passivity(solver, solution)
+        batches, energy, times = batch_changes(sums, solution)
+        misfit = lack_of_fit(sums, solution, noise)
+        changes = np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes])
+        weak = _weakest(sums.model, solution, changes)
+        if weak is None:
+            break
+        effects = tuple(name for name in solution.spec.effects if name != weak)
+        uncertain = solver.solve(replace(solution.spec, effects=effects))
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
-    batches, energy, times = batch_changes(sums, solution)
-    misfit = lack_of_fit(sums, solution, noise)
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny
     return FullFit(
         model=sums.model,
         solution=solution,
-        changes=np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes]),
+        changes=changes,
         misfit=misfit,
         selection=selection,
         speeds=speeds,
@@ -176,6 +186,17 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
         outlying_time=float(times[energy.argmax()]),
     )
+
+
+def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:
+    """Return the effect that differs least from zero in standard errors, unless all do so significantly."""
+    ratios = {}
+    for name in solution.spec.effects:
+        own = model.effect(name)
+        errors = np.maximum(sigma(changes[own]), np.finfo(np.float64).tiny)
+        ratios[name] = float(np.max(np.abs(solution.estimate[own]) / errors))
+    weakest = min(ratios, key=lambda name: ratios[name], default=None)
+    return weakest if weakest is not None and ratios[weakest] < _SIGNIFICANCE else None
 
 
 def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:

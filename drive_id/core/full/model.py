@@ -54,6 +54,7 @@ EFFECTS = _layout(
     {
         "iron_loss": 1,
         "hysteresis": 1,
+        "coercivity": 1,
         "current_latency": 1,
         "angle_latency": 1,
         "flux_lag": 1,

@@ -263,6 +263,19 @@ class WindowCutter:
             if len(self._rest) >= fewest:
                 yield from self._cut(self._rest)
 
+    def adjacent(self, samples: Samples, length: int) -> Iterator[tuple[int, Windows]]:
+        """Yield for each run the sample where the first of its adjacent windows of ``length`` samples starts, and them.
+
+        The first few and the last few samples of a run are in none of them.
+        """
+        self._period = samples.sample_period
+        for run in samples.runs():
+            self._run += 1
+            stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
+            begin = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
+            if len(begin):
+                yield run.start + int(begin[0]), self._windows(stretch, begin, begin + length)
+
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with what adds up over them."""
         angle, turned = samples.angle[run], 0.0

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.frames import ComplexArray
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning
+from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
@@ -18,13 +20,15 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Gathered, Limits, SimulationModel, Sums
 from drive_id.core.methods.paper import regression_sums
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
+_AVERAGED = 4
+"""Samples over which the simulation averages the voltage that effects take."""
 _OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
 _LEAST_TURN = 0.75
 """Share of a window's angle."""
@@ -202,7 +206,27 @@ def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArr
     for order in _orders(frame.fit):
         cosine, sine = (fitted(x.reshape(places.shape), d, q) for x in frame.harmonic(order, points))
         harmonics[order] = (cosine, sine)
-    return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop)
+    return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
+
+
+def _effect_voltages(evidence: Gathered, fit: FullFit) -> EffectVoltages | None:
+    if not fit.spec.effects:
+        return None
+    search = fit.selection.search
+    columns = replace(search.columns, estimate=fit.solution.estimate)
+    recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
+    of_recordings = set(fit.spec.effects) & set(OF_RECORDINGS)
+
+    def voltages(pieces: Sequence[Samples]) -> tuple[list[ComplexArray], bool]:
+        whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
+        if whole or not of_recordings:
+            return columns.voltages(pieces, _AVERAGED), True
+        estimate = columns.estimate.copy()
+        for name in of_recordings:
+            estimate[fit.model.effect(name)] = 0.0
+        return replace(columns, estimate=estimate).voltages(pieces, _AVERAGED), False
+
+    return voltages
 
 
 def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray]:

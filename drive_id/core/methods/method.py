@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.coverage import Visits
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
-from drive_id.types import BoolArray, Finding, FloatArray
+from drive_id.types import BoolArray, Finding, FloatArray, Samples
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
     from drive_id.core.full.calibration import Calibration
@@ -65,6 +66,11 @@ class Gathered(Protocol):
         """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
 
 
+EffectVoltages = Callable[[Sequence[Samples]], tuple[list[ComplexArray], bool]]
+"""Returns the voltages (N,) of pieces of recordings that effects take, V, in the stator frame, and whether all effects
+are included: some act over whole recordings and are left out for mere pieces."""
+
+
 @dataclass(frozen=True, eq=False)
 class SimulationModel:
     """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it.
@@ -78,12 +84,15 @@ class SimulationModel:
         Amplitudes of cosine and sine of each electrical order, Wb.
     drop : (C,) float, (C,) float
         Equally spaced phase currents, A, and the inverter's drop there, V.
+    effects : callable, optional
+        Gives what effects beside this model take.
     """
 
     model: TensorSpline
     gamma: FloatArray
     harmonics: Mapping[int, tuple[FloatArray, FloatArray]]
     drop: tuple[FloatArray, FloatArray]
+    effects: EffectVoltages | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         sigma_q=estimate.sigma[..., 1],
         inside=inside,
     )
-    mad = _mad(validation, estimate)
+    mad, complete = _mad(validation, estimate)
     report = FitReport(
         samples_read=evidence.samples,
         samples_used=estimate.samples_used,
@@ -74,7 +75,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, estimate, flux_map, mad if validation else (0.0, 0.0)),
+        warnings=review(evidence, coverage, estimate, flux_map, mad if complete else (0.0, 0.0)),
     )
     return IdentifiedDrive(
         method=evidence.settings.method,
@@ -98,19 +99,29 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
     )
 
 
-def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[float, float]:
-    """Return the MAD of i_d and i_q, A, over samples corrected for the sensor faults that were found."""
+def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[tuple[float, float], bool]:
+    """Return the MAD of i_d and i_q, A, and whether it judges the model.
+
+    The samples are corrected for the sensor faults and effects that were found, as far as the effects are known for
+    these samples.
+    """
     if not validation:
-        return float("nan"), float("nan")
-    pieces = validation
+        return (float("nan"), float("nan")), False
+    pieces, complete = validation, True
     if estimate.calibrations:
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
 
         pieces = [corrected(samples, estimate.calibrations) for samples in validation]
     known = estimate.simulation
+    if known.effects is not None:
+        voltages, complete = known.effects(validation)
+        pieces = [
+            replace(piece, u_abc=piece.u_abc - frames.phases(taken))
+            for piece, taken in zip(pieces, voltages, strict=True)
+        ]
     simulated = [
         simulate_current(piece, known.model, known.gamma, known.harmonics, estimate.resistance, known.drop)
         for piece in pieces
     ]
     measured = [frames.to_dq(piece.i_abc, piece.angle) for piece in pieces]
-    return mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured))
+    return mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured)), complete

@@ -40,10 +40,17 @@ NOUNS = {
 }
 """What each effect is called in a sentence."""
 
+TESTED = (
+    "iron loss, lag of the flux, heat, latencies, resolver, unequal phases, rotor-position harmonics, ripple of a "
+    "rectified DC link"
+)
+
 _MICRO, _MILLI = 1e6, 1e3
 _NEGLIGIBLE = 3e-4
 """Rms of residuals over that of the integrated voltages that is not worth a warning."""
-_CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.05, 20.0
+_CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.15, 20.0
+_ALIKE, _MOST_NAMED = 0.5, 2
+"""Share of the best explanation from which on another one is named with it, and how many are."""
 
 
 def misfit_warning(fit: FullFit) -> str | None:
@@ -60,24 +67,53 @@ def misfit_warning(fit: FullFit) -> str | None:
 
 
 def _suspect(fit: FullFit) -> str:
-    """Name what explains the residuals best among what was tried."""
-    misfit, left = fit.misfit, fit.selection.search.left
+    """Name what explains the residuals best among what was tested."""
+    misfit, (noun, share) = fit.misfit, likeliest_cause(fit)
     if fit.outlying > _OUTLYING:
         return f"the samples around {fit.outlying_time:.2f} s of data stand out from all others"
-    best = max(left, key=lambda name: left[name], default="")
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return (
             "they gather at small currents, where dead time and ripple of the inverter act; lower the dead time or the "
             "DC-link voltage"
         )
-    if best and left[best] > _SUSPICIOUS:
-        return f"{NOUNS[best]} would explain {100 * left[best]:.0f} % of their squares, but not in data left out"
-    tried = ", ".join(
-        dict.fromkeys(NOUNS[name] for name in left if name in ("iron_loss", "current_latency", "dc_link"))
+    if share > _SUSPICIOUS:
+        return f"of the causes tested, {noun} would explain most, {100 * share:.0f} % of their squares"
+    return (
+        f"none of the causes tested ({TESTED}) explains them; check for voltages limited by the DC link, or a DC-link "
+        "voltage that varies"
+    )
+
+
+def likeliest_cause(fit: FullFit) -> tuple[str, float]:
+    """Return the causes that would explain most of the squared residuals, as nouns, and the largest share."""
+    causes = fit.misfit.causes
+    largest = max(causes.values(), default=0.0)
+    close = sorted((name for name in causes if causes[name] > _ALIKE * largest), key=lambda name: -causes[name])
+    return " or ".join(_cause(name) for name in close[:_MOST_NAMED]), largest
+
+
+def _cause(name: str) -> str:
+    kind, _, number = name.partition(" ")
+    nouns = {
+        "harmonic": f"a rotor-position harmonic of order {number}",
+        "ripple": f"a DC-link voltage that ripples at {number} Hz (record it)",
+        "devices": "drops of the inverter that differ between the phases (set per_phase_inverter)",
+    }
+    return nouns[kind] if kind in nouns else NOUNS[name]
+
+
+def not_reciprocal_warning(fit: FullFit) -> str:
+    """Say that the maps are not reciprocal, and what the tests name as the cause."""
+    noun, share = likeliest_cause(fit)
+    cause = (
+        f"of the causes tested, {noun} would explain most, {100 * share:.0f} % of the squared residuals"
+        if share > _SUSPICIOUS
+        else f"none of the causes tested ({TESTED}) explains this, so the machine itself may not be reciprocal"
     )
     return (
-        f"no effect that was tried explains them ({tried} and others); check for voltages limited by the DC link, a "
-        "DC-link voltage that varies, or devices that differ"
+        f"The maps are not reciprocal: free maps predict left-out data {100 * fit.selection.advantage:.0f} % better, "
+        f"so they were used; {cause}; at a single speed free maps leave resistance and voltage delay undetermined: "
+        "record several speeds."
     )
 
 

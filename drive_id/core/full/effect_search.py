@@ -116,7 +116,9 @@ def search_effects(
     taken: list[Taken] = []
     savings: dict[str, float] = {}
     while len(taken) < _MOST_EFFECTS:
-        savings = _savings(solver, solution, [name for name in allowed if name not in solution.spec.effects], period)
+        savings = effect_savings(
+            solver, solution, [name for name in allowed if name not in solution.spec.effects], period
+        )
         if turn > 0 and solution.spec.delay == 0:
             if taken:
                 delay = estimate_delay(solver, solution, noise)
@@ -171,7 +173,7 @@ def plausible_effects(solution: FullSolution, model: FullModel, period: float) -
     return tuple(name for name, value in values.items() if _plausible(name, value, period))
 
 
-def _savings(solver: Solver, solution: FullSolution, names: Sequence[str], period: float) -> dict[str, float]:
+def effect_savings(solver: Solver, solution: FullSolution, names: Sequence[str], period: float) -> dict[str, float]:
     """Return the share of the squared residuals that each effect saves; 0 where its value is not plausible."""
     savings = {}
     for name in names:

@@ -11,9 +11,9 @@ from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.lack_of_fit import LackOfFit, lack_of_fit
+from drive_id.core.full.lack_of_fit import LEAST_TOLD, LackOfFit, lack_of_fit, tested_causes
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
-from drive_id.core.full.selection import Selection, select
+from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
@@ -170,6 +170,9 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
         uncertain = solver.solve(replace(solution.spec, effects=effects))
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
+    if misfit.ratio > LEAST_TOLD or not solution.spec.reciprocal:
+        reciprocal = solver.solve(replace(selection.search.solution.spec, effects=solution.spec.effects))
+        misfit = replace(misfit, causes=tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings)))
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny
     return FullFit(

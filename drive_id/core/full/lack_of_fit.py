@@ -4,17 +4,22 @@ Noise in the currents explains residuals of a known size. What repeats beyond it
 plane, or at the same rotor position, is no noise: it does not average out over passes of the trajectory, as batches of
 time take it to do. Summing the scores over such groups, as over batches of time, gives its share of the covariance
 (clustering in several ways, Cameron, Gelbach and Miller 2011).
+
+Candidate causes are compared by score tests: the share of the squared residuals that the columns of each would save.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.solver import CurrentNoise, FullSolution
+from drive_id.core.full.effect_search import effect_savings
+from drive_id.core.full.model import FullModel
+from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
@@ -28,6 +33,9 @@ _CELLS, _POSITIONS = 12, 48
 _FEWEST = 8
 """Windows in a group below which it says nothing."""
 _SIGNIFICANCE = 4.0
+_RIPPLES, _MAINS = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0), 5e-3
+"""Ripples of rectified mains, Hz, and their relative tolerance."""
+_MOST_WINDOWS, _STEPS_PER_TURN = 3000, 3.0
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -49,6 +57,9 @@ class LackOfFit:
         Mean square of what repeats in a region, or at a rotor position, over that of white residuals; 1 for white ones.
     changes : (size, G) float
         Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
+    causes : mapping of str to float
+        Share of the squared residuals that each possible cause would explain, see :func:`tested_causes`; empty where
+        they were not asked for.
     """
 
     ratio: float
@@ -58,6 +69,7 @@ class LackOfFit:
     by_current: float
     by_position: float
     changes: FloatArray
+    causes: Mapping[str, float] = field(default_factory=dict)
 
 
 def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -> LackOfFit:
@@ -104,6 +116,57 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
         by_position=ratios[1],
         changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
     )
+
+
+def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str]) -> dict[str, float]:
+    """Return the share of the squared residuals that each possible cause would explain.
+
+    Keys are the names of ``effects`` that are not in the solution, ``devices`` for drops that differ between the
+    phases, ``harmonic h`` for the rotor-position harmonic that explains most, and ``ripple f`` for the same of
+    ripples f of the DC link, Hz.
+    """
+    model, kept = sums.model, sums.kept()
+    period = float(kept[0].period[0])
+    causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
+    causes["devices"] = solver.saving(solution, model.drops)[0]
+    shares = explained_shares(model, solution.estimate, kept, HIGHEST_ORDER)
+    causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
+    frequency, share = ripple(model, solution.estimate, kept)
+    causes[f"ripple {frequency:.0f}"] = share
+    return causes
+
+
+def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> tuple[float, float]:
+    """Return the frequency of the DC link's ripple that explains most, Hz, and its share of the squared residuals.
+
+    The voltages are short of ``r cos(2 pi f t - phi)`` of themselves, with a phase of its own in each run. Their mean
+    in the rotor frame is taken for constant over a window.
+    """
+    windows = Windows.joined(list(kept))
+    windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
+    left = model.design(windows) @ estimate
+    error, duration = left[:, 0] + 1j * left[:, 1], windows.duration
+    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
+    speed, first = windows.speed.mean(axis=1), np.exp(1j * windows.angle[:, 0])
+    runs = [np.flatnonzero(windows.run == run) for run in np.unique(windows.run)]
+    longest = max(float(np.ptp(windows.time[run])) for run in runs)
+    found = []
+    for nominal in _RIPPLES:
+        steps = 1 + int(_STEPS_PER_TURN * 2 * _MAINS * nominal * longest)
+        for frequency in nominal * (1 + _MAINS * np.linspace(-1.0, 1.0, steps)):
+            sides = []
+            for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
+                angle = (speed + turns) * duration
+                mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
+                sides.append(u_dq * first * np.exp(1j * turns * windows.time) * duration * mean)
+            columns = np.stack([sides[0] + sides[1], 1j * (sides[0] - sides[1])], axis=1)
+            saved = 0.0
+            for run in runs:
+                moment = (columns[run].conj().T @ error[run]).real
+                saved += float(moment @ np.linalg.lstsq((columns[run].conj().T @ columns[run]).real, moment)[0])
+            found.append((saved, float(nominal)))
+    saved, frequency = max(found)
+    return frequency, saved / max(float(np.sum(np.abs(error) ** 2)), _TINY)
 
 
 def _rms_ratio(facts: FloatArray) -> float:

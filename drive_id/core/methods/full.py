@@ -11,7 +11,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.effect_report import effect_entries, misfit_warning
+from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
@@ -267,11 +267,7 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
     """Return warnings of sensor faults and of maps that are not reciprocal."""
     warnings = [c.sentence for c in calibrations if c.name == "resolver_offset" and not c.applied]
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
-        warnings.append(
-            f"The maps are not reciprocal: free maps predict left-out data {100 * fit.selection.advantage:.0f} % "
-            "better, so they were used; at a single speed this leaves resistance and voltage delay undetermined: "
-            "record several speeds."
-        )
+        warnings.append(not_reciprocal_warning(fit))
     warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
     for c in calibrations:
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH

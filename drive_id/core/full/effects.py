@@ -186,8 +186,8 @@ class EffectColumns:
             waves["eccentricity"] = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
         return waves
 
-    def voltages(self, recordings: Sequence[Samples], length: int) -> list[ComplexArray]:
-        """Return the voltages (N,) that the effects take at the measured currents, V, in the stator frame.
+    def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
+        """Return the phase voltages (N, 3) that the effects take at the measured currents, V.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class EffectColumns:
             for start, windows in cutter.adjacent(samples, length):
                 taken = self(windows) @ self.estimate[self.model.effects] / windows.duration
                 voltage[start : start + length * len(taken)] = np.repeat(taken, length)
-            out.append(voltage)
+            out.append(frames.phases(voltage))
         return out
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:

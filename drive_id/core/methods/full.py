@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.frames import ComplexArray
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
@@ -217,7 +216,7 @@ def _effect_voltages(evidence: Gathered, fit: FullFit) -> EffectVoltages | None:
     recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
     of_recordings = set(fit.spec.effects) & set(OF_RECORDINGS)
 
-    def voltages(pieces: Sequence[Samples]) -> tuple[list[ComplexArray], bool]:
+    def voltages(pieces: Sequence[Samples]) -> tuple[list[FloatArray], bool]:
         whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
         if whole or not of_recordings:
             return columns.voltages(pieces, _AVERAGED), True

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.coverage import Visits
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.numerics.bspline import Axis
@@ -66,9 +65,9 @@ class Gathered(Protocol):
         """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
 
 
-EffectVoltages = Callable[[Sequence[Samples]], tuple[list[ComplexArray], bool]]
-"""Returns the voltages (N,) of pieces of recordings that effects take, V, in the stator frame, and whether all effects
-are included: some act over whole recordings and are left out for mere pieces."""
+EffectVoltages = Callable[[Sequence[Samples]], tuple[list[FloatArray], bool]]
+"""Returns the phase voltages (N, 3) that effects take in pieces of recordings, V, and whether all effects are included:
+some act over whole recordings and are left out for mere pieces."""
 
 
 @dataclass(frozen=True, eq=False)

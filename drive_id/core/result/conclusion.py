@@ -115,10 +115,7 @@ def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[tuple[float
     known = estimate.simulation
     if known.effects is not None:
         voltages, complete = known.effects(validation)
-        pieces = [
-            replace(piece, u_abc=piece.u_abc - frames.phases(taken))
-            for piece, taken in zip(pieces, voltages, strict=True)
-        ]
+        pieces = [replace(piece, u_abc=piece.u_abc - taken) for piece, taken in zip(pieces, voltages, strict=True)]
     simulated = [
         simulate_current(piece, known.model, known.gamma, known.harmonics, estimate.resistance, known.drop)
         for piece in pieces

@@ -12,7 +12,7 @@ from scipy import sparse
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, LackOfFit, lack_of_fit, tested_causes
-from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
+from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.window_sums import WindowSums
@@ -24,7 +24,7 @@ from drive_id.types import BoolArray, FloatArray
 BATCH = 0.05
 """Residuals of windows that start within this time are treated as dependent, others as independent, s."""
 
-_SIGNIFICANCE = 4.0
+_SIGNIFICANCE = 5.0
 """Standard errors by which an effect must differ from zero to be corrected."""
 
 _SERIES, _CONVERGED = 16, 1e-3
@@ -171,7 +171,9 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
     turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
     speeds = np.concatenate(turns)
     if misfit.ratio > LEAST_TOLD or not solution.spec.reciprocal:
-        reciprocal = solver.solve(replace(selection.search.solution.spec, effects=solution.spec.effects))
+        spec = selection.search.solution.spec
+        expected = tuple(order for order in spec.orders if order in (*SENSOR_ORDERS, *settings.harmonic_orders))
+        reciprocal = solver.solve(replace(spec, effects=solution.spec.effects, orders=expected))
         misfit = replace(misfit, causes=tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings)))
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny

@@ -33,6 +33,7 @@ free maps absorb that. A machine for which free maps save no more loses 0.03 % o
 _LEAST_COMPENSATED, _CURVE_POINTS = 0.2, 201
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
+_LEAST_BY_CROSSING = 1e-3
 _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
 """K between recordings from which on the magnet's temperature coefficient is estimated."""
@@ -161,7 +162,7 @@ def _first_candidate(
         sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     )
     solver = search.solver
-    solution = _with_crossing(solver, search.solution)  # a filter of the currents hides it
+    solution = _with_crossing(solver, search.solution, _LEAST_BY_CROSSING)  # a filter of the currents hides it
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
     plausible = plausible_effects(solver.solve(spec), solver.model, float(noise.windows.period.mean()))
@@ -180,10 +181,15 @@ def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
     return solution
 
 
-def _with_crossing(solver: Solver, solution: FullSolution) -> FullSolution:
-    """Fit the time by which the drop's steps come early; one that came late would be none of the inverter's."""
-    crossing = slice(solver.model.crossing, solver.model.crossing + 1)
-    if solution.spec.crossing or solver.saving(solution, crossing)[1][0] <= 0:
+def _with_crossing(solver: Solver, solution: FullSolution, least: float = 0.0) -> FullSolution:
+    """Fit the time by which the drop's steps come early, if it saves more than the share ``least`` of the squares.
+
+    One that came late would be none of the inverter's.
+    """
+    if solution.spec.crossing:
+        return solution
+    saving, value = solver.saving(solution, slice(solver.model.crossing, solver.model.crossing + 1))
+    if value[0] <= 0 or saving < least:
         return solution
     return solver.solve(replace(solution.spec, crossing=True))
 

@@ -34,6 +34,7 @@ _LEAST_COMPENSATED, _CURVE_POINTS = 0.2, 201
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _LEAST_BY_CROSSING = 1e-3
+"""Share of the squared residuals that early steps must save beside a latency of the currents."""
 _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
 """K between recordings from which on the magnet's temperature coefficient is estimated."""
@@ -162,7 +163,10 @@ def _first_candidate(
         sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     )
     solver = search.solver
-    solution = _with_crossing(solver, search.solution, _LEAST_BY_CROSSING)  # a filter of the currents hides it
+    solution = search.solution
+    if "current_latency" in solution.spec.effects:  # it moves the steps, too
+        solution = solver.solve(replace(solution.spec, crossing=False))
+        solution = _with_crossing(solver, solution, _LEAST_BY_CROSSING)
     significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
     spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
     plausible = plausible_effects(solver.solve(spec), solver.model, float(noise.windows.period.mean()))
@@ -186,8 +190,6 @@ def _with_crossing(solver: Solver, solution: FullSolution, least: float = 0.0) -
 
     One that came late would be none of the inverter's.
     """
-    if solution.spec.crossing:
-        return solution
     saving, value = solver.saving(solution, slice(solver.model.crossing, solver.model.crossing + 1))
     if value[0] <= 0 or saving < least:
         return solution

@@ -274,7 +274,10 @@ class WindowCutter:
             stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
             begin = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
             if len(begin):
-                yield run.start + int(begin[0]), self._windows(stretch, begin, begin + length)
+                yield (
+                    run.start + int(begin[0]),
+                    self._windows(stretch, begin, begin + length, np.zeros(len(begin), np.bool_)),
+                )
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with what adds up over them."""
@@ -455,7 +458,8 @@ def _clearance(i_abc: FloatArray, begin: IntArray, end: IntArray) -> FloatArray:
     least = np.min(np.abs(i_abc), axis=1)
     until = least.copy()
     until[:-1][np.any((i_abc[:-1] < 0) != (i_abc[1:] < 0), axis=1)] = 0.0
-    return np.minimum(np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2], least[end])
+    within = np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2]
+    return np.asarray(np.minimum(within, least[end]))
 
 
 def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -26,8 +26,11 @@ FAST = Lissajous(frequency_d=18.5, frequency_q=5.5)
 SECONDS = 5.0
 FLUX, RESISTANCE = 0.05, 0.5
 """Largest errors of the flux (NRMSE) and of R beyond 2 standard errors, %."""
+DEVIATION = 1.3
+"""MAD of the simulated current, effects included, over that of the noise of the measured one."""
 NAMES = {
-    "iron_loss_conductance", "iron_loss_hysteresis", "current_latency", "angle_latency", "resistance_rise",
+    "iron_loss_conductance", "iron_loss_hysteresis", "iron_loss_current",
+    "current_latency", "angle_latency", "resistance_rise",
     "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
     "resolver_eccentricity", "rotor_eccentricity", "resolver_first", "resolver_second",
     "resistance_a", "resistance_b", "resistance_c",
@@ -69,6 +72,7 @@ CASES = {
     "iron loss at one speed": Case(
         ({"iron_conductance": 0.2, "iron_time_constant": 5e-6},), {"iron_loss_conductance": 0.2}
     ),
+    "hysteresis of constant coercivity": Case(({"iron_hysteresis": 3.0},), {"iron_loss_current": 3.0}),
     "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
     "current filter": Case(
         (BOTH_WAYS | {"current_filter": 5000.0},),
@@ -122,6 +126,14 @@ def test_an_effect_is_found_and_corrected(name):
         assert entry.value == pytest.approx(expected, rel=case.tolerance, abs=entry.sigma)
     assert not next(entry for entry in found.calibrations if entry.name == "voltage_delay").applied
     assert found.report.warnings == ()
+    noise = np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * truths[0].i_max
+    assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * noise
+
+
+def test_a_ripple_of_the_dc_link_is_named():
+    settings = replace(GOOD, speeds=(500.0, -900.0), u_dc_ripple=0.02)
+    found = identify([run_experiment(IPM, settings, seconds=SECONDS).samples])
+    assert any("ripples at 300 Hz" in warning for warning in found.report.warnings)
 
 
 @pytest.mark.parametrize(("speeds", "name"), [((500.0,), "ipm"), ((500.0, -900.0), "ipm"), ((700.0,), "spm")])

@@ -137,6 +137,7 @@ def unequal(x):
 CASES = {
     "iron_loss": (0, iron, 0.05),
     "hysteresis": (0, lambda x: iron(x, 1 / SPEED), 10.0),
+    "coercivity": (0, lambda x: Drive(terminal=lambda t: plain_current(t) + x * voltage(t) / np.abs(voltage(t))), 1.0),
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
@@ -239,6 +240,25 @@ def test_the_effects_add_up(estimate, columns):
     left = residual(cut(drive.record()), estimate)
     late, loss = (columns[0][:, EFFECTS[name].start] for name in ("angle_latency", "iron_loss"))
     assert np.linalg.norm(left + x * late + g * loss) < 0.02 * np.linalg.norm(left)
+
+
+@pytest.mark.parametrize(
+    ("name", "drive", "size"),
+    [
+        ("iron_loss", iron, 0.2),
+        ("angle_latency", CASES["angle_latency"][1], 1e-4),
+        ("resolver_second", CASES["resolver_second, sine"][1], 0.02),
+    ],
+)
+def test_the_remainder_is_what_a_large_effect_changes_beyond_its_column(name, drive, size, estimate):
+    windows = cut(drive(size).record())
+    known = estimate.copy()
+    known[MODEL.effect(name).stop - 1] = size
+    columns = EffectColumns(MODEL, known, 1.0, np.nan, None)(windows)
+    linear = residual(windows, estimate) + size * columns[:, EFFECTS[name].stop - 1]
+    left = linear + columns[:, EFFECTS["remainder"].start]
+    settled = windows.time > SETTLED
+    assert np.linalg.norm(left[settled]) < 0.3 * np.linalg.norm(linear[settled])
 
 
 def test_what_the_recording_lacks_leaves_no_column(estimate):

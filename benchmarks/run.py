@@ -1,6 +1,6 @@
 """Print what the package costs as ratios against stated baselines, in one run on this machine, and write them down.
 
-Usage: python benchmarks/run.py [--only process,cold,growth,fit,start,live,nodes,fleet] [--hour] [--quick] [--output FILE]
+Usage: python benchmarks/run.py [--only PART,...] [--hour] [--quick] [--output FILE]
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def sample_integrals(
     )
 
 
-@compiled
+@compiled("const f8[:, :, ::1], const f8[::1], const b1[::1], const i4[:, :, ::1], const f8[:, :, ::1], f8[:, ::1]")
 def add_rows(
     known: FloatArray,
     half_turn: FloatArray,
@@ -145,7 +145,7 @@ def add_rows(
         _scatter(local, column[pending], where, gram)
 
 
-@compiled
+@compiled()
 def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     for j in range(first.shape[1]):  # noqa: SIM110  # numba compiles loops, not generators
         if first[0, j] != second[0, j] or first[1, j] != second[1, j]:
@@ -153,7 +153,7 @@ def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     return True
 
 
-@compiled
+@compiled()
 def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
     """Add the outer products of both rows to the lower triangle of ``local``."""
     for a in range(len(local)):
@@ -163,7 +163,7 @@ def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
             line[b] += x * row_d[b] + y * row_q[b]
 
 
-@compiled
+@compiled()
 def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: FloatArray) -> None:
     """Add the symmetric matrix, given by its lower triangle, to ``gram`` and clear it."""
     width = column.shape[1]

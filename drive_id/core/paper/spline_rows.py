@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from drive_id.core.numerics import bspline
-from drive_id.core.numerics.compiled import compiled, inlined
+from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _PAIRS = 4
@@ -25,7 +25,10 @@ _SERIES_BELOW = 0.1
 _THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 
 
-@compiled
+@compiled(
+    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], const f8[::1], const f8[::1], const f8[::1], const b1[::1], "
+    "f8, const f8[:, ::1], const i8[::1], f8[:, ::1]"
+)
 def add_spline_rows(
     i_abc: FloatArray,
     u_abc: FloatArray,
@@ -114,7 +117,7 @@ def add_spline_rows(
     return rows, outside
 
 
-@inlined
+@compiled()
 def _rotate(
     i_abc: FloatArray, drop: FloatArray, k: int, c: float, s: float, vectors: FloatArray, now: int
 ) -> tuple[float, float]:
@@ -126,14 +129,14 @@ def _rotate(
     return re * c + im * s, im * c - re * s
 
 
-@inlined
+@compiled()
 def _vector(x_abc: FloatArray, k: int) -> tuple[float, float]:
     """Return the stator-frame space vector, see :func:`drive_id.core.frames.space_vector`."""
     a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
     return (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
 
 
-@inlined
+@compiled()
 def _write_known(
     u_abc: FloatArray,
     k: int,
@@ -159,7 +162,7 @@ def _write_known(
     known[1, 1] = 0.5 * period * (vectors[0, 3] + vectors[1, 3])
 
 
-@inlined
+@compiled()
 def _moments(half: float) -> tuple[float, float, float, float]:
     """Return both complex ``frames.rotation_integrals`` of twice the angle ``half``, rad."""
     x = half * half
@@ -173,13 +176,13 @@ def _moments(half: float) -> tuple[float, float, float, float]:
     return c * sinc, -s * sinc, 0.5 * c * sinc - s * odd, -0.5 * s * sinc - c * odd
 
 
-@inlined
+@compiled()
 def _series(x: float, a: float, b: float, c: float, d: float, e: float) -> float:
     """Return a (1 - b x (1 - c x (1 - d x (1 - e x)))); factors, because divisions are slow."""
     return a * (1.0 - b * x * (1.0 - c * x * (1.0 - d * x * (1.0 - e * x))))
 
 
-@inlined
+@compiled()
 def _write_weights(
     i_d: float,
     i_q: float,
@@ -202,7 +205,7 @@ def _write_weights(
     return first
 
 
-@inlined
+@compiled()
 def _write_pair(
     weights: FloatArray,
     now: int,
@@ -222,7 +225,7 @@ def _write_pair(
     _write_terms(known, terms, 2 * pair)
 
 
-@inlined
+@compiled()
 def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
     """Write the factors of D and, below, those of S in the products with q_1, q_4 and v."""
     for a in range(3):
@@ -230,7 +233,7 @@ def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
         terms[row + 1, a], terms[row + 1, 3 + a] = known[1, a], -known[0, a]
 
 
-@compiled
+@compiled()
 def _add_crossing(
     weights: FloatArray,
     column: IntArray,
@@ -258,7 +261,7 @@ def _add_crossing(
     _scatter(square, mixed, both, functions, gram)
 
 
-@inlined
+@compiled()
 def _add_known(known: FloatArray, scalar: FloatArray) -> None:
     """Add the products of q_1, q_4 and v with each other to the lower triangle."""
     for a in range(3):
@@ -266,7 +269,7 @@ def _add_known(known: FloatArray, scalar: FloatArray) -> None:
             scalar[a, b] += known[0, a] * known[0, b] + known[1, a] * known[1, b]
 
 
-@compiled
+@compiled()
 def _add_products(
     left: FloatArray, right: FloatArray, terms: FloatArray, pairs: int, square: FloatArray, mixed: FloatArray
 ) -> None:
@@ -292,7 +295,7 @@ def _add_products(
             line[b] += first + ((x4 * r4[b] + x5 * r5[b]) + (x6 * r6[b] + x7 * r7[b]))
 
 
-@compiled
+@compiled()
 def _scatter(square: FloatArray, mixed: FloatArray, column: IntArray, functions: int, gram: FloatArray) -> None:
     """Add the products to ``gram``, symmetrically, and clear them."""
     d, q = 3, 3 + functions

@@ -23,7 +23,7 @@ _MESSAGE = 5
 _NANOSECONDS = 1_000_000_000
 
 
-@compiled
+@compiled("const u1[::1], i8, i8, i8[::1], i8[::1], i8[:, ::1], f8[::1], i8[::1]")
 def read_blocks(
     data: ByteArray,
     start: int,
@@ -84,7 +84,7 @@ def read_blocks(
     return DONE, count, position
 
 
-@compiled
+@compiled()
 def _read_block(
     data: ByteArray, start: int, stop: int, fields: int, row: IntArray, periods: FloatArray, at: int
 ) -> bool:
@@ -116,7 +116,7 @@ def _read_block(
     return True
 
 
-@compiled
+@compiled("const u1[::1], const i8[:, ::1], const i8[::1], const f8[::1], b1, i8[::1], f8[:, ::1]")
 def copy_blocks(
     data: ByteArray, table: IntArray, columns: IntArray, periods: FloatArray, logged: bool, stamp: IntArray,
     values: FloatArray,
@@ -152,13 +152,13 @@ def copy_blocks(
         row += samples
 
 
-@compiled
+@compiled()
 def _uint32(data: ByteArray, at: int) -> int:
     number: int = np.int64(data[at : at + 4].view(np.uint32)[0])
     return number
 
 
-@compiled
+@compiled()
 def _uint64(data: ByteArray, at: int) -> int:
     """Return eight bytes as a number; negative from 2**63 on."""
     number: int = np.int64(data[at : at + 8].view(np.int64)[0])

@@ -1,0 +1,52 @@
+"""How kernels become machine code: with numba, once on a computer, and not silently.
+
+numba keeps the machine code beside the package or, where that is read-only, in the user's cache directory. It compiles
+anew after a change of a kernel's file, and for another CPU.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable
+from typing import Any, cast
+
+import numba
+from numba.core import event, sigutils
+
+_CONSTANT = re.compile(r"const (\w+)\[([^]]*)\]")
+
+
+def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
+    """Return numba's version of a function, see :class:`~drive_id.core.numerics.compiled.Kernel`."""
+    made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    if signature is not None:
+        made.compile(argument_types(signature))
+        made.disable_compile()
+    return made
+
+
+def argument_types(signature: str) -> tuple[Any, ...]:
+    """Return numba's types of the arguments that a signature lists."""
+
+    def constant(found: re.Match[str]) -> str:
+        return f"Array({found[1]}, {found[2].count(',') + 1}, 'C', readonly=True)"
+
+    types, _ = sigutils.normalize_signature(f"({_CONSTANT.sub(constant, signature)},)")
+    return cast(tuple[Any, ...], types)
+
+
+class _Announcement(event.Listener):
+    """Tells once why the process is slow; numba reports what it compiles, not what it loads from its cache."""
+
+    def on_start(self, _event: event.Event) -> None:
+        event.unregister("numba:compile", self)
+        logging.getLogger("drive_id").warning(
+            "drive_id: compiling for this computer, which is needed once and takes about 10 s."
+        )
+
+    def on_end(self, _event: event.Event) -> None:
+        """Do nothing: the listener's protocol."""
+
+
+event.register("numba:compile", _Announcement())

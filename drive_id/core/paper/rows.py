@@ -112,12 +112,13 @@ def add_rows(
     row_d, row_q = np.zeros(wide), np.zeros(wide)
     local = np.zeros((narrow, narrow))
     where = np.zeros(wide, np.int32)
-    where[:3] = np.arange(3)
+    where[1], where[2] = 1, 2
     pending = -1  # sample whose columns the local matrix has
     for k in range(len(known)):
         if not valid[k]:
             continue
-        row_d[:3], row_q[:3] = known[k, 0], known[k, 1]
+        for j in range(3):
+            row_d[j], row_q[j] = known[k, 0, j], known[k, 1, j]
         if pending >= 0 and not _same_columns(column[pending], column[k]):
             _scatter(local, column[pending], where, gram)
             pending = -1
@@ -173,5 +174,6 @@ def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: F
         for b in range(a):
             gram[where[a], where[b]] += local[a, b]
             gram[where[b], where[a]] += local[a, b]
+            local[a, b] = 0.0
         gram[where[a], where[a]] += local[a, a]
-        local[a] = 0.0
+        local[a, a] = 0.0

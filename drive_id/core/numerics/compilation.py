@@ -39,14 +39,13 @@ def argument_types(signature: str) -> tuple[Any, ...]:
 class _Announcement(event.Listener):
     """Tells once why the process is slow; numba reports what it compiles, not what it loads from its cache."""
 
-    def on_start(self, _event: event.Event) -> None:
-        event.unregister("numba:compile", self)
-        logging.getLogger("drive_id").warning(
-            "drive_id: compiling for this computer, which is needed once and takes about 10 s."
-        )
+    def on_start(self, event_: event.Event) -> None:
+        if event_.data["dispatcher"].py_func.__module__.startswith("drive_id."):  # not a kernel of the user's
+            event.unregister("numba:compile", self)
+            logging.getLogger("drive_id").warning("drive_id: compiling for this computer, once: about 10 s.")
 
-    def on_end(self, _event: event.Event) -> None:
-        """Do nothing: the listener's protocol."""
+    def on_end(self, event_: event.Event) -> None:
+        """Do nothing; numba asks for this method."""
 
 
 event.register("numba:compile", _Announcement())

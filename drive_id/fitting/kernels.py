@@ -23,7 +23,7 @@ _FIRST = ("drive_id.core.paper", "drive_id.core.numerics", "drive_id.core.maps",
 
 
 def compile_part(name: str) -> None:
-    """Compile a part: the simulated drive, or half of what fits need."""
+    """Compile a part: the simulated drive, by running it, or half of what fits need."""
     if name == "drive":
         for settings in (
             SimulationSettings(),

@@ -19,7 +19,11 @@ _CONSTANT = re.compile(r"const (\w+)\[([^]]*)\]")
 
 def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
     """Return numba's version of a function, see :class:`~drive_id.core.numerics.compiled.Kernel`."""
-    made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    made = numba.njit(nogil=True, error_model="numpy")(function)
+    try:
+        made.enable_caching()
+    except RuntimeError:  # no folder for it can be written
+        _announcement.kept = False
     if signature is not None:
         made.compile(argument_types(signature))
         made.disable_compile()
@@ -39,13 +43,18 @@ def argument_types(signature: str) -> tuple[Any, ...]:
 class _Announcement(event.Listener):
     """Tells once why the process is slow; numba reports what it compiles, not what it loads from its cache."""
 
+    kept = True
+    """Whether the machine code can be kept."""
+
     def on_start(self, event_: event.Event) -> None:
         if event_.data["dispatcher"].py_func.__module__.startswith("drive_id."):  # not a kernel of the user's
             event.unregister("numba:compile", self)
-            logging.getLogger("drive_id").warning("drive_id: compiling for this computer, once: about 10 s.")
+            often = "once" if self.kept else "at each start (set NUMBA_CACHE_DIR to a folder that can be written)"
+            logging.getLogger("drive_id").warning("drive_id: compiling for this computer, %s: about 10 s.", often)
 
     def on_end(self, event_: event.Event) -> None:
         """Do nothing; numba asks for this method."""
 
 
-event.register("numba:compile", _Announcement())
+_announcement = _Announcement()
+event.register("numba:compile", _announcement)

@@ -146,7 +146,7 @@ def add_rows(
         _scatter(local, column[pending], where, gram)
 
 
-@compiled()
+@compiled("const i4[:, ::1], const i4[:, ::1]")
 def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     for j in range(first.shape[1]):  # noqa: SIM110  # numba compiles loops, not generators
         if first[0, j] != second[0, j] or first[1, j] != second[1, j]:
@@ -154,7 +154,7 @@ def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     return True
 
 
-@compiled()
+@compiled("f8[::1], f8[::1], f8[:, ::1]")
 def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
     """Add the outer products of both rows to the lower triangle of ``local``."""
     for a in range(len(local)):
@@ -164,7 +164,7 @@ def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
             line[b] += x * row_d[b] + y * row_q[b]
 
 
-@compiled()
+@compiled("f8[:, ::1], const i4[:, ::1], i4[::1], f8[:, ::1]")
 def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: FloatArray) -> None:
     """Add the symmetric matrix, given by its lower triangle, to ``gram`` and clear it."""
     width = column.shape[1]

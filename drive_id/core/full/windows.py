@@ -440,7 +440,8 @@ def _clearance(i_abc: FloatArray, begin: IntArray, end: IntArray) -> FloatArray:
     least = np.min(np.abs(i_abc), axis=1)
     until = least.copy()
     until[:-1][np.any((i_abc[:-1] < 0) != (i_abc[1:] < 0), axis=1)] = 0.0
-    return np.minimum(np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2], least[end])
+    within = np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2]
+    return np.asarray(np.minimum(within, least[end]))
 
 
 def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

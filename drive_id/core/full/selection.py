@@ -37,6 +37,8 @@ _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
 """K between recordings from which on the magnet's temperature coefficient is estimated."""
 _SEARCHES = 2
+_OFFSET, _BY_OFFSET = 1, 5.0
+"""Harmonic that an offset of the current sensors causes, and the excess over noise that it may cause."""
 _MOST_WINDOWS = 1500
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
@@ -116,9 +118,17 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
 def _between_crossings(
     sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise
 ) -> BetweenCrossings | None:
-    """Tell whether the drop near zero crossings spoils a fit that includes what a compensation leaves of it."""
+    """Return the windows between zero crossings where the drop near these spoils a fit, else None.
+
+    An offset of the current sensors spoils it, too, because it moves the corner of the drop. Short windows hardly see
+    an offset, so they are not used where they show one and the excess is not beyond what offsets cause.
+    """
     solver = Solver(sums.model, sums.folds, sums.counts)
-    return between_crossings(sums, solver, _compensated(solver, _first_spec(sums, settings, turn)), noise)
+    found = between_crossings(sums, solver, _compensated(solver, _first_spec(sums, settings, turn)), noise)
+    if found and found.excess < _BY_OFFSET:
+        offset = _OFFSET in _significant_orders(sums.model, found.solution, noise.windows.i_dq[:, 0])
+        return None if offset else found
+    return found
 
 
 def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> Selection:

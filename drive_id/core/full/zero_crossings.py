@@ -40,11 +40,14 @@ class BetweenCrossings:
     Parameters
     ----------
     sums : WindowSums
+    solution : FullSolution
+        A fit to them with nearly the same weights.
     excess : float
         Rms of the residuals of windows with a crossing over that which noise in the currents explains.
     """
 
     sums: WindowSums
+    solution: FullSolution
     excess: float
 
 
@@ -74,7 +77,7 @@ def between_crossings(
         excess = _excess(model, found, short, noise)
         weights = np.maximum(excess / max(1.0, excess[_CLEAR:].min()), 1.0) ** -_POWER
     chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])
-    return BetweenCrossings(chosen, float(excess[0]))
+    return BetweenCrossings(chosen, found, float(excess[0]))
 
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:

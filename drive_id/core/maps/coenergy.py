@@ -176,6 +176,11 @@ class GradientSpline:
         return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
 
     @cached_property
+    def potential(self) -> PotentialSpline:
+        """The reciprocal maps of this space, by the coefficients of their co-energy."""
+        return PotentialSpline(self._high_d, self._high_q)
+
+    @cached_property
     def gradient(self) -> sparse.csr_array:
         """G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
         psi_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
@@ -200,6 +205,36 @@ class GradientSpline:
         column, value = np.empty((len(d_low[0]), 2, functions), np.int32), np.empty((len(d_low[0]), 2, functions))
         tensor_products(*d_low, *q_high, self._high_q.count, 0, column[:, 0], value[:, 0])
         tensor_products(*d_high, *q_low, self._low_q.count, self._count_d, column[:, 1], value[:, 1])
+        return BasisRows(column, value)
+
+
+@dataclass(frozen=True, eq=False)
+class PotentialSpline:
+    """Gradients of a co-energy spline, by its coefficients w, row-major in [i_d, i_q]: ``f = B w``.
+
+    The first coefficient is as good as free: the sum of all functions is constant.
+
+    Parameters
+    ----------
+    d, q : SplineBasis
+    """
+
+    d: SplineBasis
+    q: SplineBasis
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return self.d.count * self.q.count
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return B at currents (N, 2), A: both fluxes have the same columns."""
+        i_d, i_q = i_dq[:, 0], i_dq[:, 1]
+        functions = (self.d.degree + 1) * (self.q.degree + 1)
+        column, value = np.empty((len(i_d), 2, functions), np.int32), np.empty((len(i_d), 2, functions))
+        sides = (self.d.slopes(i_d), self.q.values(i_q)), (self.d.values(i_d), self.q.slopes(i_q))
+        for flux, (along_d, along_q) in enumerate(sides):
+            tensor_products(*along_d, *along_q, self.q.count, 0, column[:, flux], value[:, flux])
         return BasisRows(column, value)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import in_threads, one_blas_thread
-from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 FOLDS = 5
 SEGMENT = 0.25
@@ -58,7 +58,7 @@ class WindowSums:
         self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
-        self._of_kept: WindowSums | None = None
+        self._some: _KeptProducts | None = None
         self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
@@ -150,32 +150,38 @@ class WindowSums:
         """
         other, model = self.copy(), self.model
         numbers, kept = sorted(self._kept), self.kept()
-
-        def of_segment(own: Windows) -> tuple[Windows, IntArray, FloatArray]:
-            windows = replace(own, effects=columns(own))
-            rows, met = model.met(windows)
-            rows = rows.reshape(-1, len(met))
-            first, last = np.searchsorted(met, (model.effects.start, model.effects.stop))
-            product = np.zeros((len(met), EFFECT_COLUMNS))
-            product[:, met[first:last] - model.effects.start] = rows.T @ rows[:, first:last]
-            return windows, met, product
-
+        thinned = sum(map(len, kept)) < self.windows
+        some = _KeptProducts.none(model) if thinned and self._some is None else None
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
-        for number, (windows, met, product) in zip(numbers, in_threads(of_segment, kept), strict=True):
-            other._kept[number] = windows  # noqa: SLF001  # of its own class
-            products[number % FOLDS, met] += product
-        if sum(len(windows) for windows in kept) < self.windows:
-            products = self._extrapolated(products)
-        other.effects = products
+
+        def of_fold(fold: int) -> list[tuple[int, Windows]]:
+            out = []
+            for number, own in zip(numbers, kept, strict=True):
+                if number % FOLDS != fold:
+                    continue
+                windows = replace(own, effects=columns(own))
+                rows, met = model.met(windows)
+                rows = rows.reshape(-1, len(met))
+                first, last = np.searchsorted(met, (model.effects.start, model.effects.stop))
+                chosen = met[first:last] - model.effects.start
+                products[fold, met[:, None], chosen] += rows.T @ rows[:, first:last]
+                if some is not None:
+                    rows, met = np.delete(rows, slice(first, last), axis=1), np.delete(met, slice(first, last))
+                    add_triangle(rows.T @ rows, met, some.triangles[fold])
+                    some.counts[fold] += own.weights.sum()
+                out.append((number, windows))
+            return out
+
+        for done in in_threads(of_fold, range(FOLDS)):
+            other._kept |= dict(done)  # noqa: SLF001  # of its own class
+        self._some = some or self._some
+        other.effects = self._extrapolated(products, self._some) if thinned and self._some else products
         return other
 
-    def _extrapolated(self, products: FloatArray) -> FloatArray:
+    def _extrapolated(self, products: FloatArray, some: _KeptProducts) -> FloatArray:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
-        effects = self.model.effects
-        if self._of_kept is None:
-            self._of_kept = self._over(self.model, self._kept)
-        some, folds, size = self._of_kept.triangles(), self.triangles(), self.model.summed.size
-        total = unpacked(np.sum(some, axis=0), size)
+        effects, folds, size = self.model.effects, self.triangles(), self.model.summed.size
+        total = unpacked(np.sum(some.triangles, axis=0), size)
         scale = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
         scaled = total / scale[:, None] / scale
         scaled[np.diag_indices_from(scaled)] += 1e-8
@@ -184,8 +190,8 @@ class WindowSums:
         b = linalg.cho_solve(linalg.cho_factor(scaled, lower=True), outer) / scale[:, None]
         out = np.empty_like(products)
         for fold, product in enumerate(products):
-            share = self._counts[fold] / max(float(self._of_kept._counts[fold]), 1.0)  # noqa: SLF001  # of its own class
-            own, explained = (unpacked(each[fold], size) @ b for each in (some, folds))
+            share = self._counts[fold] / max(float(some.counts[fold]), 1.0)
+            own, explained = (unpacked(each[fold], size) @ b for each in (some.triangles, folds))
             out[fold] = explained + share * (product - own)
             inner = share * (product[effects] - b.T @ own) + b.T @ explained
             out[fold][effects] = 0.5 * (inner + inner.T)
@@ -198,6 +204,7 @@ class WindowSums:
             self._take(windows)
         self._flush()
         self._form_products()
+        self._some = None
         if self.model.reciprocal != theirs.model.reciprocal:
             self._reduce()
             theirs._reduce()  # noqa: SLF001  # of its own class
@@ -330,7 +337,7 @@ class WindowSums:
         fold, whole = self._segment % FOLDS, windows.whole
         if form:
             self._due.append((fold, whole))
-        self._of_kept = None
+        self._some = None
         self._counts[fold] += len(whole) if whole.weight is None else whole.weight.sum()
         self.windows += len(whole)
         self._last = self._segment
@@ -376,3 +383,16 @@ class WindowSums:
         while len(self._kept) > 1 and sum(int((~windows.short).sum()) for windows in self._kept.values()) > MOST_KEPT:
             self._every *= 2
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
+
+
+@dataclass(frozen=True, eq=False)
+class _KeptProducts:
+    """Triangles of Z'Z (FOLDS) and sums of weights (FOLDS,) of the kept windows, where not all are kept."""
+
+    triangles: list[FloatArray]
+    counts: FloatArray
+
+    @classmethod
+    def none(cls, model: FullModel) -> _KeptProducts:
+        size = model.summed.size
+        return cls([np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)], np.zeros(FOLDS))

@@ -78,13 +78,8 @@ class SplineBasis:
 
     def slopes(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
         """Evaluate the derivatives, 1/A, as :meth:`values`."""
-        cell, lower = SplineBasis(self.edges, self.degree - 1).values(x)
-        knot = cell + self.degree
-        share = (
-            self.degree
-            * lower
-            / (self._after(knot, self.degree) - self.knots[knot[:, None] + np.arange(1 - self.degree, 1)])
-        )
+        cell, lower = self._lower.values(x)
+        share = self._steepness[cell] * lower
         w = np.zeros((len(x), self.degree + 1))
         w[:, :-1] = -share
         w[:, 1:] += share
@@ -96,8 +91,16 @@ class SplineBasis:
         step = sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(self.count - 1, self.count))
         return sparse.csr_array(sparse.diags_array(self.degree / width) @ step)
 
-    def _after(self, knot: IntArray, order: int) -> FloatArray:
-        return np.asarray(self.knots[knot[:, None] + np.arange(1, order + 1)])
+    @cached_property
+    def _lower(self) -> SplineBasis:
+        return SplineBasis(self.edges, self.degree - 1)
+
+    @cached_property
+    def _steepness(self) -> FloatArray:
+        """Degree over the width of the support (C, degree) of the lower splines that each cell meets, 1/A."""
+        knot = np.arange(len(self.edges) - 1)[:, None] + self.degree
+        after, before = (self.knots[knot + np.arange(first, first + self.degree)] for first in (1, 1 - self.degree))
+        return np.asarray(self.degree / (after - before))
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,7 +165,7 @@ class FullModel:
     orders : tuple of int
         Candidate rotor-position harmonics, electrical.
     reciprocal : bool
-        Sum over the columns of reciprocal maps only, some 40 % fewer, see :attr:`summed`.
+        Sum over the columns of reciprocal maps only, a third fewer, see :attr:`summed`.
     sensors : tuple of int
         Candidate harmonics that current sensors cause.
     """

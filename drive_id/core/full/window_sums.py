@@ -43,8 +43,8 @@ class WindowSums:
     -----
     Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.
 
-    The columns are ``model.summed``. Sums over reciprocal columns take 60 % of the time and 40 % of the memory of those
-    over free ones, which :meth:`freed` forms of the kept windows.
+    The columns are ``model.summed``. Sums over reciprocal columns take 41 % of the memory of those over free ones;
+    :meth:`freed` forms the latter of the kept windows.
     """
 
     def __init__(self, model: FullModel) -> None:

@@ -145,8 +145,3 @@ def add_end_through(
     rows = np.zeros((len(column), 2, size))
     add_end(column, value, turn, start, factor, rows)
     out += (rows.reshape(-1, size) @ t).reshape(out.shape)
-
-
-def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
-    """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.full.model`."""
-    total[np.ix_(chosen, chosen)] += np.tril(block)

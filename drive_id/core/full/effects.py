@@ -34,7 +34,9 @@ before: a controller answers the noise of a sample with voltage and current, whi
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,28 +76,14 @@ class EffectColumns:
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
-        model, resistance = self.model, float(self.estimate[RESISTANCE])
-        turn: ComplexArray = np.exp(1j * windows.angle)
-        i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
-        flat = windows.i_dq.reshape(-1, 2)
-        gamma = self.estimate[model.map]
-        slopes = jacobian(model.flux, gamma, flat).reshape(*i_dq.shape, 2, 2)
-        psi, by_angle = self._flux(windows)
-
-        def through(x: ComplexArray) -> ComplexArray:
-            """Return f'(i) x."""
-            d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
-            return np.asarray(d * x.real + q * x.imag)
-
-        def between(x: ComplexArray) -> ComplexArray:
-            return np.asarray(x[:, 1] - x[:, 0])
-
+        resistance = float(self.estimate[RESISTANCE])
+        ends = self._ends(windows)
+        turn, i_dq, psi, through, tilt = ends.turn, ends.i_dq, ends.psi, ends.through, ends.tilt
         i_s = i_dq * turn
         drop = self._drop(i_s, windows)
         half_turn = np.exp(0.5j * windows.period[:, None] * windows.speed)  # since the mean of the held voltage
         e = (windows.held * half_turn - resistance * i_s - drop) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
-        tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
         heat = (windows.heat / max(self.heat, 1e-12))[:, None]
         out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
 
@@ -109,8 +97,11 @@ class EffectColumns:
         put("current_latency", between(windows.held - windows.speed * tilt))  # with the ripple of a held voltage
         put("angle_latency", between(windows.speed * tilt))
         put("flux_lag", -between(turn * through(windows.slope)))
+        now = windows.lagging[..., -1]
+        leading = self._mean_flux(now)
         for k, lag in enumerate(LAGS):
-            put(f"flux_lag_{1e3 * lag:g}ms", -between(turn * self._change(windows, windows.lagging[..., k])))
+            lagging = self._mean_flux(now - windows.lagging[..., k])
+            put(f"flux_lag_{1e3 * lag:g}ms", -between(turn * (leading - lagging)))
         put("copper_heating", windows.current * heat[:, 0])
         of_magnet = between(turn), between(turn * through(np.ones_like(i_dq)))
         put("magnet_heating", *(column * heat[:, 0] for column in of_magnet))
@@ -118,9 +109,7 @@ class EffectColumns:
         put("copper_recordings", *(windows.current * own for own in later))
         put("magnet_recordings", *(column * own for own in later for column in of_magnet))
         if self.pole_pairs is not None and self.pole_pairs > 1:
-            mechanical = windows.turned / self.pole_pairs
-            runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
-            waves = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
+            waves = _mechanical_waves(windows, self.pole_pairs)
             put("eccentricity", *(between(tilt * wave) for wave in waves))
             put("eccentric_rotor", *(between(turn * psi * wave) for wave in waves))
         put("resolver_first", *(between(tilt * f(windows.angle)) for f in (np.cos, np.sin)))
@@ -132,8 +121,15 @@ class EffectColumns:
         put("voltage_gains", -windows.voltage.conj(), -1j * windows.voltage.conj())
         return out
 
-    def _flux(self, windows: Windows) -> tuple[ComplexArray, ComplexArray]:
-        """Return f(i, theta) and its derivative by theta (N, 2) at the ends, Wb."""
+    def eccentricity(self, windows: Windows, candidates: Iterable[int]) -> Iterator[tuple[int, ComplexArray]]:
+        """Yield numbers of pole pairs and the columns (N, 2 MOST_RUNS) of an eccentric resolver."""
+        tilt = self._ends(windows).tilt
+        for pole_pairs in candidates:
+            waves = _mechanical_waves(windows, pole_pairs)
+            yield pole_pairs, np.stack([between(tilt * wave) for wave in waves], axis=1)
+
+    def _ends(self, windows: Windows) -> _Ends:
+        """Evaluate the map, its harmonics and its Jacobian at the ends."""
         model, estimate = self.model, self.estimate
         flat, angle = windows.i_dq.reshape(-1, 2), windows.angle.reshape(-1, 1)
         flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))
@@ -143,16 +139,20 @@ class EffectColumns:
                 a, b = (harmonic.dot(half) for half in np.split(estimate[model.harmonics[order]], 2))
                 cosine, sine = np.cos(order * angle), np.sin(order * angle)
                 flux, by_angle = flux + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
-        psi, slope = ((x @ np.array([1.0, 1j])).reshape(windows.angle.shape) for x in (flux, by_angle))
-        return psi, slope
+        slopes = jacobian(model.flux, estimate[model.map], flat)
+        shape, pair = windows.angle.shape, np.array([1.0, 1j])
+        return _Ends(
+            turn=np.exp(1j * windows.angle),
+            i_dq=(flat @ pair).reshape(shape),
+            psi=(flux @ pair).reshape(shape),
+            by_angle=(by_angle @ pair).reshape(shape),
+            slopes=np.moveaxis(np.einsum("nac,a->nc", slopes, pair).reshape(*shape, 2), -1, 0),
+        )
 
-    def _change(self, windows: Windows, lagging: ComplexArray) -> ComplexArray:
-        """Return f(i) - f(i - lagging) (N, 2) at the predicted currents i, Wb."""
-        model, gamma = self.model, self.estimate[self.model.map]
-        now = windows.lagging[..., -1]
-        one, other = (frames.as_pairs(i.ravel()) for i in (now, now - lagging))
-        psi = model.flux.rows(one).dot(gamma) - model.flux.rows(other).dot(gamma)
-        return np.asarray((psi @ np.array([1.0, 1j])).reshape(now.shape))
+    def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:
+        """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""
+        psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
+        return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
 
     def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
         """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
@@ -160,3 +160,34 @@ class EffectColumns:
         shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
         drops = np.einsum("nps,sp->np", shapes, self.estimate[model.phase_columns()])
         return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])
+
+
+class _Ends(NamedTuple):
+    """The map at the ends of N windows, (N, 2) each."""
+
+    turn: ComplexArray  # e^{j theta}
+    i_dq: ComplexArray  # A
+    psi: ComplexArray  # f(i, theta), Wb
+    by_angle: ComplexArray  # its derivative by theta, Wb
+    slopes: ComplexArray  # (2, N, 2), derivatives of the mean map by i_d and i_q, H
+
+    def through(self, x: ComplexArray) -> ComplexArray:
+        """Return f'(i) x."""
+        return np.asarray(self.slopes[0] * x.real + self.slopes[1] * x.imag)
+
+    @property
+    def tilt(self) -> ComplexArray:
+        """Change of the flux in the stator frame by an error of the angle, Wb."""
+        return self.turn * (1j * self.psi + self.by_angle - self.through(1j * self.i_dq))
+
+
+def between(x: ComplexArray) -> ComplexArray:
+    """Return the differences (N,) of what is given at both ends of windows, (N, 2)."""
+    return np.asarray(x[:, 1] - x[:, 0])
+
+
+def _mechanical_waves(windows: Windows, pole_pairs: int) -> list[FloatArray]:
+    """Return cosine and sine (N, 2) of the mechanical angle, in each run."""
+    mechanical = windows.turned / pole_pairs
+    waves = np.cos(mechanical), np.sin(mechanical)
+    return [(windows.run == k)[:, None] * wave for k in range(MOST_RUNS) for wave in waves]

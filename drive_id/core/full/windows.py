@@ -158,8 +158,15 @@ class Windows:
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
         """Concatenate windows."""
+        if len(parts) == 1:
+            return parts[0]
         known = [name for name in (*MEASURED, *_ADDED) if all(getattr(part, name) is not None for part in parts)]
         return Windows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in known})
+
+    @property
+    def whole(self) -> Windows:
+        """Those that are not short."""
+        return self.part(~self.short) if self.short.any() else self
 
     @property
     def weights(self) -> FloatArray:

@@ -47,7 +47,8 @@ class FullMethod:
     def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
         """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
         low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders))
+        reciprocal = settings.maps != "free"
+        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
         return Sums(regression_sums(settings, d, q, i_max), windows)
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
@@ -111,7 +112,7 @@ class FullMethod:
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=_statements(evidence, fit, inside, found),
+            statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
         )
 
 
@@ -299,6 +300,18 @@ def _on_crossings(fit: FullFit) -> str:
         f"Near zero crossings of the phase currents the residuals are {fit.crossings:.2g} times as large as current "
         "noise explains, as with a dead time that is not short against the ripple: the map rests on what lies between "
         "the crossings, and the inverter curve near zero current is a mean."
+    )
+
+
+def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
+    used = fit.selection.search.sums.windows
+    if fit.spec.reciprocal or used == sums.windows:
+        return ()
+    return (
+        (
+            f"The free maps were fitted to {used} of {sums.windows} windows, evenly spread over the recordings: set "
+            "maps to free to use all."
+        ),
     )
 
 

@@ -8,10 +8,9 @@ import pytest
 from scipy import signal, sparse
 
 from drive_id.core.full import model as full_model
-from drive_id.core.full import window_sums
 from drive_id.core.maps import flux_models
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
-from drive_id.core.numerics import bspline, scans
+from drive_id.core.numerics import bspline, normal_equations, scans
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper import rows as paper_rows
 from drive_id.core.validation import current_simulation
@@ -127,12 +126,20 @@ def test_products_and_ends_of_windows():
 
 
 def test_blocks_of_a_triangle():
-    block = np.asfortranarray(np.random.default_rng(5).standard_normal((4, 4)))
-    totals = [np.zeros((9, 9), order="F") for _ in range(2)]
-    for add, total in zip((window_sums.add_lower, oracles.add_block), totals, strict=True):
-        add(block, np.array([1, 2, 5, 8]), total)
-    np.testing.assert_array_equal(totals[0], totals[1])
-    assert not np.triu(totals[0], 1).any()
+    rng = np.random.default_rng(5)
+    root, before = rng.standard_normal((4, 4)), rng.standard_normal((9, 9))
+    columns, total = np.array([1, 2, 5, 8]), before + before.T
+    triangle = normal_equations.triangle_of(total)
+    normal_equations.add_triangle(root @ root.T, columns, triangle)
+    total[np.ix_(columns, columns)] += root @ root.T
+    np.testing.assert_allclose(normal_equations.unpacked(triangle, 9), total, rtol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1, 255, 257, 700])
+def test_a_triangle_is_unpacked_to_the_symmetric_matrix(size):
+    half = np.random.default_rng(size).standard_normal((size, size))
+    matrix = half + half.T
+    np.testing.assert_array_equal(normal_equations.unpacked(normal_equations.triangle_of(matrix), size), matrix)
 
 
 @pytest.mark.parametrize("count", [1, 2, 1000])

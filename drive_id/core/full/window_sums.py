@@ -240,6 +240,15 @@ class WindowSums:
         return out
 
     @property
+    def total(self) -> FloatArray:
+        """Z'Z of all windows, (size, size), symmetric."""
+        out = np.zeros((self.model.size, self.model.size))
+        for matrix in self._matrices():
+            out += matrix.T
+        mirror_upper(out)
+        return out
+
+    @property
     def counts(self) -> FloatArray:
         """Rows of each fold, (FOLDS,)."""
         return np.asarray(2.0 * self._counts)

@@ -29,7 +29,7 @@ from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
 from drive_id.live.publishers import Publisher, publisher_findings
-from drive_id.live.refits import Refit, RefitJob, Refits, of_snapshot
+from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.types import SCALARS, Progress
 
 PROVISIONAL = "provisional"
@@ -169,7 +169,8 @@ class Identifier:
             paths = [existing_recording(Path(self.settings.data_directory), name) for name in bags]
             return partial(_guarded, partial(_fit_bags, paths, self._signals(), fit, self.settings))
         snapshot = self.live.snapshot(method)
-        earlier = self.refits.earlier(fit, snapshot.join.report().samples)
+        samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
+        earlier = self.refits.earlier(fit, samples)
         return partial(_guarded, partial(_fit_live, snapshot, earlier, fit, self.settings, self._forgotten))
 
     def refit(self) -> RefitJob | None:

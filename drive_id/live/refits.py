@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import in_background
 from drive_id.core.result.conclusion import Conclusion
@@ -36,7 +37,7 @@ class Refit:
     ----------
     settings : FitSettings
     samples : int
-        Samples that it covers.
+        Samples that it covers, rests not counted.
     stamp : int
         Of the last one, ns.
     conclusion : Conclusion
@@ -56,12 +57,17 @@ class Refit:
         return self.conclusion.drive
 
 
+def moving(evidence: Evidence) -> int:
+    """Return the number of samples with current: rests add nothing to a fit."""
+    return evidence.samples - evidence.idle
+
+
 def of_snapshot(snapshot: Snapshot, earlier: Conclusion | None) -> Refit:
     """Fit a snapshot, see :meth:`~drive_id.live.live_evidence.Snapshot.conclude`."""
     conclusion = snapshot.conclude(earlier)
     evidence = snapshot.gathered.evidence
     return Refit(
-        evidence.settings, evidence.samples, snapshot.join.last_stamp or 0, conclusion, selected=earlier is None
+        evidence.settings, moving(evidence), snapshot.join.last_stamp or 0, conclusion, selected=earlier is None
     )
 
 
@@ -95,14 +101,14 @@ class Refits:
         self.error = ""
 
     def earlier(self, settings: FitSettings, samples: int) -> Conclusion | None:
-        """Return what a fit of so many samples by these settings may take over, if anything."""
+        """Return what a fit of so many samples, rests not counted, by these settings may take over, if anything."""
         known = self._selected
         usable = known is not None and known.settings == settings and known.samples <= samples
         return known.conclusion if known and usable and samples <= MOST_GROWTH * known.samples else None
 
     def job(self, live: LiveEvidence) -> RefitJob | None:
         """Return a fit in the background if one is due: never twice of the same samples."""
-        now, samples = self._clock(), 0 if live.evidence is None else live.evidence.samples
+        now, samples = self._clock(), 0 if live.evidence is None else moving(live.evidence)
         if self._share <= 0 or now < self.due or samples < _FEWEST_SAMPLES or samples == self._seen:
             return None
         earlier = self.earlier(live.settings, samples)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 from functools import partial
 from typing import Any
@@ -48,8 +47,6 @@ class Identification(Node):
         fit = declare_settings(self, FitSettings)
         self.get_logger().info("Loading the numerical kernels; the first start compiles them.")
         warm_up(fit)
-        gc.collect()
-        gc.freeze()  # later collections, which stop all threads, need not look at what numba has loaded
         return_free_memory()
         topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
         scalar_topics = {name: self.resolve_topic_name(name) for name in SCALARS}

@@ -1,4 +1,4 @@
-"""After the warm-up, live samples and their fits need no kernel that is not loaded yet."""
+"""After the warm-up, live samples need no kernel that is not loaded yet."""
 
 from __future__ import annotations
 

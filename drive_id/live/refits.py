@@ -103,8 +103,9 @@ class Refits:
     def earlier(self, settings: FitSettings, samples: int) -> Conclusion | None:
         """Return what a fit of so many samples, rests not counted, by these settings may take over, if anything."""
         known = self._selected
-        usable = known is not None and known.settings == settings and known.samples <= samples
-        return known.conclusion if known and usable and samples <= MOST_GROWTH * known.samples else None
+        if known is None or known.settings != settings or not known.samples <= samples <= MOST_GROWTH * known.samples:
+            return None
+        return known.conclusion if known.conclusion.fit is not None or settings.method != "full" else None
 
     def job(self, live: LiveEvidence) -> RefitJob | None:
         """Return a fit in the background if one is due: never twice of the same samples."""

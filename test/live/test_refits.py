@@ -189,13 +189,13 @@ def test_provisional_maps_come_with_their_period_and_take_the_selection_over(sam
     assert refits.publishes
     live = fed(samples, 20_000)
     refits.take(refits.job(live)(silent))
-    feed(live, samples, 20_000, 20_500)
+    feed(live, samples, 20_000, 21_500)
     clock.now += 299.0
     assert refits.job(live) is None
     clock.now += 1.0
     light = refits.job(live)(silent)
     assert not light.selected
-    assert light.drive.report.samples_read == 20_500
+    assert light.drive.report.samples_read == 21_500
 
 
 def test_a_fit_that_is_refused_is_told_in_the_diagnostics(samples, tmp_path):

@@ -1,4 +1,4 @@
-"""What the nodes cost as processes: memory, processor time until they are ready, and within the publisher's callbacks."""
+"""What the nodes cost as processes: memory, time until they are ready, time in the publisher's callbacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The node ``trajectory_publisher``, and at its end one line per callback: name, calls, median and longest of their CPU times, ms."""
+"""The node ``trajectory_publisher``; at its end a line per callback: name, calls, median and longest CPU time, ms."""
 
 from __future__ import annotations
 

@@ -174,8 +174,10 @@ class EarlierFit:
     outlying_time: float
 
     @classmethod
-    def of(cls, fit: FullFit) -> EarlierFit:
-        """Take from a fit what a later one needs."""
+    def of(cls, fit: FullFit) -> EarlierFit | None:
+        """Take from a fit what a later one needs; None where it rests on a choice among the windows."""
+        if np.isfinite(fit.crossings):
+            return None
         of_fit = {name: getattr(fit, name) for name in _KEPT_OF_FIT}
         search = fit.selection.search
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
@@ -188,13 +190,16 @@ _KEPT_OF_FIT = (
 )  # fmt: skip
 
 
-def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit:
+def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit | None:
     """Solve the variant that an earlier fit selected on sums over its samples and further ones.
 
     Standard errors, lack of fit and outliers stay those of the earlier fit: only they need the windows themselves.
+    None where the earlier fit was of another model.
     """
     if earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
+    if len(earlier.changes) != sums.model.size:
+        return None
     if earlier.spec.effects:
         sums = sums.with_effects(earlier.columns)
     solver = Solver(sums.model, sums.total[None], sums.counts.sum(keepdims=True))
@@ -227,8 +232,8 @@ def fit_full(
         Fit of most of these samples, whose selection is taken over, see :func:`fit_again`.
     """
     noise = CurrentNoise.met(variance, sums.kept())
-    if earlier is not None and not settings.passive_maps:
-        return fit_again(sums, earlier, noise)
+    if earlier is not None and not settings.passive_maps and (again := fit_again(sums, earlier, noise)):
+        return again
     sums, selection = select(sums, settings, turn, noise)
     noise = CurrentNoise.met(variance, sums.kept())
     kept, solver = sums.kept(), selection.solver

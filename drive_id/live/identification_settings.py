@@ -20,7 +20,7 @@ class IdentificationSettings:
     )
     picture: bool = setting(False, "Draw the maps beside the result files; takes about a second")
     refit_share: float = setting(
-        0.15,
+        0.1,
         "Share of one core for fits of the live samples in the background, which make replies short; 0: none",
         minimum=0.0,
         maximum=1.0,

@@ -37,6 +37,10 @@ def warm_up(settings: FitSettings) -> None:
     for section, values in enumerate((frames.to_abc(i_dq, angle), u_abc, position)):
         rows = np.ascontiguousarray(values)  # as messages are decoded: kernels are compiled for each memory layout
         live.add(section, Signal(f"warm-up {section}", stamp, rows, _PERIOD, np.zeros(1, np.int64)))
-    live.snapshot()
-    if live.evidence is not None:
-        live.evidence.coverage()
+    snapshot = live.snapshot()
+    for piece in snapshot.rest:
+        snapshot.gathered.add(piece)
+    evidence = snapshot.gathered.evidence
+    evidence.coverage()
+    if evidence.windows is not None:
+        evidence.windows.finished()

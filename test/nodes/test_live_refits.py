@@ -1,4 +1,4 @@
-"""Fits in the background of the node ``identification`` as a process: diagnostics, provisional maps, replies meanwhile."""
+"""Fits in the background of the node ``identification``: diagnostics, provisional maps, replies meanwhile."""
 
 from __future__ import annotations
 

@@ -103,5 +103,5 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     assert {"_on_timer", "_on_currents", "_on_resolver", "publish"} <= set(spent)
     for callback, figures in spent.items():
         calls, usual, longest = map(float, figures.split())
-        assert usual < 1.0 or calls < 5, (callback, figures)
+        assert usual < 2.0 or calls < 5, (callback, figures)  # below 1 ms on a machine that does nothing else
         assert longest < 50.0, (callback, figures)  # loading a kernel took 700 ms

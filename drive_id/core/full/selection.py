@@ -21,7 +21,7 @@ from drive_id.core.full.model import (
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
-from drive_id.core.full.zero_crossings import between_crossings
+from drive_id.core.full.zero_crossings import BetweenCrossings, between_crossings
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48

@@ -11,7 +11,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning
-from drive_id.core.full.fit import FullFit, fit_full
+from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
 from drive_id.core.full.window_sums import WindowSums
@@ -55,7 +55,7 @@ class FullMethod:
         """Return the widths of a cell of the flux map, A."""
         return (d.high - d.low) / FLUX_CELLS, (q.high - q.low) / FLUX_CELLS
 
-    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
         Raises
@@ -70,7 +70,7 @@ class FullMethod:
                 f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
                 "longer, or choose method joint."
             )
-        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance)
+        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance, earlier)
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
@@ -113,6 +113,7 @@ class FullMethod:
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
+            fit=EarlierFit.of(fit),
         )
 
 

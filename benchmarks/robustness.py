@@ -269,7 +269,7 @@ def told_everything(name: str, seed: int) -> np.ndarray:
     assert evidence.windows is not None
     sums, i_max = evidence.windows.finished(), simulation.truth.i_max
     with one_blas_thread(with_scipy=True):
-        solver = Solver(sums.model, sums.folds, sums.counts)
+        solver = Solver.over(sums)
         spec = solver.best_penalty(ModelSpec(reciprocal=True, orders=(), inverter=False, constant=False))[0]
         noise = CurrentNoise.met(2 / 3 * (NOISE * i_max) ** 2, sums.kept())
         solution = correct_attenuation(solver, solver.solve(spec), noise)[0]

@@ -1,6 +1,6 @@
 """Print what the package costs as ratios against stated baselines, in one run on this machine, and write them down.
 
-Usage: python benchmarks/run.py [--only fit,process,growth,start,live,fleet] [--hour] [--quick] [--output FILE]
+Usage: python benchmarks/run.py [--only PART,...] [--hour] [--quick] [--output FILE]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
 import fitting
+import nodes
 import processes
 import streams
 from reporting import Section, machine, show, write
@@ -31,11 +32,13 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
     repeats = 1 if options.quick else options.repeats
     lengths = (LENGTHS[:2] if options.quick else LENGTHS) + ([HOUR] if options.hour else [])
     found: dict[str, Callable[[], Section]] = {
-        "fit": lambda: fitting.section(repeats),
         "process": lambda: processes.against_plain(folder, repeats),
+        "cold": lambda: processes.cold(folder, repeats),
         "growth": lambda: processes.growth(folder, lengths, repeats),
+        "fit": lambda: fitting.section(repeats),
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
+        "nodes": lambda: nodes.section(repeats),
     }
     if FLEET.exists():
         import fleet  # noqa: PLC0415  # needs the extra "fleet"
@@ -54,7 +57,9 @@ def _command(options: argparse.Namespace) -> str:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
-    parser.add_argument("--only", default="", help="names of parts, with commas: fit,process,growth,start,live,fleet")
+    parser.add_argument(
+        "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,fleet"
+    )
     parser.add_argument("--hour", action="store_true", help="also fit an hour at 10 kHz (1.2 GB of disk, minutes)")
     parser.add_argument("--quick", action="store_true", help="one run of each, short recordings: to see that all works")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the best counts")

@@ -40,7 +40,7 @@ class Accumulation:
         self.simulation = simulation
         self.evidence = gather([simulation.samples], FitSettings(method="full"))
         assert self.evidence.windows is not None
-        self.information: WindowSums = self.evidence.windows.finished()
+        self.information: WindowSums = self.evidence.windows.finished().freed(FitSettings().harmonic_orders)
 
     @property
     def model(self) -> FullModel:

@@ -83,6 +83,8 @@ class Samples:
             found = getattr(self, name).shape
             if found != shape:
                 raise DataError(f"{name} has shape {found} where {n} stamps need {shape}: pass arrays of equal length.")
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))  # kernels want it so
+        object.__setattr__(self, "stamp", np.ascontiguousarray(self.stamp, np.int64))
         if not (np.isfinite(self.sample_period) and self.sample_period > 0):
             raise DataError(f"The sample period is {self.sample_period} s: it must be a positive number of seconds.")
         if n == 0:

@@ -47,9 +47,8 @@ class Kernels:
         self.changed = max(file.stat().st_mtime_ns for file in Path(drive_id.__file__).parent.rglob("*.py"))
         self.process = None
         if self.cache is None or self.cache.get("drive_id/compiled", None) != self.changed:
-            config.get_terminal_writer().line("Compiling the kernels (up to a minute)")
-            script = Path(__file__).parent / "support" / "compile_kernels.py"
-            self.process = subprocess.Popen([sys.executable, script])
+            config.get_terminal_writer().line("Compiling the kernels (up to half a minute)")
+            self.process = subprocess.Popen([sys.executable, "-m", "drive_id.fitting.kernels"])
 
     def wait(self):
         if self.process is not None and self.process.wait() == 0 and self.cache is not None:

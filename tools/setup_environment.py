@@ -231,6 +231,14 @@ def build_messages(environment: Environment) -> None:
         environment.run(command, trouble)
 
 
+def compile_kernels(environment: Environment) -> None:
+    """Compile what numba would compile when it is first needed."""
+    environment.run(
+        [environment.python, "-m", "drive_id.fitting.kernels"],
+        "The kernels of drive_id could not be compiled: see above.",
+    )
+
+
 def set_up(environment: Environment) -> None:
     """Bring the environment up to date, step by step."""
     tools = ROOT / "tools"
@@ -243,8 +251,11 @@ def set_up(environment: Environment) -> None:
     origin = f"{environment.folder}: {origin}"
     packages = digest(*project, *requirements, *pins)
     messages = digest(ROOT / "msg_defs", *ros, *pins)
+    sources = (ROOT / "drive_id").rglob("*.py")
+    kernels = digest(*(file for file in sources if "@compiled(" in file.read_text(encoding="utf-8")))
 
-    if environment.finished == {"origin": origin, "packages": packages, "messages": messages}:
+    wanted = {"origin": origin, "packages": packages, "messages": messages, "kernels": kernels}
+    if environment.finished == wanted:
         return
     started = time.monotonic()
     check_prerequisites(environment)
@@ -268,6 +279,10 @@ def set_up(environment: Environment) -> None:
         environment.finish("messages", None)
         build_messages(environment)
         environment.finish("messages", messages)
+    if environment.finished.get("kernels") != wanted["kernels"]:
+        environment.begin("Compiling the numerical kernels: about 15 s")
+        compile_kernels(environment)
+        environment.finish("kernels", wanted["kernels"])
     say(f"The environment {environment.folder.name} is ready, after {time.monotonic() - started:.0f} s")
 
 

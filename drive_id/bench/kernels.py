@@ -35,7 +35,7 @@ _FINEST = 1024
 _SQRT3 = math.sqrt(3.0)
 
 
-@compiled
+@compiled()
 def evaluate(
     table: SplineTable, i_d: float, i_q: float, theta: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -82,7 +82,7 @@ def evaluate(
     return psi_d, psi_q, l_dd * table.d_rate, l_dq * table.q_rate, l_qd * table.d_rate, l_qq * table.q_rate
 
 
-@compiled
+@compiled()
 def evaluate_many(table: SplineTable, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:
     """Evaluate at (N,) currents and angles: (N, 6) of psi_d, psi_q (Wb) and the four incremental inductances (H)."""
     out = np.empty((len(i_d), 6))
@@ -93,19 +93,19 @@ def evaluate_many(table: SplineTable, i_d: FloatArray, i_q: FloatArray, theta: F
     return out
 
 
-@compiled
+@compiled()
 def _weights(x: float) -> tuple[float, float, float, float]:
     y = 1.0 - x
     return y * y * y / 6, (x * x * (3 * x - 6) + 4) / 6, (y * y * (3 * y - 6) + 4) / 6, x * x * x / 6
 
 
-@compiled
+@compiled()
 def _slopes(x: float) -> tuple[float, float, float, float]:
     y = 1.0 - x
     return -y * y / 2, x * (3 * x - 4) / 2, -y * (3 * y - 4) / 2, x * x / 2
 
 
-@compiled
+@compiled()
 def phase_drop(drop: PhaseDrop, i: float) -> float:
     """Return the voltage that one leg takes away, V, odd in and rising with the phase current ``i``, A.
 
@@ -125,7 +125,7 @@ def phase_drop(drop: PhaseDrop, i: float) -> float:
     return u
 
 
-@compiled
+@compiled()
 def phase_drops(drop: PhaseDrop, current: FloatArray) -> FloatArray:
     """Return the drop, V, at (N,) phase currents, A."""
     out = np.empty(len(current))
@@ -134,7 +134,7 @@ def phase_drops(drop: PhaseDrop, current: FloatArray) -> FloatArray:
     return out
 
 
-@compiled
+@compiled()
 def drop_alpha_beta(drop: PhaseDrop, i_alpha: float, i_beta: float) -> tuple[float, float]:
     """Return the drop in the stator frame, V; its zero sequence drives no current."""
     a = phase_drop(drop, i_alpha)
@@ -143,7 +143,7 @@ def drop_alpha_beta(drop: PhaseDrop, i_alpha: float, i_beta: float) -> tuple[flo
     return (2 * a - b - c) / 3, (b - c) / _SQRT3
 
 
-@compiled
+@compiled()
 def current_of_flux(
     table: SplineTable, psi_d: float, psi_q: float, theta: float, i_d: float, i_q: float, tolerance: float
 ) -> tuple[float, float, bool]:
@@ -165,7 +165,7 @@ def current_of_flux(
     return i_d, i_q, False
 
 
-@compiled
+@compiled()
 def with_ripple(plant: Plant, mean_angle: float) -> float:
     """Return the angle whose speed is d/dt mean_angle (1 + ripple cos(order mean_angle)), rad."""
     if plant.ripple == 0.0:
@@ -173,7 +173,7 @@ def with_ripple(plant: Plant, mean_angle: float) -> float:
     return mean_angle + plant.ripple / plant.ripple_order * math.sin(plant.ripple_order * mean_angle)
 
 
-@compiled
+@compiled()
 def _rate(
     plant: Plant, u: tuple[float, float], i_dq: tuple[float, float], c: float, s: float
 ) -> tuple[float, float, float, float]:
@@ -183,7 +183,7 @@ def _rate(
     return u[0] - plant.resistance * i_alpha - d_alpha, u[1] - plant.resistance * i_beta - d_beta, d_alpha, d_beta
 
 
-@compiled
+@compiled()
 def _current(
     plant: Plant, p: float, q: float, theta: float, guess: tuple[float, float], c: float, s: float
 ) -> tuple[tuple[float, float], bool]:
@@ -194,7 +194,7 @@ def _current(
     return (i_d, i_q), good
 
 
-@compiled
+@compiled()
 def step(
     plant: Plant,
     u: tuple[float, float],
@@ -226,7 +226,7 @@ def step(
     return (p, q), end, estimate, good1 and good2 and good3 and good4
 
 
-@compiled
+@compiled()
 def hold(
     plant: Plant, state: DriveState, u: tuple[float, float], speeds: tuple[float, float], span: tuple[float, float]
 ) -> bool:
@@ -263,7 +263,7 @@ def hold(
     return True
 
 
-@compiled
+@compiled()
 def control(
     controller: Controller,
     drop: PhaseDrop,
@@ -313,7 +313,7 @@ def control(
             state.compensations[0, j] = phase_drop(drop, c * i_dq[0] - s * i_dq[1])
 
 
-@compiled
+@compiled()
 def _measure(
     plant: Plant, sensors: Sensors, state: DriveState, speed: float, noise: Noise, out: Signals, k: int
 ) -> None:
@@ -331,14 +331,14 @@ def _measure(
     out.angle_true[k] = theta
 
 
-@compiled
+@compiled()
 def wrap(angle: float) -> float:
     """Return the angle in [-pi, pi)."""
     angle -= 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
     return angle - 2 * math.pi if angle >= math.pi else angle
 
 
-@compiled
+@compiled()
 def run(
     plant: Plant,
     controller: Controller,

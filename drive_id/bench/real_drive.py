@@ -40,7 +40,7 @@ Five = tuple[float, float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 
-@compiled
+@compiled()
 def _modulation(effects: np.record, theta: float) -> float:
     """Return the factor of the eccentric rotor on the flux."""
     factor = 1.0
@@ -49,7 +49,7 @@ def _modulation(effects: np.record, theta: float) -> float:
     return factor
 
 
-@compiled
+@compiled()
 def _map_flux(effects: np.record, offset: float, y: Six, theta: float) -> Pair:
     """Return the flux f of the map, rotor frame, that belongs to the state ``y``."""
     c, s = math.cos(theta), math.sin(theta)
@@ -59,7 +59,7 @@ def _map_flux(effects: np.record, offset: float, y: Six, theta: float) -> Pair:
     return f_d, f_q
 
 
-@compiled
+@compiled()
 def terminal_current(effects: np.record, i_dq: Pair, v: Pair, theta: float) -> tuple[Pair, Pair]:
     """Return the current in the terminals and the iron current in it, stator frame."""
     c, s = math.cos(theta), math.sin(theta)
@@ -70,14 +70,14 @@ def terminal_current(effects: np.record, i_dq: Pair, v: Pair, theta: float) -> t
     return (c * i_dq[0] - s * i_dq[1] + iron[0], s * i_dq[0] + c * i_dq[1] + iron[1]), iron
 
 
-@compiled
+@compiled()
 def _drop(plant: Plant, effects: np.record, j: int, i: float) -> float:
     """Return the drop of phase ``j`` at its current, V."""
     drop = phase_drop(plant.drop, i)
     return float(effects.drop_factor[j] * (drop + effects.drop_asymmetry[j] * abs(drop)))
 
 
-@compiled
+@compiled()
 def _rates(
     plant: Plant, effects: np.record, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
 ) -> tuple[Six, Pair, Pair, Five]:
@@ -107,12 +107,12 @@ def _rates(
     return y_rate, (i_alpha, i_beta), drop, powers
 
 
-@compiled
+@compiled()
 def _added(a: Five, b: Five, h: float) -> Five:
     return a[0] + h * b[0], a[1] + h * b[1], a[2] + h * b[2], a[3] + h * b[3], a[4] + h * b[4]
 
 
-@compiled
+@compiled()
 def _moved(y: Six, rate: Six, h: float) -> Six:
     return (
         y[0] + h * rate[0],
@@ -124,7 +124,7 @@ def _moved(y: Six, rate: Six, h: float) -> Six:
     )
 
 
-@compiled
+@compiled()
 def _filtered(pole: complex, z: complex, i: tuple[float, float, float], h: float) -> complex:
     """Return z after dz/dt = pole z + i, exactly for a parabola through the currents at start, middle and end."""
     slope = (-3 * i[0] + 4 * i[1] - i[2]) / h
@@ -135,7 +135,7 @@ def _filtered(pole: complex, z: complex, i: tuple[float, float, float], h: float
     return a + b * h + c * h**2 + (z - a) * cmath.exp(pole * h)
 
 
-@compiled
+@compiled()
 def _step(
     plant: Plant,
     effects: np.record,
@@ -178,7 +178,7 @@ def _step(
     return new_y, i, (i_start, i_middle, i_stop), energy, h / 6 * (abs(bend_alpha) + abs(bend_beta)), good
 
 
-@compiled
+@compiled()
 def _warm(plant: Plant, effects: np.record, more: np.record) -> Pair:
     """Return the resistance, ohm, and the offset of psi_d, Wb, at the present temperatures."""
     copper, magnet = more.temperature[0] - REFERENCE_TEMPERATURE, more.temperature[1] - REFERENCE_TEMPERATURE
@@ -186,7 +186,7 @@ def _warm(plant: Plant, effects: np.record, more: np.record) -> Pair:
     return resistance, effects.magnet_flux * effects.thermal_coefficient[1] * magnet
 
 
-@compiled
+@compiled()
 def integrate(
     plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, speeds: Pair, span: Pair
 ) -> bool:
@@ -232,7 +232,7 @@ def integrate(
     return True
 
 
-@compiled
+@compiled()
 def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> None:
     """Count the losses and warm copper and magnets by them."""
     for k in range(5):
@@ -243,7 +243,7 @@ def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> Non
             more.temperature[k] += effects.heat_rate[k] * heat - cooled
 
 
-@compiled
+@compiled()
 def _angle_error(effects: np.record, theta: float) -> float:
     """Return the resolver's error at the electrical angle ``theta``, rad."""
     error = 0.0
@@ -256,7 +256,7 @@ def _angle_error(effects: np.record, theta: float) -> float:
     return float(error)
 
 
-@compiled
+@compiled()
 def _measure(
     plant: Plant,
     effects: np.record,
@@ -292,7 +292,7 @@ def _measure(
     out.angle_true[k] = theta
 
 
-@compiled
+@compiled()
 def _note(state: DriveState, more: np.record, theta: float, u_dc: float, row: np.record) -> None:
     """Fill the row of the course."""
     c, s = math.cos(theta), math.sin(theta)
@@ -306,14 +306,14 @@ def _note(state: DriveState, more: np.record, theta: float, u_dc: float, row: np
     row.u_dc = u_dc
 
 
-@compiled
+@compiled()
 def _on_phase(pair: Pair, j: int) -> float:
     """Return the part of a vector in the stator frame on phase ``j``."""
     turn = j * 2 * math.pi / 3
     return math.cos(turn) * pair[0] + math.sin(turn) * pair[1]
 
 
-@compiled
+@compiled()
 def _sensed(effects: np.record, more: np.record, i: Pair) -> Pair:
     """Return the current behind the sensors' filter, stator frame."""
     if effects.filter_pole == 0.0:
@@ -321,7 +321,7 @@ def _sensed(effects: np.record, more: np.record, i: Pair) -> Pair:
     return (effects.filter_gain * more.filter[0]).real, (effects.filter_gain * more.filter[1]).real
 
 
-@compiled
+@compiled()
 def _predicted(
     plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, theta: float, turn: float
 ) -> Pair:
@@ -337,7 +337,7 @@ def _predicted(
     return terminals
 
 
-@compiled
+@compiled()
 def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
     """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
 
@@ -356,7 +356,7 @@ def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_move
     return float(effects.dead_time * max(charged, clamped))
 
 
-@compiled
+@compiled()
 def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: float, marks: FloatArray) -> None:
     """Set the times in the period at which something changes, s.
 
@@ -376,7 +376,7 @@ def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: f
                 marks[4 + j], marks[7 + j] = 0.5 * period * (1.0 - duty), 0.5 * period * (1.0 + duty)
 
 
-@compiled
+@compiled()
 def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) -> None:
     """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection where the legs' limits count."""
     for j in range(3):
@@ -387,7 +387,7 @@ def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) 
             legs[j] = min(max(legs[j] - middle, -0.5 * effects.u_dc), 0.5 * effects.u_dc)
 
 
-@compiled
+@compiled()
 def _switch(
     plant: Plant,
     effects: np.record,
@@ -420,13 +420,13 @@ def _switch(
         marks[10 + 3 * e + j] = now + delay
 
 
-@compiled
+@compiled()
 def _vector(legs: FloatArray, scale: float) -> Pair:
     """Return the voltage of the legs in the stator frame, V."""
     return scale * (2 * legs[0] - legs[1] - legs[2]) / 3, scale * (legs[1] - legs[2]) / _SQRT3
 
 
-@compiled
+@compiled()
 def _period(
     plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, speeds: Pair, u_dc: float
 ) -> bool:
@@ -460,7 +460,7 @@ def _period(
     return True
 
 
-@compiled
+@compiled()
 def run_with_effects(
     plant: Plant,
     effects: np.record,

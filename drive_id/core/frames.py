@@ -41,11 +41,11 @@ def to_dq(x_abc: FloatArray, angle: FloatArray) -> FloatArray:
 def rotated(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray) -> FloatArray:
     """Transform phase quantities (N, 3) at angles given by cosine and sine (N,) to d and q components (N, 2)."""
     x_dq = np.empty((len(x_abc), 2))
-    _rotate(x_abc, cosine, sine, x_dq)
+    _rotate(np.ascontiguousarray(x_abc), cosine, sine, x_dq)
     return x_dq
 
 
-@compiled
+@compiled("const f8[:, ::1], const f8[::1], const f8[::1], f8[:, ::1]")
 def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
     for k in range(len(x_abc)):
         a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]

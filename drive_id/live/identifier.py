@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
@@ -28,8 +29,11 @@ from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
 from drive_id.live.publishers import Publisher, publisher_findings
+from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.types import SCALARS, Progress
 
+PROVISIONAL = "provisional"
+"""Word in the method of a map that was not requested."""
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _log = logging.getLogger(__name__)
 
@@ -56,6 +60,8 @@ class Reply:
         Folder of the result files.
     samples : JoinReport or None
         What became of the live signals, also without success.
+    refit : Refit or None
+        The fit of the live samples, for later ones to start from.
     """
 
     code: str
@@ -66,6 +72,7 @@ class Reply:
     stamp: int = 0
     output: str = ""
     samples: JoinReport | None = None
+    refit: Refit | None = None
 
     @property
     def success(self) -> bool:
@@ -101,6 +108,7 @@ class Identifier:
         self.topics = topics
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)
+        self.refits = Refits(settings)
         self._streams = self._new_streams()
         self._scalar_streams = self._new_scalar_streams()
         self._unreadable = 0
@@ -129,6 +137,7 @@ class Identifier:
         """Take other settings, and tell whether the live samples had to be forgotten."""
         forgotten = self.live.configure(fit)
         if forgotten:
+            self.refits.forget()
             self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
             self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
         return forgotten
@@ -136,6 +145,7 @@ class Identifier:
     def reset(self) -> None:
         """Forget the live samples."""
         self.live.reset()
+        self.refits.forget()
         self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
@@ -159,7 +169,24 @@ class Identifier:
             paths = [existing_recording(Path(self.settings.data_directory), name) for name in bags]
             return partial(_guarded, partial(_fit_bags, paths, self._signals(), fit, self.settings))
         snapshot = self.live.snapshot(method)
-        return partial(_guarded, partial(_fit_live, snapshot, fit, self.settings, self._forgotten))
+        samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
+        earlier = self.refits.earlier(fit, samples)
+        return partial(_guarded, partial(_fit_live, snapshot, earlier, fit, self.settings, self._forgotten))
+
+    def refit(self) -> RefitJob | None:
+        """Return a fit of the live samples in the background if one is due, see :class:`Refits`."""
+        return self.refits.job(self.live)
+
+    def take(self, refit: Refit) -> None:
+        """Keep a fit of the live samples for later ones to start from, unless it was by other settings."""
+        if refit.settings == self.live.settings:
+            self.refits.take(refit)
+
+    def provisional(self, refit: Refit) -> Reply:
+        """Return the map of a fit in the background; its method says that it is provisional."""
+        drive = refit.drive
+        marked = replace(drive, method=f"{drive.method} ({PROVISIONAL})")
+        return Reply("ok", _sentence(drive), marked, drive.report.warnings, stamp=refit.stamp)
 
     def health(self, doing: str, publishers: Sequence[Sequence[Publisher]]) -> Health:
         """Return how the live samples are.
@@ -179,6 +206,7 @@ class Identifier:
             "unreadable messages": str(self._unreadable),
             "coverage": "" if evidence is None else f"{evidence.coverage():.4f}",
             "method": self.live.settings.method,
+            **self.refits.values(),
         }
         findings: list[Finding] = []
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
@@ -257,18 +285,23 @@ def _holds(path: Path, topics: set[str]) -> bool:
 
 
 def _fit_live(
-    snapshot: Snapshot, fit: FitSettings, settings: IdentificationSettings, forgotten: str, tell: Progress
+    snapshot: Snapshot,
+    earlier: Conclusion | None,
+    fit: FitSettings,
+    settings: IdentificationSettings,
+    forgotten: str,
+    tell: Progress,
 ) -> Reply:
     output = _new_folder(settings, fit)
     check_output(output)
     tell("Solving", None)
     try:
-        identification = snapshot.identify()
+        refit = of_snapshot(snapshot, earlier)
     except DriveIdError as error:
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
     tell("Writing", None)
     excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
-    identification = with_torque(identification, excerpts, known_pole_pairs(fit))
+    identification = with_torque(refit.drive, excerpts, known_pole_pairs(fit))
     stamp = snapshot.join.last_stamp or 0
     provenance = provenance_of(
         identification,
@@ -282,7 +315,7 @@ def _fit_live(
     draw = _draw(settings, "Live samples")
     drawn = draw(result) if draw else {}
     write_results(output, identification, provenance, pictures=drawn)
-    return _reply(result, output, snapshot.report)
+    return replace(_reply(result, output, snapshot.report), refit=refit)
 
 
 def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:

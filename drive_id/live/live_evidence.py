@@ -8,7 +8,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.conclusion import Conclusion, concluded
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
@@ -77,7 +77,16 @@ class Snapshot:
         return self.gathered.excerpt.samples()
 
     def identify(self) -> IdentifiedDrive:
+        """Return the drive of :meth:`conclude`."""
+        return self.conclude().drive
+
+    def conclude(self, earlier: Conclusion | None = None) -> Conclusion:
         """Fit; call it once.
+
+        Parameters
+        ----------
+        earlier : Conclusion, optional
+            From most of these samples, see :func:`~drive_id.core.result.conclusion.concluded`.
 
         Raises
         ------
@@ -89,7 +98,7 @@ class Snapshot:
             self.gathered.add(piece)
         self.gathered.prescan.check()
         self.gathered.prescan.inform(self.gathered.evidence)
-        return conclude(self.gathered.evidence, self.validation())
+        return concluded(self.gathered.evidence, self.validation(), earlier)
 
 
 class LiveEvidence:

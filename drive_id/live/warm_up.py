@@ -1,4 +1,7 @@
-"""Compiling, or loading from the disk, all that a fit needs, before anybody waits for it."""
+"""Compiling, or loading from the disk, all that live samples need, before they arrive.
+
+What only a fit needs is loaded by the first one, in a thread: it would double the memory of a node at rest.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _MAGNET = 0.1  # Wb
 
 
 def warm_up(settings: FitSettings) -> None:
-    """Fit two seconds of a linear machine, as live samples are."""
+    """Take in two seconds of a linear machine, as live samples are."""
     t = _PERIOD * np.arange(_COUNT, dtype=np.float64)
     i_d = np.cos(2 * np.pi * 1.1 * t) * np.sin(2 * np.pi * 3.7 * t)
     i_dq = np.stack([i_d, np.sin(2 * np.pi * 1.1 * t)], axis=-1)
@@ -34,6 +37,10 @@ def warm_up(settings: FitSettings) -> None:
     for section, values in enumerate((frames.to_abc(i_dq, angle), u_abc, position)):
         rows = np.ascontiguousarray(values)  # as messages are decoded: kernels are compiled for each memory layout
         live.add(section, Signal(f"warm-up {section}", stamp, rows, _PERIOD, np.zeros(1, np.int64)))
-    # Samples gathered for method full serve requests for any other, too.
-    for method in ("full", "joint", "psm") if settings.method == "full" else (settings.method,):
-        live.snapshot(method).identify()
+    snapshot = live.snapshot()
+    for piece in snapshot.rest:
+        snapshot.gathered.add(piece)
+    evidence = snapshot.gathered.evidence
+    evidence.coverage()
+    if evidence.windows is not None:
+        evidence.windows.finished()

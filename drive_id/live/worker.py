@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from drive_id.live.memory import return_free_memory
 from drive_id.types import Progress
 
 Result = TypeVar("Result")
@@ -46,26 +47,34 @@ class Worker(Generic[Result]):
         done : callable
             Called with the result, in the worker's thread, unless the job was cancelled.
         """
+        waiting = [job]  # so that nothing holds the job, and its samples, when it is done
+        stopping = self._stopping = threading.Event()
+
+        def tell(what: str, share: float | None) -> None:
+            if stopping.is_set():
+                raise Cancelled
+            self._progress = (what, share)
 
         def run() -> None:
             try:
-                result = job(self._tell)
+                result = waiting.pop()(tell)
             except Cancelled:
                 return
-            if not self._stopping.is_set():
+            finally:
+                return_free_memory()
+            if not stopping.is_set():
                 done(result)
 
         self._thread = threading.Thread(target=run, name="worker", daemon=True)
         self._thread.start()
 
+    def cancel(self) -> None:
+        """Have the job end at its next report of progress."""
+        self._stopping.set()
+
     def stop(self, patience: float) -> bool:
         """Cancel the job, and return whether it ended within ``patience``, s."""
-        self._stopping.set()
+        self.cancel()
         if self._thread is not None:
             self._thread.join(patience)
         return not self.busy
-
-    def _tell(self, what: str, share: float | None) -> None:
-        if self._stopping.is_set():
-            raise Cancelled
-        self._progress = (what, share)

@@ -9,6 +9,13 @@ from typing import Any
 from rclpy.node import Node
 
 
+def in_executor(node: Node, call: Callable[[], None]) -> None:
+    """Have the node's executor make a call that does not raise; call this from any thread."""
+    executor = node.executor
+    if executor is not None:
+        executor.create_task(call)
+
+
 class Reply:
     """Sends the response of one request to its client."""
 
@@ -37,9 +44,7 @@ class Reply:
                 response = self._empty()
             self(response)
 
-        executor = self._node.executor
-        if executor is not None:
-            executor.create_task(reply)
+        in_executor(self._node, reply)
 
     def attach(self, header: Any) -> None:
         """Set the request's header when the service callback has returned."""

@@ -27,6 +27,7 @@ class Diagnostics:
         self._node = node
         self._read = read
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.publish()  # what the first message loads takes a millisecond, which no callback shall
         self._timer = node.create_timer(_PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:

@@ -204,8 +204,8 @@ def instants(monkeypatch):
         return True
 
     monkeypatch.setattr(real_drive, "integrate", observed)
-    monkeypatch.setattr(real_drive, "_period", real_drive._period.py_func)
-    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", real_drive.run_with_effects.py_func)
+    monkeypatch.setattr(real_drive, "_period", real_drive._period.function)
+    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", real_drive.run_with_effects.function)
     return rows
 
 

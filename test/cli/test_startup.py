@@ -39,10 +39,12 @@ def test_info_reads_a_bag_without_numerics_and_message_definitions(bag):
     assert not modules & {"numpy", "numba", "scipy", "matplotlib", "rosbags", "distributed"}
 
 
-def test_a_fit_does_not_load_what_it_has_no_use_for(bag, tmp_path):
-    modules = loaded("fit", bag, "--method", "joint", "--output", tmp_path / "fit", "--quiet")
+@pytest.mark.parametrize("method", ["joint", "full"])
+def test_a_fit_does_not_load_what_it_has_no_use_for(bag, tmp_path, method):
+    modules = loaded("fit", bag, "--method", method, "--output", tmp_path / "fit", "--quiet")
     assert "drive_id.core.paper.regression" in modules
-    unused = {"scipy.interpolate", "scipy.ndimage", "scipy.io", "scipy.special", "asyncio"}
+    unused = {f"scipy.{name}" for name in ("interpolate", "ndimage", "io", "special", "signal", "optimize", "stats")}
+    unused |= {"asyncio"} | ({"scipy.sparse"} if method == "joint" else set())
     assert not modules & (unused | {"matplotlib.pyplot", "distributed", "drive_id.bench.drive", "rosbags"})
 
 
@@ -50,6 +52,15 @@ def test_recovering_a_bag_needs_no_numerics(bag, tmp_path):
     modules = loaded("recover", bag, "--output", tmp_path / "recovered", "--quiet")
     assert "drive_id.files.write.recover" in modules
     assert not modules & {"numba", "scipy", "matplotlib", "distributed"}
+
+
+@pytest.mark.parametrize("node", ["trajectory_publisher", "recorder"])
+def test_nodes_that_do_not_fit_load_no_numerics(node):
+    pytest.importorskip("rclpy")
+    code = f"import sys, drive_id.nodes.{node}; print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "numpy" in ran.stdout.split()
+    assert not set(ran.stdout.split()) & {"numba", "llvmlite", "scipy", "matplotlib", "rosbags"}
 
 
 def test_the_nodes_do_not_let_many_threads_wait_for_small_matrices():

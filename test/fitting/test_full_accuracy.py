@@ -226,13 +226,13 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     noise = np.random.default_rng(1).normal(scale=settings.current_noise * machine.i_max, size=samples.i_abc.shape)
     once, twice = (windows_of(each) for each in (samples, replace(samples, i_abc=samples.i_abc + noise)))
     choice = ModelSpec(reciprocal=True, orders=(), penalty=1e-3)
-    solver = Solver(once.model, once.folds, once.counts)
+    solver = Solver.over(once)
     solution = solver.solve(choice)
     delay, _, squares = solver.delay(solution)
     variance = 2 / 3 * (settings.current_noise * machine.i_max) ** 2
     products = noise_products(solver, solution, CurrentNoise.met(variance, once.kept()), squares)
     foreseen = solver.delay(solver.solve(choice, products))[0] - delay
-    solver = Solver(twice.model, twice.folds, twice.counts)
+    solver = Solver.over(twice)
     assert solver.delay(solver.solve(choice))[0] - delay == pytest.approx(foreseen, rel=0.35)
     assert 2 * delay - (delay + foreseen) == pytest.approx(0.0, abs=0.5 * delay)
 

@@ -30,9 +30,9 @@ def tensor_rows(
         cell = np.minimum(position, count - 4).astype(np.int64)
         factor = np.empty((4, len(x)))
         if order == 0:
-            bspline.weights(np.minimum(position - cell, 1.0), factor)
+            bspline.weights.function(np.minimum(position - cell, 1.0), factor)
         else:
-            bspline.slopes(np.minimum(position - cell, 1.0), width, factor)
+            bspline.slopes.function(np.minimum(position - cell, 1.0), width, factor)
         cells.append(cell[:, None] + np.arange(4))
         factors.append(factor.T)
     index = (cells[0][:, :, None] * count_q + cells[1][:, None, :]).reshape(-1, 16)
@@ -145,8 +145,3 @@ def add_end_through(
     rows = np.zeros((len(column), 2, size))
     add_end(column, value, turn, start, factor, rows)
     out += (rows.reshape(-1, size) @ t).reshape(out.shape)
-
-
-def add_block(block: FloatArray, chosen: IntArray, total: FloatArray) -> None:
-    """Add the lower triangle of a matrix to a part of another one, see :mod:`drive_id.core.full.model`."""
-    total[np.ix_(chosen, chosen)] += np.tril(block)

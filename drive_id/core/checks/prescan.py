@@ -288,7 +288,7 @@ class Prescan:
             )
 
 
-@compiled
+@compiled("const f8[::1], const f8[::1], f8, f8[:, ::1], f8[::1], f8[:, ::1]")
 def _follow_rotor(
     angle: FloatArray, speed: FloatArray, period: float, turns: FloatArray, products: FloatArray, jumps: FloatArray
 ) -> None:
@@ -324,14 +324,14 @@ def _follow_rotor(
             turns[0, 3] = turns[1, 3] = products[2] = 0.0
 
 
-@compiled
+@compiled("f8")
 def _wrapped(angle: float) -> float:
     """Return the angle, rad, between -pi and pi."""
     wrapped: float = angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
     return wrapped
 
 
-@compiled
+@compiled("const f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]")
 def _scan_currents(i_dq: FloatArray, rows: FloatArray, extremes: FloatArray, steps: FloatArray) -> None:
     """Scan the currents (N, 2), A, of one run.
 

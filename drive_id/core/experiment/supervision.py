@@ -217,6 +217,7 @@ class SupervisedExperiment:
         experiment, settings = self._experiment, self._settings
         state = experiment.state(now)
         i_d, i_q = experiment.current(now)
+        coverage = experiment.coverage
         values = {
             "state": state.value,
             "trajectory": settings.trajectory,
@@ -225,13 +226,13 @@ class SupervisedExperiment:
             "i_max [A]": f"{settings.i_max:g}",
             "i_d [A]": f"{i_d:.4g}",
             "i_q [A]": f"{i_q:.4g}",
-            "coverage": f"{experiment.coverage:.3f}",
+            "coverage": f"{coverage:.3f}",
         }
         values |= {f"lost samples of {name}": str(lost) for name, lost in self._watchdog.lost.items()}
         if state is ExperimentState.TRIPPED:
             return Health(Level.ERROR, experiment.trip_reason, values)
         if experiment.active:
-            return Health(Level.OK, f"{state.value}: {100 * experiment.coverage:.0f} % of the disc visited.", values)
+            return Health(Level.OK, f"{state.value}: {100 * coverage:.0f} % of the disc visited.", values)
         fault = self._watchdog.fault(steady)
         if fault is not None:
             return Health(Level.WARN, f"A start would be refused: {fault.reason}", values)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
@@ -24,6 +23,8 @@ _DECIMATED = -0.23
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
+_TRIED, _STEPS, _SETTLED = 5, 30, 1e-9
+"""Angles tried on each side, and steps that refine the best one until it moves by less, rad."""
 _LARGEST_ASYMMETRY = 0.01
 """Asymmetry left at the best angle, relative to the largest flux: mirror-symmetric machines stay below."""
 _LEAST_MIRRORED = 0.3
@@ -300,14 +301,20 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         return np.asarray(one - other)
 
     gamma = fit.solution.estimate[fit.model.map]
-    found = minimize_scalar(
-        lambda angle: float(np.sum(difference(angle) ** 2)),
-        bounds=(-_LARGEST_ANGLE, _LARGEST_ANGLE),
-        method="bounded",
-        options={"xatol": 1e-7},
-    )
-    angle, step = float(found.x), 1e-4
-    slope = (difference(angle + step) - difference(angle - step)) / (2 * step)
+
+    def slope_at(angle: float) -> FloatArray:
+        step = 1e-4
+        return np.asarray((difference(angle + step) - difference(angle - step)) / (2 * step))
+
+    tried = np.linspace(-_LARGEST_ANGLE, _LARGEST_ANGLE, 2 * _TRIED + 1)
+    angle = float(tried[np.argmin([np.sum(difference(angle) ** 2) for angle in tried])])
+    for _ in range(_STEPS):  # of Gauss and Newton, from the best of a coarse scan
+        slope = slope_at(angle)
+        change = -float(np.sum(slope * difference(angle)) / np.sum(slope**2))
+        angle = min(max(angle + change, -_LARGEST_ANGLE), _LARGEST_ANGLE)
+        if abs(change) < _SETTLED:
+            break
+    slope = slope_at(angle)
     moves = form(angle, slope) @ fit.changes[fit.model.map]
     sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())

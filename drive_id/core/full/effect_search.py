@@ -112,7 +112,7 @@ def search_effects(
     extended, solver = _linearized(sums, columns)
     solution = solver.solve(solution.spec)
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
-    period = float(noise.windows.period.mean())
+    period = noise.period
     taken: list[Taken] = []
     savings: dict[str, float] = {}
     while len(taken) < _MOST_EFFECTS:
@@ -151,20 +151,13 @@ def search_effects(
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
-    """Linearize the effects about the estimate with them, as Gauss-Newton does, and drop the implausible ones."""
-    columns, solution = search.columns, search.solution
-    extended, solver = search.sums, search.solver
-    rounds = 0
-    while solution.spec.effects and rounds < _REFINEMENTS:
-        columns = replace(columns, estimate=solution.estimate)
+    """Linearize the effects about the estimate with them, as Gauss-Newton does."""
+    for _ in range(_REFINEMENTS if search.solution.spec.effects else 0):
+        columns = replace(search.columns, estimate=search.solution.estimate)
         extended, solver = _linearized(sums, columns)
-        solution = solver.solve(solution.spec)
-        period = float(sums.kept()[0].period[0])
-        kept = plausible_effects(solution, sums.model, period)
-        rounds = rounds + 1 if kept == solution.spec.effects else 0
-        if rounds == 0:
-            solution = solver.solve(replace(solution.spec, effects=kept))
-    return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
+        solution = solver.solve(search.solution.spec)
+        search = replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
+    return search
 
 
 def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:
@@ -198,7 +191,7 @@ def _family(name: str) -> str:
 
 def _linearized(sums: WindowSums, columns: EffectColumns) -> tuple[WindowSums, Solver]:
     extended = sums.with_effects(columns)
-    return extended, Solver(extended.model, extended.folds, extended.counts)
+    return extended, Solver.over(extended)
 
 
 def _best(savings: dict[str, float], *, physical: bool) -> str | None:
@@ -264,13 +257,11 @@ def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
     """Return the number of pole pairs at which an eccentric resolver explains most of the residuals."""
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
-    left = columns.model.design(windows) @ columns.estimate
-    error = left[:, 0] + 1j * left[:, 1]
-    both = np.concatenate([error.real, error.imag])
+    left = columns.model.residuals(windows, columns.estimate)
+    both = np.concatenate([left[:, 0], left[:, 1]])
     shares = {}
-    for pairs in range(2, _MOST_POLE_PAIRS + 1):
-        z = replace(columns, pole_pairs=pairs)(windows)[:, EFFECTS["eccentricity"]]
-        z = np.sqrt(windows.weights)[:, None] * z
-        rows = np.concatenate([z.real, z.imag])
+    for pairs, z in columns.eccentricity(windows, range(2, _MOST_POLE_PAIRS + 1)):
+        weighted = np.sqrt(windows.weights)[:, None] * z
+        rows = np.concatenate([weighted.real, weighted.imag])
         shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, both, rcond=1e-9)[0]) ** 2))
     return max(shares, key=lambda pairs: shares[pairs])

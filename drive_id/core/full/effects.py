@@ -41,7 +41,7 @@ linear one. It has no unknown of its own and makes the repeated linearization co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,8 +123,11 @@ class EffectColumns:
             "voltage_gains": [-windows.voltage.conj(), -1j * windows.voltage.conj()],
             **{name: [between(tilt * wave) for wave in of_order] for name, of_order in waves.items()},
         }
+        now = windows.lagging[..., -1]
+        leading = self._mean_flux(now)
         for k, lag in enumerate(LAGS):
-            columns[f"flux_lag_{1e3 * lag:g}ms"] = [-between(turn * self._change(windows, windows.lagging[..., k]))]
+            lagging = self._mean_flux(now - windows.lagging[..., k])
+            columns[f"flux_lag_{1e3 * lag:g}ms"] = [-between(turn * (leading - lagging))]
         if "eccentricity" in waves:
             columns["eccentric_rotor"] = [between(turn * psi * wave) for wave in waves["eccentricity"]]
         if np.isfinite(self.link):
@@ -147,6 +150,15 @@ class EffectColumns:
             for k, column in enumerate(own_columns):
                 out[:, EFFECTS[name].start + k] = column
         return out
+
+    def eccentricity(self, windows: Windows, candidates: Iterable[int]) -> Iterator[tuple[int, ComplexArray]]:
+        """Yield numbers of pole pairs and the columns (N, 2 MOST_RUNS) of an eccentric resolver."""
+        i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
+        psi, by_angle = self._flux(i_dq, windows.angle)
+        tilt = np.exp(1j * windows.angle) * (1j * psi + by_angle - self._jacobian(windows)(1j * i_dq))
+        for pole_pairs in candidates:
+            waves = _mechanical_waves(windows, pole_pairs)
+            yield pole_pairs, np.stack([between(tilt * wave) for wave in waves], axis=1)
 
     def _value(self, name: str) -> FloatArray:
         return self.estimate[self.model.effect(name)]
@@ -181,9 +193,7 @@ class EffectColumns:
             for name, order in (("resolver_first", 1), ("resolver_second", 2))
         }
         if self.pole_pairs is not None and self.pole_pairs > 1:
-            mechanical = windows.turned / self.pole_pairs
-            runs = [(windows.run == k)[:, None] for k in range(MOST_RUNS)]
-            waves["eccentricity"] = [own * f(mechanical) for own in runs for f in (np.cos, np.sin)]
+            waves["eccentricity"] = _mechanical_waves(windows, self.pole_pairs)
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
@@ -220,13 +230,10 @@ class EffectColumns:
         psi, slope = ((x @ np.array([1.0, 1j])).reshape(at.shape) for x in (flux, by_angle))
         return psi, slope
 
-    def _change(self, windows: Windows, lagging: ComplexArray) -> ComplexArray:
-        """Return f(i) - f(i - lagging) (N, 2) at the interpolated currents i, Wb."""
-        model, gamma = self.model, self.estimate[self.model.map]
-        now = windows.lagging[..., -1]
-        one, other = (frames.as_pairs(i.ravel()) for i in (now, now - lagging))
-        psi = model.flux.rows(one).dot(gamma) - model.flux.rows(other).dot(gamma)
-        return np.asarray((psi @ np.array([1.0, 1j])).reshape(now.shape))
+    def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:
+        """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""
+        psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
+        return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
 
     def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
         """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
@@ -234,3 +241,10 @@ class EffectColumns:
         shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
         drops = np.einsum("nps,sp->np", shapes, self.estimate[model.phase_columns()])
         return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])
+
+
+def _mechanical_waves(windows: Windows, pole_pairs: int) -> list[FloatArray]:
+    """Return cosine and sine (N, 2) of the mechanical angle, in each run."""
+    mechanical = windows.turned / pole_pairs
+    waves = np.cos(mechanical), np.sin(mechanical)
+    return [(windows.run == k)[:, None] * wave for k in range(MOST_RUNS) for wave in waves]

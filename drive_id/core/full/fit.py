@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,6 +11,8 @@ from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.effect_search import EffectSearch, Taken
+from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, LackOfFit, lack_of_fit, tested_causes
 from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select
@@ -138,8 +140,86 @@ def sigma(changes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
+@dataclass(frozen=True, eq=False)
+class EarlierFit:
+    """What a fit leaves for one of the same samples and further ones: what it selected and found, without its sums.
+
+    Parameters
+    ----------
+    orders : tuple of int
+        Harmonics that its sums covered.
+    spec : ModelSpec
+    columns : EffectColumns
+    taken : tuple of Taken
+    delay, sigma_delay, advantage : float
+    left : mapping of str to float
+        See :class:`~drive_id.core.full.selection.Selection` and ``EffectSearch``.
+    changes, misfit, speeds, drop_slope, turn, duration, outlying, outlying_share, outlying_time
+        See :class:`FullFit`.
+    """
+
+    orders: tuple[int, ...]
+    spec: ModelSpec
+    columns: EffectColumns
+    taken: tuple[Taken, ...]
+    delay: float
+    sigma_delay: float
+    advantage: float
+    left: Mapping[str, float]
+    changes: FloatArray
+    misfit: LackOfFit
+    speeds: FloatArray
+    drop_slope: float
+    turn: float
+    duration: float
+    outlying: float
+    outlying_share: float
+    outlying_time: float
+
+    @classmethod
+    def of(cls, fit: FullFit) -> EarlierFit | None:
+        """Take from a fit what a later one needs; None where it rests on a choice among the windows."""
+        if np.isfinite(fit.crossings):
+            return None
+        of_fit = {name: getattr(fit, name) for name in _KEPT_OF_FIT}
+        search = fit.selection.search
+        of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
+        advantage = fit.selection.advantage
+        return cls(orders=fit.model.orders, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
+
+
+_KEPT_OF_FIT = (
+    "changes", "misfit", "speeds", "drop_slope", "turn", "duration", "outlying", "outlying_share", "outlying_time",
+)  # fmt: skip
+
+
+def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit | None:
+    """Solve the variant that an earlier fit selected on sums over its samples and further ones.
+
+    Standard errors, lack of fit and outliers stay those of the earlier fit: only they need the windows themselves.
+    None where the earlier fit was of another model.
+    """
+    if earlier.orders != sums.model.orders:
+        sums = sums.with_orders(earlier.orders)
+    if sums.model.reciprocal and not earlier.spec.reciprocal:
+        return None
+    if earlier.spec.effects:
+        sums = sums.with_effects(earlier.columns)
+    solver = Solver.over(sums)
+    plain = solver.solve(earlier.spec)
+    search = EffectSearch(
+        sums, solver, plain, earlier.columns, earlier.taken, earlier.delay, earlier.sigma_delay, earlier.left
+    )
+    selection = Selection(solver, plain, earlier.delay, earlier.sigma_delay, earlier.advantage, search)
+    solution, _ = correct_attenuation(solver, plain, noise)
+    kept = {name: getattr(earlier, name) for name in _KEPT_OF_FIT}
+    return FullFit(model=sums.model, solution=solution, selection=selection, **kept)
+
+
 @one_blas_thread(with_scipy=True)
-def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: float) -> FullFit:
+def fit_full(
+    sums: WindowSums, settings: FitSettings, turn: float, variance: float, earlier: EarlierFit | None = None
+) -> FullFit:
     """Select a model and fit it.
 
     Parameters
@@ -151,8 +231,12 @@ def fit_full(sums: WindowSums, settings: FitSettings, turn: float, variance: flo
         Angle turned per sample, rms, rad.
     variance : float
         Of white noise in i_d and i_q each, A^2.
+    earlier : EarlierFit, optional
+        Fit of most of these samples, whose selection is taken over, see :func:`fit_again`.
     """
     noise = CurrentNoise.met(variance, sums.kept())
+    if earlier is not None and not settings.passive_maps and (again := fit_again(sums, earlier, noise)):
+        return again
     sums, selection = select(sums, settings, turn, noise)
     noise = CurrentNoise.met(variance, sums.kept())
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution

@@ -30,6 +30,8 @@ LEAST_TOLD = 1.3
 """Ratio of the residuals to noise above which the reader is told."""
 
 _CELLS, _POSITIONS = 12, 48
+_PARTS = 4
+"""Parts of the windows that are summed at once, in threads."""
 _FEWEST = 8
 """Windows in a group below which it says nothing."""
 _SIGNIFICANCE = 4.0
@@ -78,24 +80,26 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
     through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
     unknowns, gamma = solution.basis.shape[1], solution.estimate[sums.model.map]
 
-    def grouped(segment: Windows) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        rows = model.design_times(segment, through, solution.spec.orders)
-        error = rows[..., -1]
-        turn = np.exp(-1j * segment.angle.mean(axis=1))
-        turned = (error[:, 0] + 1j * error[:, 1]) * turn
-        inductances = jacobian(model.flux, gamma, segment.i_dq.reshape(-1, 2)).reshape(len(segment), -1)
-        expected = segment.weights * noise.variance * np.square(inductances).sum(axis=1)
-        scores = np.einsum("nak,na->nk", rows[..., :-1], error)
-        sums_of = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
-        means = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]
-        for group, total, mean in zip(_groups(segment, model.i_max), sums_of, means, strict=True):
-            np.add.at(total, group, scores)
+    def grouped(segments: Sequence[Windows]) -> list[FloatArray]:
+        """Return scores and facts, by cell and by rotor position."""
+        sums_of = [np.zeros((count, width)) for width in (unknowns, 5) for count in (_CELLS**2, _POSITIONS)]
+        for segment in segments:
+            rows = model.design_times(segment, through, solution.spec.orders)
+            error = rows[..., -1]
+            turn = np.exp(-1j * segment.angle.mean(axis=1))
+            turned = (error[:, 0] + 1j * error[:, 1]) * turn
+            inductances = jacobian(model.flux, gamma, segment.i_dq.reshape(-1, 2)).reshape(len(segment), -1)
+            expected = segment.weights * noise.variance * np.square(inductances).sum(axis=1)
+            scores = np.einsum("nak,na->nk", rows[..., :-1], error)
             facts = np.stack([np.ones(len(segment)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-            np.add.at(mean, group, facts)
-        return sums_of[0], sums_of[1], means[0], means[1]
+            groups = _groups(segment, model.i_max)
+            for group, total, values in zip((*groups, *groups), sums_of, (scores, scores, facts, facts), strict=True):
+                chosen = (np.ones(len(group)), (group, np.arange(len(group))))
+                total[...] += sparse.csr_array(chosen, shape=(len(total), len(group))) @ values
+        return sums_of
 
-    parts = in_threads(grouped, kept)
-    by_cell, by_position, cells, positions = (np.sum([part[k] for part in parts], axis=0) for k in range(4))
+    parts = in_threads(grouped, [kept[number::_PARTS] for number in range(_PARTS)])
+    by_cell, by_position, cells, positions = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
     squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
     enough = cells[:, 0] > _FEWEST
     worst = int(np.argmax(np.where(enough, squares, 0.0)))
@@ -144,9 +148,9 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
     """
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
-    left = model.design(windows) @ estimate
+    left, weights = model.residuals(windows, estimate), np.sqrt(windows.weights)
     error, duration = left[:, 0] + 1j * left[:, 1], windows.duration
-    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
+    u_dq = weights * np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
     speed, first = windows.speed.mean(axis=1), np.exp(1j * windows.angle[:, 0])
     runs = [np.flatnonzero(windows.run == run) for run in np.unique(windows.run)]
     longest = max(float(np.ptp(windows.time[run])) for run in runs)

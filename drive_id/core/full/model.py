@@ -16,15 +16,16 @@ Every variant of the model is a sparse matrix T from the unknowns to the columns
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy import sparse
 
 from drive_id.core.full.windows import LAGS, SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
-from drive_id.core.maps.flux_models import ColumnArray
+from drive_id.core.maps.flux_models import BasisRows, ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -86,10 +87,72 @@ _HARMONIC_RIDGE = 0.1
 repeats in step with the rotor, so that harmonics and map cannot be separated, the map gets the flux."""
 
 _DROP_RIDGE = 1e-7
-_FEW = 64
-"""Windows whose products are formed at once: fewer windows touch fewer columns."""
 _EFFECT_RIDGE = 1e-9
 _TINY = float(np.finfo(np.float64).tiny)
+
+
+class Space(Protocol):
+    """Maps linear in ``parameters`` coefficients."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return the basis functions at currents (N, 2), A."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Columns of flux map and harmonics, which follow those of all else.
+
+    Parameters
+    ----------
+    start : int
+        First column of the map.
+    flux, harmonic, sensor : Space
+        Functions of the map, of the amplitudes of a rotor-position harmonic, and of one caused by the current sensors.
+    orders : tuple of int
+        Harmonics in the order of their columns.
+    """
+
+    start: int
+    flux: Space
+    harmonic: Space
+    sensor: Space
+    orders: tuple[int, ...]
+
+    @property
+    def map(self) -> slice:
+        """Columns of the flux map."""
+        return slice(self.start, self.start + self.flux.parameters)
+
+    def space(self, order: int) -> Space:
+        """Return the space of a harmonic's amplitudes."""
+        return self.sensor if order in SENSOR_ORDERS else self.harmonic
+
+    @cached_property
+    def harmonics(self) -> dict[int, slice]:
+        """Columns of each harmonic, those of a_h before those of b_h."""
+        columns, start = {}, self.map.stop
+        for order in self.orders:
+            columns[order] = slice(start, start + 2 * self.space(order).parameters)
+            start = columns[order].stop
+        return columns
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return int((self.harmonics[self.orders[-1]] if self.orders else self.map).stop)
+
+    def maps(self, angle: FloatArray, orders: Sequence[int]) -> dict[Space, list[tuple[int, FloatArray]]]:
+        """Return for each space the first columns of the maps in it and their factors (N,)."""
+        maps: dict[Space, list[tuple[int, FloatArray]]] = {self.flux: [(self.map.start, np.ones(len(angle)))]}
+        for order in orders:
+            space, start = self.space(order), self.harmonics[order].start
+            maps.setdefault(space, []).append((start, np.cos(order * angle)))
+            maps[space].append((start + space.parameters, np.sin(order * angle)))
+        return maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +167,19 @@ class FullModel:
         Radius of the current disc, A.
     orders : tuple of int
         Candidate rotor-position harmonics, electrical.
+    reciprocal : bool
+        Sum over the columns of reciprocal maps only, a third fewer, see :attr:`summed`.
+    sensors : tuple of int
+        Candidate harmonics that current sensors cause.
     """
 
     low: FloatArray
     high: FloatArray
     i_max: float
     orders: tuple[int, ...]
+    _: KW_ONLY
+    reciprocal: bool = False
+    sensors: tuple[int, ...] = SENSOR_ORDERS
 
     @cached_property
     def shapes(self) -> CapacitiveShapes:
@@ -156,33 +226,52 @@ class FullModel:
         own = EFFECTS[name]
         return slice(self.effects.start + own.start, self.effects.start + own.stop)
 
+    @cached_property
+    def columns(self) -> Layout:
+        """Columns of maps that are free."""
+        return Layout(self.effects.stop, self.flux, self.harmonic, self.sensor, self.all_orders)
+
+    @cached_property
+    def summed(self) -> Layout:
+        """Columns of the sums over windows: co-energies instead of fluxes, except for the sensors, if reciprocal."""
+        if not self.reciprocal:
+            return self.columns
+        return Layout(self.effects.stop, self.flux.potential, self.harmonic.potential, self.sensor, self.all_orders)
+
+    @cached_property
+    def expansion(self) -> sparse.csr_array:
+        """S (size, summed.size): ``Z S`` are the columns of the sums."""
+        if not self.reciprocal:
+            return sparse.csr_array(sparse.eye_array(self.size))
+        blocks = [sparse.eye_array(self.map.start), self.flux.gradient]
+        for order in self.all_orders:
+            one = sparse.eye_array(self.sensor.parameters) if order in SENSOR_ORDERS else self.harmonic.gradient
+            blocks += [one, one]
+        return sparse.csr_array(sparse.block_diag(blocks))
+
     @property
     def map(self) -> slice:
         """Columns of the flux map."""
-        return slice(self.effects.stop, self.effects.stop + self.flux.parameters)
+        return self.columns.map
 
     @property
     def all_orders(self) -> tuple[int, ...]:
         """All harmonics, in the order of their columns."""
-        return (*SENSOR_ORDERS, *self.orders)
+        return (*self.sensors, *self.orders)
 
     def space(self, order: int) -> GradientSpline:
         """Return the space of a harmonic's amplitudes."""
         return self.sensor if order in SENSOR_ORDERS else self.harmonic
 
-    @cached_property
+    @property
     def harmonics(self) -> dict[int, slice]:
         """Columns of each harmonic, those of a_h before those of b_h."""
-        columns, start = {}, self.map.stop
-        for order in self.all_orders:
-            columns[order] = slice(start, start + 2 * self.space(order).parameters)
-            start = columns[order].stop
-        return columns
+        return self.columns.harmonics
 
     @property
     def size(self) -> int:
         """Number of columns."""
-        return int(self.harmonics[self.all_orders[-1]].stop)
+        return self.columns.size
 
     def phase_columns(self) -> IntArray:
         """Return the columns of the inverter's shapes as (S, 3)."""
@@ -193,38 +282,78 @@ class FullModel:
         inside = self.flux.contains(windows.i_dq.reshape(-1, 2)).reshape(-1, 2)
         return np.asarray(inside.all(axis=1))
 
-    def design(self, windows: Windows) -> FloatArray:
-        """Return the rows Z of N windows, (N, 2, size): real parts in [:, 0], imaginary parts in [:, 1]."""
-        out = np.zeros((len(windows), 2, self.size))
-        out[:, :, : self.map.start] = self._beside_flux(windows)
-        for turn, column, value, start, factor in self._ends(windows, self.all_orders):
+    def design(self, windows: Windows, layout: Layout | None = None) -> FloatArray:
+        """Return the rows Z of N windows, (N, 2, size): real parts in [:, 0], imaginary parts in [:, 1].
+
+        Parameters
+        ----------
+        windows : Windows
+        layout : Layout, optional
+            :attr:`summed` for Z S.
+        """
+        layout = layout or self.columns
+        out = np.zeros((len(windows), 2, layout.size))
+        self._beside_flux(windows, out)
+        for turn, column, value, start, factor in self._ends(windows, layout, self.all_orders):
             add_end(column, value, turn, start, factor, out)
         return _weighted(windows, out)
 
-    def effect_products(self, windows: Windows) -> FloatArray:
-        """Return Z'z (size, EFFECT_COLUMNS), z being the columns of the effects."""
-        out = np.zeros((self.size, EFFECT_COLUMNS))
-        for start in range(0, len(windows), _FEW):
-            rows = self.design(windows.part(slice(start, start + _FEW))).reshape(-1, self.size)
-            met = np.flatnonzero(rows.any(axis=0))
-            out[met] += rows[:, met].T @ rows[:, self.effects]
-        return out
+    def met(self, windows: Windows) -> tuple[FloatArray, IntArray]:
+        """Return the columns of the sums that N windows meet, (N, 2, K), and which ones they are, (K,), increasing.
+
+        Neighbours in time meet few of the basis functions.
+        """
+        layout = self.summed
+        beside = np.zeros((len(windows), 2, layout.start))
+        self._beside_flux(windows, beside)
+        columns = [np.flatnonzero(beside.any(axis=(0, 1)))]
+        ends = list(self._ends(windows, layout, self.all_orders))
+        spaces = [ends[k : k + len(ends) // 2 + 1 : len(ends) // 2] for k in range(len(ends) // 2)]
+        places = []
+        for pair in spaces:
+            used = np.zeros(1 + max(int(column.max()) for _, column, *_ in pair), np.bool_)
+            for _, column, *_ in pair:
+                used[column] = True
+            functions, start = np.flatnonzero(used), pair[0][3]
+            first = sum(map(len, columns)) + len(functions) * np.arange(len(start))
+            places.append((np.cumsum(used, dtype=np.int32) - 1, first))
+            columns.append((start[:, None] + functions).ravel())
+        out = np.zeros((len(windows), 2, sum(map(len, columns))))
+        out[:, :, : len(columns[0])] = beside[:, :, columns[0]]
+        for pair, (place, first) in zip(spaces, places, strict=True):
+            for turn, column, value, _, factor in pair:
+                add_end(place[column], value, turn, first, factor, out)
+        return _weighted(windows, out), np.concatenate(columns)
+
+    def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
+        """Return Z times an estimate (size,), (N, 2), Vs."""
+        orders = [order for order, columns in self.harmonics.items() if estimate[columns].any()]
+        return self.design_times(windows, sparse.csr_array(estimate[:, None]), orders)[..., 0]
 
     def design_times(self, windows: Windows, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
         """Return Z T (N, 2, M) for T (size, M) without forming Z; the rows of T of other ``orders`` are empty."""
         before = self.map.start
         out = np.zeros((len(windows), 2, t.shape[1]))
         beside = t[:before].toarray()
-        used = np.flatnonzero(beside.any(axis=0))
-        out[:, :, used] = self._beside_flux(windows) @ beside[:, used]
-        for turn, column, value, start, factor in self._ends(windows, orders):
+        used, met = np.flatnonzero(beside.any(axis=0)), np.flatnonzero(beside.any(axis=1))
+        known = np.zeros((len(windows), 2, before))
+        self._beside_flux(windows, known)
+        out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
+        for turn, column, value, start, factor in self._ends(windows, self.columns, orders):
             add_end_through(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
         return _weighted(windows, out)
 
-    def _beside_flux(self, windows: Windows) -> FloatArray:
-        """Return the columns before those of the flux, (N, 2, map.start)."""
+    def map_squares(self, windows: Windows) -> float:
+        """Return the sum of the squares of the columns of a free map."""
+        first, last = (self.flux.rows(windows.i_dq[:, end]) for end in (0, 1))
+        turn = np.cos(windows.angle[:, 1] - windows.angle[:, 0])
+        values = (_weighted(windows, rows.value) for rows in (first, last))
+        empty = np.zeros((2, self.flux.parameters))
+        return sum_of_squares(first.column, next(values), last.column, next(values), turn, empty)
+
+    def _beside_flux(self, windows: Windows, out: FloatArray) -> None:
+        """Fill the columns before those of the flux of rows (N, 2, map.start or more) of zeros."""
         count, drops = len(windows), self.drops
-        out = np.zeros((count, 2, self.map.start))
         known = np.concatenate(
             [windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1
         )
@@ -242,28 +371,18 @@ class FullModel:
         out[:, 0, self.crossing], out[:, 1, self.crossing] = windows.crossing.real, windows.crossing.imag
         if windows.effects is not None:
             out[:, 0, self.effects], out[:, 1, self.effects] = windows.effects.real, windows.effects.imag
-        return out
 
     def _ends(
-        self, windows: Windows, orders: Sequence[int]
+        self, windows: Windows, layout: Layout, orders: Sequence[int]
     ) -> Iterator[tuple[FloatArray, ColumnArray, FloatArray, IntArray, FloatArray]]:
         """Yield the flux at both ends of all windows, space by space, as arguments of the kernels."""
         for end, sign in ((0, -1.0), (1, 1.0)):
             angle = windows.angle[:, end]
             turn = sign * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            for space, maps in self._maps(angle, orders).items():
+            for space, maps in layout.maps(angle, orders).items():
                 rows = space.rows(windows.i_dq[:, end])
                 start, factor = np.array([start for start, _ in maps]), np.array([factor for _, factor in maps])
                 yield turn, rows.column, rows.value, start, factor
-
-    def _maps(self, angle: FloatArray, orders: Sequence[int]) -> dict[GradientSpline, list[tuple[int, FloatArray]]]:
-        """Return for each space the first columns of the maps in it and their factors (N,)."""
-        maps: dict[GradientSpline, list[tuple[int, FloatArray]]] = {self.flux: [(self.map.start, np.ones(len(angle)))]}
-        for order in orders:
-            space, start = self.space(order), self.harmonics[order].start
-            maps.setdefault(space, []).append((start, np.cos(order * angle)))
-            maps[space].append((start + space.parameters, np.sin(order * angle)))
-        return maps
 
 
 def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
@@ -273,7 +392,7 @@ def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
     return rows
 
 
-@compiled
+@compiled("const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], f8[:, :, ::1]")
 def add_end(
     column: ColumnArray, value: FloatArray, turn: FloatArray, start: IntArray, factor: FloatArray, out: FloatArray
 ) -> None:
@@ -302,7 +421,10 @@ def add_end(
                 out[n, 1, q] += cosine * value[n, 1, k]
 
 
-@compiled
+@compiled(
+    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], "
+    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
+)
 def add_end_through(
     column: ColumnArray,
     value: FloatArray,
@@ -339,6 +461,41 @@ def add_end_through(
                     term = value[n, 1, k] * share[entry]
                     out[n, 0, unknown[entry]] -= sine * term
                     out[n, 1, unknown[entry]] += cosine * term
+
+
+@compiled(
+    "const i4[:, :, ::1], const f8[:, :, ::1], const i4[:, :, ::1], const f8[:, :, ::1], const f8[::1], f8[:, ::1]"
+)
+def sum_of_squares(
+    first: ColumnArray,
+    first_value: FloatArray,
+    last: ColumnArray,
+    last_value: FloatArray,
+    turn: FloatArray,
+    empty: FloatArray,
+) -> float:
+    """Return the sum of the squares of the rows of one map with both ends of windows.
+
+    Parameters
+    ----------
+    first, first_value, last, last_value : (N, 2, K)
+        Basis functions at the start and the end, see :func:`add_end`.
+    turn : (N,) float
+        Cosine of the angle turned in between.
+    empty : (2, size) float
+        Zeros, to work in.
+    """
+    total = 0.0
+    for n in range(first.shape[0]):
+        for flux in range(2):
+            for k in range(first.shape[2]):
+                empty[flux, first[n, flux, k]] = first_value[n, flux, k]
+                total += first_value[n, flux, k] ** 2 + last_value[n, flux, k] ** 2
+            for k in range(last.shape[2]):
+                total -= 2 * turn[n] * empty[flux, last[n, flux, k]] * last_value[n, flux, k]
+            for k in range(first.shape[2]):
+                empty[flux, first[n, flux, k]] = 0.0
+    return total
 
 
 @dataclass(frozen=True)
@@ -400,12 +557,32 @@ def delay_shares(delay: float) -> FloatArray:
 
 def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """Return T (size, M), from the unknowns of a variant to the columns of the regression."""
-    size, blocks = model.size, []
+    t = sum_basis(model, spec)
+    return sparse.csr_array(model.expansion @ t) if model.reciprocal else t
+
+
+def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
+    """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums.
+
+    Raises
+    ------
+    ValueError
+        For maps that are free, where the columns of the sums are reciprocal.
+    """
+    if model.reciprocal and not spec.reciprocal:
+        raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")
+    layout, blocks = model.summed, []
 
     def place(block: sparse.sparray | FloatArray, first: int) -> None:
         block = sparse.coo_array(block)
         coordinates = (block.coords[0] + first, block.coords[1])
-        blocks.append(sparse.coo_array((block.data, coordinates), (size, block.shape[1])))
+        blocks.append(sparse.coo_array((block.data, coordinates), (layout.size, block.shape[1])))
+
+    def of_map(space: GradientSpline) -> sparse.sparray:
+        if not spec.reciprocal:
+            return sparse.eye_array(space.parameters)
+        whole = sparse.eye_array(space.potential.parameters).tocsr() if model.reciprocal else space.gradient
+        return whole[:, 1:]  # without the constant part of the co-energy
 
     place(np.ones((1, 1)), RESISTANCE)
     if spec.constant:
@@ -423,20 +600,27 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     for name in spec.effects:
         columns = model.effect(name)
         place(np.eye(columns.stop - columns.start), columns.start)
-    gradient = model.flux.gradient
-    place(gradient[:, 1:] if spec.reciprocal else sparse.eye_array(model.flux.parameters), model.map.start)
+    place(of_map(model.flux), layout.map.start)
     for order in spec.orders:
-        space = model.space(order)
-        free = order in SENSOR_ORDERS or not spec.reciprocal
-        one = sparse.eye_array(space.parameters) if free else space.gradient[:, 1:]
-        place(sparse.block_diag([one, one]), model.harmonics[order].start)
+        one = sparse.eye_array(model.sensor.parameters) if order in SENSOR_ORDERS else of_map(model.harmonic)
+        place(sparse.block_diag([one, one]), layout.harmonics[order].start)
     return sparse.csr_array(sparse.hstack(blocks))
 
 
-def roughness(model: FullModel, total: FloatArray, penalty: float) -> sparse.csr_array:
-    """Return the penalty on the columns (size, size): second differences of the map, slight ridges elsewhere."""
+def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float | None = None) -> sparse.csr_array:
+    """Return the penalty on the columns (size, size): second differences of the map, slight ridges elsewhere.
+
+    Parameters
+    ----------
+    model : FullModel
+    total : (size, size) or (summed.size, summed.size) float
+        Z'Z.
+    penalty : float
+    unit : float, optional
+        Mean diagonal of Z'Z over the columns of a free map; needed where those of the sums are reciprocal.
+    """
     diagonal = np.diag(total)
-    unit = float(diagonal[model.map].mean())
+    unit = float(diagonal[model.map].mean()) if unit is None else unit
     ridge = np.zeros(model.size)
     for columns in model.harmonics.values():
         ridge[columns] = _HARMONIC_RIDGE * unit

@@ -39,6 +39,8 @@ _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
 """K between recordings from which on the magnet's temperature coefficient is estimated."""
 _SEARCHES = 2
+_OFFSET, _BY_OFFSET = 1, 5.0
+"""Harmonic that an offset of the current sensors causes, and the excess over noise that it may cause."""
 _MOST_WINDOWS = 1500
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
@@ -80,11 +82,19 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     WindowSums, Selection
         The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
-    crossings = np.nan
-    if between := _between_crossings(sums, settings, turn, noise):
+    if settings.maps == "free":
+        sums = sums.freed(sums.model.all_orders)
+    crossings, solver = np.nan, Solver.over(sums)
+    start = _compensated(solver, _first_spec(sums, settings, turn))
+    between = between_crossings(sums, solver, start, noise)
+    if between and not _offset_shows(between, noise):
         sums, crossings = between.sums, between.excess
         noise = CurrentNoise.met(noise.variance, sums.kept())
-    selection, plain = _select(sums, settings, turn, noise), sums
+        solver = Solver.over(sums)
+        start = _compensated(solver, _first_spec(sums, settings, turn))
+    start = _with_early_steps(solver, start)
+    del solver  # its matrices are large
+    selection, plain = _select(sums, start, settings, turn, noise), sums
     known = sums.model.all_orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found = selection.search.sums
@@ -95,7 +105,10 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         kept = tuple(order for order in selection.solution.spec.orders if order not in SENSOR_ORDERS)
         sums = plain.with_orders((*kept, *new)[:MOST_ORDERS])
         known = (*known, *new)
-        selection = _select(sums, settings, turn, noise)
+        solver = Solver.over(sums)
+        start = _with_early_steps(solver, _compensated(solver, _first_spec(sums, settings, turn)))
+        del solver
+        selection = _select(sums, start, settings, turn, noise)
     return selection.search.sums, replace(selection, crossings=crossings)
 
 
@@ -115,64 +128,69 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
     )
 
 
-def _between_crossings(
-    sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise
-) -> BetweenCrossings | None:
-    """Tell whether the drop near zero crossings spoils a fit that includes what a compensation leaves of it."""
-    solver = Solver(sums.model, sums.folds, sums.counts)
-    return between_crossings(sums, solver, _compensated(solver, _first_spec(sums, settings, turn)), noise)
+def _offset_shows(between: BetweenCrossings, noise: CurrentNoise) -> bool:
+    """Tell whether an offset of the current sensors causes the excess, by moving the corner of the drop.
+
+    Short windows hardly see an offset, so they are not used where they show one and the excess is not beyond what
+    offsets cause.
+    """
+    if between.excess >= _BY_OFFSET:
+        return False
+    return _OFFSET in _significant_orders(between.sums.model, between.solution, noise.windows.i_dq[:, 0])
 
 
-def _select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> Selection:
-    """Select among the harmonics that the sums cover."""
-    model, spec = sums.model, _first_spec(sums, settings, turn)
-    orders, i_dq = spec.orders, noise.windows.i_dq[:, 0]
-    first = _first_candidate(sums, spec, noise, settings, turn)
-    search, solver = first.search, first.search.solver
-    spec, advantage = first.spec, np.nan
+def _select(
+    sums: WindowSums, start: FullSolution, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> Selection:
+    """Select among the harmonics that the sums cover, from a solution with all of them and without effects."""
+    model, orders, i_dq = sums.model, start.spec.orders, noise.windows.i_dq[:, 0]
+    first = _first_candidate(sums, start, noise, settings, turn)
+    search, solution, spec, advantage = first.search, first.solution, first.solution.spec, np.nan
     if settings.maps == "auto" and abs(spec.delay) < MOST_DELAY:  # signals further apart look like anything
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
-        advantage, clearly = _advantage(solver, free, first.error)
-        if clearly and _advantage_beyond_noise(solver, first, free, noise) > _CLEAR_GAIN:
-            everything = solver.solve(replace(free, orders=orders))
-            significant = _significant_orders(model, everything, i_dq)
-            spec = solver.best_penalty(replace(free, orders=significant))[0]
-    return Selection(solver, solver.solve(spec), search.delay, search.sigma_delay, advantage, search)
+        freed = search.sums.freed(spec.orders)
+        solver = Solver.over(freed)
+        error = first.error if freed.windows == sums.windows else solver.left_out(spec)[:, 0]
+        advantage, clearly = _advantage(solver, free, error)
+        if clearly and _advantage_beyond_noise(solver, spec, error, free, noise) > _CLEAR_GAIN:
+            freed = search.sums.freed(model.all_orders)
+            search = replace(search, sums=freed, solver=Solver.over(freed))
+            everything = search.solver.solve(replace(free, orders=orders))
+            significant = _significant_orders(freed.model, everything, i_dq)
+            spec = search.solver.best_penalty(replace(free, orders=significant))[0]
+            solution = search.solver.solve(spec)
+    return Selection(search.solver, solution, search.delay, search.sigma_delay, advantage, search)
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
     """A variant with delay, orders and penalty, and its mean squared error (F,) on each fold left out, (Vs)^2."""
 
-    spec: ModelSpec
+    solution: FullSolution
     error: FloatArray
     search: EffectSearch
 
 
 def _first_candidate(
-    sums: WindowSums, spec: ModelSpec, noise: CurrentNoise, settings: FitSettings, turn: float
+    sums: WindowSums, start: FullSolution, noise: CurrentNoise, settings: FitSettings, turn: float
 ) -> _Candidate:
-    """Detect an inverter compensation, then further effects or a delay, then the harmonics, then the penalty."""
-    solver = Solver(sums.model, sums.folds, sums.counts)
-    solution = _compensated(solver, spec)
-    spec = solution.spec
-    solution = _with_crossing(solver, solution)
-    allowed = effects_to_try(sums, settings) if spec.reciprocal else ()
-    calibrated = settings.calibrate_delay and spec.reciprocal
-    search = refined(
-        sums, search_effects(sums, solution, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
-    )
-    solver = search.solver
-    solution = search.solution
-    if "current_latency" in solution.spec.effects:  # it moves the steps, too
-        solution = solver.solve(replace(solution.spec, crossing=False))
-        solution = _with_crossing(solver, solution, _LEAST_BY_CROSSING)
-    significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
-    spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
-    plausible = plausible_effects(solver.solve(spec), solver.model, float(noise.windows.period.mean()))
-    if plausible != spec.effects:
-        spec, error = solver.best_penalty(replace(spec, effects=plausible))
-    return _Candidate(spec, error, search)
+    """Detect effects or a delay, then the harmonics, then the penalty."""
+    allowed = effects_to_try(sums, settings) if start.spec.reciprocal else ()
+    calibrated = settings.calibrate_delay and start.spec.reciprocal
+    search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
+    while True:
+        search = refined(sums, search)
+        solver, solution = search.solver, search.solution
+        if "current_latency" in solution.spec.effects:  # it moves the steps, too
+            solution = solver.solve(replace(solution.spec, crossing=False))
+            solution = _with_early_steps(solver, solution, _LEAST_BY_CROSSING)
+        significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
+        spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
+        final = solver.solve(spec)
+        plausible = plausible_effects(final, solver.model, noise.period)
+        if plausible == spec.effects:
+            return _Candidate(final, error, replace(search, solution=final))
+        search = replace(search, solution=solver.solve(replace(solution.spec, effects=plausible)))
 
 
 def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
@@ -185,7 +203,7 @@ def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
     return solution
 
 
-def _with_crossing(solver: Solver, solution: FullSolution, least: float = 0.0) -> FullSolution:
+def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0) -> FullSolution:
     """Fit the time by which the drop's steps come early, if it saves more than the share ``least`` of the squares.
 
     One that came late would be none of the inverter's.
@@ -240,16 +258,18 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[floa
     return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
 
 
-def _advantage_beyond_noise(solver: Solver, first: _Candidate, other: ModelSpec, noise: CurrentNoise) -> float:
+def _advantage_beyond_noise(
+    solver: Solver, spec: ModelSpec, error: FloatArray, other: ModelSpec, noise: CurrentNoise
+) -> float:
     """Return by which share another variant reduces the squared error on data left out, apart from its gain on noise.
 
     Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. The gain on noise
     doubles with the noise; the gain on a model error does not.
     """
-    error, solution = first.error, solver.solve(first.spec)
+    solution = solver.solve(spec)
     products = noise_products(solver, solution, noise, solution.sum_of_squares)
     by_other = solver.left_out(other)[:, 0]
-    noisy, noisy_by_other = (solver.left_out(each, noise=products)[:, 0] for each in (first.spec, other))
+    noisy, noisy_by_other = (solver.left_out(each, noise=products)[:, 0] for each in (spec, other))
     saved = 2 * (error - by_other) - (noisy - noisy_by_other)
     folds = predictable(error)
     return float(saved[folds].sum() / error[folds].sum())
@@ -318,7 +338,7 @@ def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Wind
     """
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
-    left = model.design(windows) @ estimate
+    left = model.residuals(windows, estimate)
     error = left[:, 0] + 1j * left[:, 1]
     currents = np.concatenate([np.ones((len(windows), 2, 1)), windows.i_dq / model.i_max], axis=2)
     turned = np.sqrt(windows.weights)[:, None, None] * np.exp(1j * windows.angle)[..., None] * currents  # (N, end, 3)

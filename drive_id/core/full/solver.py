@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg, sparse
@@ -24,14 +25,17 @@ from drive_id.core.full.model import (
     VOLTAGE,
     FullModel,
     ModelSpec,
-    basis,
     delay_shares,
     roughness,
+    sum_basis,
 )
 from drive_id.core.full.windows import SHIFTS, Windows
-from drive_id.core.numerics.normal_equations import congruent, factorize, penalized, times
+from drive_id.core.numerics.normal_equations import congruent, factorize, increased, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from drive_id.core.full.window_sums import WindowSums
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
@@ -50,6 +54,8 @@ class FullSolution:
         ``Z estimate`` are the residuals, Vs.
     basis : (size, M) sparse
         T, from unknowns to columns.
+    summed : (summed.size,) float
+        The estimate in the columns of the sums.
     factor : (M, M) float
         Lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides.
     scale : (M,) float
@@ -61,6 +67,7 @@ class FullSolution:
     spec: ModelSpec
     estimate: FloatArray
     basis: sparse.csr_array
+    summed: FloatArray
     factor: FloatArray
     scale: FloatArray
     sum_of_squares: float
@@ -102,18 +109,38 @@ class Solver:
     Parameters
     ----------
     model : FullModel
-    folds : (F, size, size) float
-        Z'Z of each fold.
+    folds : sequence of (summed.size, summed.size) float
+        Z'Z of each fold, or its lower triangle row by row; not copied.
     counts : (F,) float
         Rows of each fold.
+    effects : (F, summed.size, EFFECT_COLUMNS) float, optional
+        Z'z of each fold for the columns z of the effects, where the folds lack them.
+    unit : float, optional
+        Mean diagonal of Z'Z over the columns of a free map; default: that of the folds, if they are free.
     """
 
-    def __init__(self, model: FullModel, folds: FloatArray, counts: FloatArray) -> None:
+    def __init__(
+        self,
+        model: FullModel,
+        folds: Sequence[FloatArray] | FloatArray,
+        counts: FloatArray,
+        effects: FloatArray | None = None,
+        unit: float | None = None,
+    ) -> None:
         self.model = model
-        self.folds = folds
         self.counts = counts
-        self.total = folds.sum(axis=0)
-        self._normals: dict[ModelSpec, tuple[sparse.csr_array, FloatArray]] = {}
+        self._folds, self._effects = folds, effects
+        total = folds[0].copy()
+        for one in folds[1:]:
+            total += one
+        self.total = with_products(self._full(total), None if effects is None else effects.sum(axis=0), model)
+        self._unit = float(np.diag(self.total)[model.map].mean()) if unit is None else unit
+        self._normals: dict[ModelSpec, _Normal] = {}
+
+    @classmethod
+    def over(cls, sums: WindowSums) -> Solver:
+        """Return the solver of the sums over windows, which must not change any more."""
+        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit)
 
     @property
     def total_voltage(self) -> float:
@@ -122,20 +149,29 @@ class Solver:
 
     def solve(self, spec: ModelSpec, noise: sparse.csr_array | None = None) -> FullSolution:
         """Fit a variant to all folds, with the products (size, size) of additional noise if given."""
-        t, normal = self._normal(spec)
-        voltage = self._voltage(spec)
+        known, voltage = self._normal(spec), self._voltage(spec)
+        normal = increased(known.normal.copy(), known.penalty(spec.penalty))
         if noise is not None:
-            normal = normal + self._on_unknowns(t, noise)
-        factor, scale = factorize(normal + self._penalty(t, spec.penalty))
-        moment = t.T @ times(self.total, voltage)
-        x = linalg.cho_solve((factor, True), moment / scale) / scale
-        estimate = t @ x - voltage
-        squares = float(estimate @ self.total @ estimate)
-        return FullSolution(spec, estimate, t, factor, scale, squares, float(self.counts.sum()))
+            increased(normal, self._on_unknowns(known.basis, noise))
+        factor, scale = factorize(normal)
+        moment = known.t.T @ times(self.total, voltage)
+        x = linalg.cho_solve((factor, True), moment / scale, check_finite=False) / scale
+        estimate = known.t @ x - voltage
+        squares = float(estimate @ (self.total @ estimate))
+        return FullSolution(
+            spec=spec,
+            estimate=self.model.expansion @ estimate,
+            basis=known.basis,
+            summed=estimate,
+            factor=factor,
+            scale=scale,
+            sum_of_squares=squares,
+            rows=float(self.counts.sum()),
+        )
 
     def shrinkage(self, solution: FullSolution) -> FloatArray:
         """Return the bias (size,) of the estimate caused by the penalties, to first order."""
-        return solution.response(roughness(self.model, self.total, solution.spec.penalty) @ solution.estimate)
+        return solution.response(self._roughness(solution.spec.penalty) @ solution.estimate)
 
     def left_out(
         self,
@@ -165,22 +201,28 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        (t, normal), voltage = self._normal(spec), self._voltage(spec)
-        tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
+        known, voltage = self._normal(spec), self._voltage(spec)
+        t, normal = known.t, known.normal
+        tried = [known.penalty(penalty) for penalty in penalties or (spec.penalty,)]
         moment = t.T @ times(self.total, voltage)
-        in_map = np.asarray(abs(t[self.model.map]).sum(axis=0)).ravel() > 0
-        added = 0.0 if noise is None else self._on_unknowns(t, noise)
+        in_map = np.asarray(abs(t[self.model.summed.map]).sum(axis=0)).ravel() > 0
+        added = None if noise is None else self._on_unknowns(known.basis, noise)
 
         def errors(number: int) -> list[float]:
-            fold = self.folds[number]
-            own, product = congruent(t, fold) + added / len(self.folds), times(fold, voltage)
+            fold = self._fold(number)
+            own, product = congruent(t, fold), times(fold, voltage)
+            del fold
+            rest = normal - own
+            if added is not None:
+                increased(own, added / len(self._folds))
+                increased(rest, (1 - 1 / len(self._folds)) * added)
             own_moment, square = t.T @ product, voltage @ product
-            estimates = penalized(normal + added - own, moment - own_moment, tried, in_map)
+            estimates = penalized(rest, moment - own_moment, tried, in_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
 
-        return np.array(in_threads(errors, range(len(self.folds)) if folds is None else [int(k) for k in folds]))
+        return np.array(in_threads(errors, range(len(self._folds)) if folds is None else [int(k) for k in folds]))
 
     def best_penalty(self, spec: ModelSpec) -> tuple[ModelSpec, FloatArray]:
         """Return ``spec`` with the penalty that predicts the folds best, and the squared errors (F,), (Vs)^2."""
@@ -191,7 +233,7 @@ class Solver:
     def saving(self, solution: FullSolution, further: slice) -> tuple[float, FloatArray]:
         """Return by which share unknowns in further columns would reduce the sum of squares, and their values (K,)."""
         left = self._left(solution, np.arange(further.start, further.stop))
-        moment = self.total[further] @ solution.estimate
+        moment = self.total[further] @ solution.summed
         scale = np.sqrt(np.maximum(np.diag(left), _TINY))
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
         return float((moment / scale) @ found / max(solution.sum_of_squares, _TINY)), -found / scale
@@ -230,31 +272,65 @@ class Solver:
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""
-        half = solution.half_gain(np.asarray(solution.basis.T @ self.total[:, columns]))
+        half = solution.half_gain(np.asarray(self._normal(solution.spec).t.T @ self.total[:, columns]))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
-    def _on_unknowns(self, t: sparse.csr_array, noise: sparse.csr_array) -> FloatArray:
-        """Return the products (size, size) of noise as an addition to T'Z'ZT."""
-        return np.asarray((t.T @ noise @ t).toarray())
+    def _fold(self, number: int) -> FloatArray:
+        """Return Z'Z of a fold with the effects."""
+        effects = None if self._effects is None else self._effects[number]
+        return with_products(self._full(self._folds[number]), effects, self.model)
 
-    def _normal(self, spec: ModelSpec) -> tuple[sparse.csr_array, FloatArray]:
-        """Return T and T'Z'ZT, which depend on neither penalty nor delay."""
+    def _full(self, fold: FloatArray) -> FloatArray:
+        return unpacked(fold, self.model.summed.size) if fold.ndim == 1 else fold
+
+    def _on_unknowns(self, t: sparse.csr_array, noise: sparse.csr_array) -> sparse.csr_array:
+        """Return the products (size, size) of noise as an addition to T'Z'ZT."""
+        return sparse.csr_array(t.T @ noise @ t)
+
+    def _normal(self, spec: ModelSpec) -> _Normal:
+        """Return what depends on neither penalty nor delay; that of the last variant is kept."""
         key = replace(spec, penalty=0.0, delay=0.0)
         if key not in self._normals:
-            t = basis(self.model, spec)
-            self._normals[key] = t, congruent(t, self.total)
+            t = sum_basis(self.model, spec)
+            all_columns = sparse.csr_array(self.model.expansion @ t)
+            ridge, rough = (all_columns.T @ self._roughness(penalty) @ all_columns for penalty in (0.0, 1.0))
+            self._normals.clear()
+            self._normals[key] = _Normal(t, all_columns, congruent(t, self.total), ridge, rough - ridge)
         return self._normals[key]
 
     def _voltage(self, spec: ModelSpec) -> FloatArray:
-        """Return the combination (size,) of columns that is the integral of the delayed voltage."""
-        voltage = np.zeros(self.model.size)
+        """Return the combination (summed.size,) of columns that is the integral of the delayed voltage."""
+        voltage = np.zeros(self.model.summed.size)
         voltage[VOLTAGE] = 1.0
         voltage[SHIFT] = -delay_shares(spec.delay)
         voltage[self.model.effect("remainder")] = -1.0
         return voltage
 
-    def _penalty(self, t: sparse.csr_array, penalty: float) -> FloatArray:
-        return np.asarray((t.T @ roughness(self.model, self.total, penalty) @ t).toarray())
+    def _roughness(self, penalty: float) -> sparse.csr_array:
+        return roughness(self.model, self.total, penalty, self._unit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """T from the unknowns to the columns of the sums and to all columns, T'Z'ZT (M, M), and the penalties."""
+
+    t: sparse.csr_array
+    basis: sparse.csr_array
+    normal: FloatArray
+    ridge: sparse.csr_array
+    rough: sparse.csr_array
+
+    def penalty(self, weight: float) -> sparse.csr_array:
+        """Return the penalty (M, M) for a weight of the map's roughness."""
+        return sparse.csr_array(self.ridge + weight * self.rough)
+
+
+def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:
+    """Put the products (size, EFFECT_COLUMNS) of the effects with all columns into Z'Z, if there are any."""
+    if products is not None:
+        matrix[model.effects, :] = products.T
+        matrix[:, model.effects] = products
+    return matrix
 
 
 def predictable(errors: FloatArray) -> BoolArray:
@@ -279,6 +355,11 @@ class CurrentNoise:
 
     variance: float
     windows: Windows
+
+    @property
+    def period(self) -> float:
+        """Mean sample period, s."""
+        return float(self.windows.period.mean())
 
     @classmethod
     def met(cls, variance: float, kept: Sequence[Windows]) -> CurrentNoise:

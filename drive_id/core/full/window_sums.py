@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.linalg.blas import dsyrk
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
+from drive_id.core.full.model import EFFECT_COLUMNS, SENSOR_ORDERS, FullModel
+from drive_id.core.full.solver import with_products
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
-from drive_id.core.numerics.compiled import compiled
-from drive_id.core.numerics.running_sums import SavedSums
+from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
+from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import in_threads, one_blas_thread
-from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 FOLDS = 5
 SEGMENT = 0.25
@@ -27,9 +26,10 @@ SEGMENT = 0.25
 MOST_KEPT = 24_000
 """Windows that are kept, in whole segments evenly over time, to examine the residuals."""
 
-_TILE = 256
-_CHUNK = 64
+_CHUNK = 128
 """Windows whose products are formed at once: fewer windows touch fewer columns."""
+_DUE = 4 * FOLDS
+"""Segments that may wait until the products of several folds are formed at once, in threads."""
 
 
 class WindowSums:
@@ -42,6 +42,9 @@ class WindowSums:
     Notes
     -----
     Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.
+
+    The columns are ``model.summed``. Sums over reciprocal columns take 41 % of the memory of those over free ones;
+    :meth:`freed` forms the latter of the kept windows.
     """
 
     def __init__(self, model: FullModel) -> None:
@@ -51,6 +54,11 @@ class WindowSums:
         self._cutter = WindowCutter(model.shapes, short=True)
         self._folds: list[FloatArray] = []
         self._shared: set[int] = set()  # folds that a copy holds, too
+        self._squares = np.zeros(FOLDS)  # of the columns of a free map, where those of the sums are reciprocal
+        self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
+        self.effects: FloatArray | None = None
+        """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
+        self._some: _KeptProducts | None = None
         self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
@@ -64,6 +72,7 @@ class WindowSums:
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
+        self._form_products()
         self._recording += self.windows > 0
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self._cutter.set_conditions(heating, drop_scale)
@@ -72,6 +81,7 @@ class WindowSums:
         """Accumulate further samples, see :meth:`WindowCutter.cut`."""
         for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
+        self._form_products()
 
     def finished(self) -> WindowSums:
         """Return a copy that includes the samples still waiting for more; this one goes on without them."""
@@ -79,6 +89,7 @@ class WindowSums:
         for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
             other._take(windows)  # noqa: SLF001
         other._flush()  # noqa: SLF001
+        other._form_products()  # noqa: SLF001
         return other
 
     def copy(self) -> WindowSums:
@@ -87,14 +98,22 @@ class WindowSums:
         other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
         other._folds, other._shared = list(self._folds), set(range(len(self._folds)))  # noqa: SLF001
         self._shared = set(other._shared)  # noqa: SLF001  # copied before the first change
-        other._counts = self._counts.copy()  # noqa: SLF001
+        other._due = list(self._due)  # noqa: SLF001
+        other._counts, other._squares = self._counts.copy(), self._squares.copy()  # noqa: SLF001
         other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
         return other
 
     def with_orders(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model with other harmonics."""
-        model = self.model
-        return self._over(FullModel(model.low, model.high, model.i_max, orders), self._kept)
+        return self._over(replace(self.model, orders=orders), self._kept)
+
+    def freed(self, orders: tuple[int, ...]) -> WindowSums:
+        """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""
+        if not self.model.reciprocal:
+            return self
+        sensors, others = ([each for each in orders if (each in SENSOR_ORDERS) == own] for own in (True, False))
+        model = replace(self.model, orders=tuple(others), sensors=tuple(sensors), reciprocal=False)
+        return self._over(model, self._kept)
 
     def between_crossings(self, weights: Callable[[Windows], FloatArray]) -> WindowSums:
         """Return the sums over the kept short windows instead, with weights (N,) on their squared residuals."""
@@ -112,6 +131,7 @@ class WindowSums:
         for number in sorted(kept):
             other._segment, other._pending = number, [kept[number]]  # of its own class
             other._flush()
+        other._form_products()
         other.outside = self.outside
         return other
 
@@ -128,29 +148,40 @@ class WindowSums:
         Where not all windows are kept, the products of the effects with all columns are extrapolated from the kept
         ones by regression, ``z = Z b + r``: only the part of the effects that no other column explains is extrapolated.
         """
-        other = self.copy()
-        model, effects = self.model, self.model.effects
-        kept = {number: windows.part(~windows.short) for number, windows in self._kept.items()}
-        kept = {number: replace(windows, effects=columns(windows)) for number, windows in kept.items()}
-        other._kept = kept  # noqa: SLF001  # of its own class
-        rows = in_threads(model.effect_products, [kept[number] for number in sorted(kept)])
-        products = np.zeros((FOLDS, model.size, EFFECT_COLUMNS))
-        for number, product in zip(sorted(kept), rows, strict=True):
-            products[number % FOLDS] += product
-        if sum(len(windows) for windows in kept.values()) < self.windows:
-            products = self._extrapolated(products)
-        for fold, product in enumerate(products):
-            matrix = other._own(fold)  # noqa: SLF001
-            matrix[effects, :] = product.T
-            matrix[:, effects] = product
+        other, model = self.copy(), self.model
+        numbers, kept = sorted(self._kept), self.kept()
+        thinned = sum(map(len, kept)) < self.windows
+        some = _KeptProducts.none(model) if thinned and self._some is None else None
+        products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
+
+        def of_fold(fold: int) -> list[tuple[int, Windows]]:
+            out = []
+            for number, own in zip(numbers, kept, strict=True):
+                if number % FOLDS != fold:
+                    continue
+                windows = replace(own, effects=columns(own))
+                rows, met = model.met(windows)
+                rows = rows.reshape(-1, len(met))
+                first, last = np.searchsorted(met, (model.effects.start, model.effects.stop))
+                chosen = met[first:last] - model.effects.start
+                products[fold, met[:, None], chosen] += rows.T @ rows[:, first:last]
+                if some is not None:
+                    rows, met = np.delete(rows, slice(first, last), axis=1), np.delete(met, slice(first, last))
+                    add_triangle(rows.T @ rows, met, some.triangles[fold])
+                    some.counts[fold] += own.weights.sum()
+                out.append((number, windows))
+            return out
+
+        for done in in_threads(of_fold, range(FOLDS)):
+            other._kept |= dict(done)  # noqa: SLF001  # of its own class
+        self._some = some or self._some
+        other.effects = self._extrapolated(products, self._some) if thinned and self._some else products
         return other
 
-    def _extrapolated(self, products: FloatArray) -> FloatArray:
+    def _extrapolated(self, products: FloatArray, some: _KeptProducts) -> FloatArray:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
-        effects = self.model.effects
-        some = self.with_orders(self.model.orders)
-        kept_folds, folds = some.folds, self.folds
-        total = kept_folds.sum(axis=0)
+        effects, folds, size = self.model.effects, self.triangles(), self.model.summed.size
+        total = unpacked(np.sum(some.triangles, axis=0), size)
         scale = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
         scaled = total / scale[:, None] / scale
         scaled[np.diag_indices_from(scaled)] += 1e-8
@@ -159,10 +190,10 @@ class WindowSums:
         b = linalg.cho_solve(linalg.cho_factor(scaled, lower=True), outer) / scale[:, None]
         out = np.empty_like(products)
         for fold, product in enumerate(products):
-            share = self._counts[fold] / max(float(some._counts[fold]), 1.0)  # noqa: SLF001
-            left = share * (product - kept_folds[fold] @ b)
-            out[fold] = folds[fold] @ b + left
-            inner = share * (product[effects] - b.T @ (kept_folds[fold] @ b)) + b.T @ (folds[fold] @ b)
+            share = self._counts[fold] / max(float(some.counts[fold]), 1.0)
+            own, explained = (unpacked(each[fold], size) @ b for each in (some.triangles, folds))
+            out[fold] = explained + share * (product - own)
+            inner = share * (product[effects] - b.T @ own) + b.T @ explained
             out[fold][effects] = 0.5 * (inner + inner.T)
         return out
 
@@ -172,11 +203,17 @@ class WindowSums:
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
+        self._form_products()
+        self._some = None
+        if self.model.reciprocal != theirs.model.reciprocal:
+            self._reduce()
+            theirs._reduce()  # noqa: SLF001  # of its own class
         self._every = max(self._every, theirs._every)  # noqa: SLF001  # of its own class
         offset = self._next_start()
-        for number, matrix in enumerate(theirs._matrices()):  # noqa: SLF001
-            self._own((number + offset) % FOLDS)[...] += matrix
+        for number, triangle in enumerate(theirs.triangles()):
+            self._own((number + offset) % FOLDS)[...] += triangle
         self._counts = self._counts + np.roll(theirs._counts, offset)  # noqa: SLF001
+        self._squares = self._squares + np.roll(theirs._squares, offset)  # noqa: SLF001
         known = self._recording + 1 if self.windows else 0
         runs = 1 + max((int(windows.run.max()) for windows in self._kept.values()), default=-1)
         self._kept |= {
@@ -202,25 +239,27 @@ class WindowSums:
             together = Windows.joined(kept)
             out |= {f"windows.{name}": getattr(together, name) for name in MEASURED}
         if done.windows > sum(len(windows) for windows in done.kept()):
-            rows, columns = np.tril_indices(self.model.size)
-            out["folds"] = np.array([fold[rows, columns] for fold in done._matrices()])  # noqa: SLF001
+            out["folds"] = np.array(done.triangles())
             out["counts"], out["last"] = done._counts, np.array(done._last)  # noqa: SLF001
+            out["squares"] = done._squares  # noqa: SLF001
+            out["reciprocal"] = np.array(self.model.reciprocal)
         return out
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
-        self.__dict__.update(WindowSums(self.model).__dict__)
+        reciprocal = bool(state.get("reciprocal", self.model.reciprocal))
+        self.__dict__.update(WindowSums(replace(self.model, reciprocal=reciprocal)).__dict__)
         ends = np.cumsum(state["length"])
         together = Windows(**{name: state[f"windows.{name}"] for name in MEASURED}) if len(ends) else None
         for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
             if together is not None:
                 self._segment, self._pending = int(number), [together.part(slice(int(start), int(end)))]
-                self._flush()
+                self._flush(form="folds" not in state)
+        self._form_products()
         self.outside, self._every = int(state["outside"]), int(state["every"])
         if "folds" in state:
-            rows, columns = np.tril_indices(self.model.size)
-            for fold, packed in zip(self._matrices(), state["folds"], strict=True):
-                fold[rows, columns] = packed
+            self._folds = list(exactly(state["folds"], np.array(self.triangles())))
+            self._squares = exactly(state["squares"], self._squares)
             self._counts, self._last = np.array(state["counts"]), int(state["last"])
             self.windows = int(self._counts.sum())
         if together is not None:
@@ -229,15 +268,29 @@ class WindowSums:
 
     @property
     def folds(self) -> FloatArray:
-        """Z'Z of each fold, (FOLDS, size, size), symmetric."""
-        out, matrices = np.empty((FOLDS, self.model.size, self.model.size)), self._matrices()
+        """Z'Z of each fold, (FOLDS, summed.size, summed.size), symmetric, with the effects."""
+        effects = [None] * FOLDS if self.effects is None else list(self.effects)
+        matrices = [unpacked(triangle, self.model.summed.size) for triangle in self.triangles()]
+        return np.array([with_products(*both, self.model) for both in zip(matrices, effects, strict=True)])
 
-        def fill(number: int) -> None:
-            out[number] = matrices[number].T  # C rows are Fortran columns: the upper triangle
-            mirror_upper(out[number])
+    def triangles(self) -> list[FloatArray]:
+        """Return the lower triangle of Z'Z of each fold, row by row, without the effects; not to be changed."""
+        if not self._folds:
+            size = self.model.summed.size
+            self._folds = [np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)]
+        return self._folds
 
-        in_threads(fill, range(FOLDS))
-        return out
+    @property
+    def unit(self) -> float:
+        """Mean diagonal of Z'Z over the columns of a free map."""
+        if self.model.reciprocal:
+            return float(self._squares.sum() / self.model.flux.parameters)
+        return float(self._map_diagonals().sum() / self.model.flux.parameters)
+
+    def _map_diagonals(self) -> FloatArray:
+        """Return the sums (FOLDS,) of the diagonal over the map."""
+        rows = np.arange(self.model.summed.map.start, self.model.summed.map.stop)
+        return np.array([triangle[rows * (rows + 3) // 2].sum() for triangle in self.triangles()])
 
     @property
     def counts(self) -> FloatArray:
@@ -246,7 +299,7 @@ class WindowSums:
 
     def kept(self) -> list[Windows]:
         """Return the kept segments in order of time."""
-        return [windows.part(~windows.short) for _, windows in sorted(self._kept.items())]
+        return [windows.whole for _, windows in sorted(self._kept.items())]
 
     def kept_short(self) -> list[Windows]:
         """Return the short windows of the kept segments in order of time."""
@@ -256,18 +309,13 @@ class WindowSums:
         """Return the segment in which the next recording begins, the same for merging and adding."""
         return -(-(self._last + 1) // self._every) * self._every
 
-    def _matrices(self) -> list[FloatArray]:
-        if not self._folds:
-            self._folds = [np.zeros((self.model.size, self.model.size), order="F") for _ in range(FOLDS)]
-        return self._folds
-
     def _own(self, fold: int) -> FloatArray:
-        """Return a fold that no copy shares."""
-        matrices = self._matrices()
+        """Return the triangle of a fold that no copy shares."""
+        triangles = self.triangles()
         if fold in self._shared:
-            matrices[fold] = matrices[fold].copy(order="F")
+            triangles[fold] = triangles[fold].copy()
             self._shared.discard(fold)
-        return matrices[fold]
+        return triangles[fold]
 
     def _take(self, windows: Windows) -> None:
         """Collect windows until a segment is complete."""
@@ -280,18 +328,16 @@ class WindowSums:
                 self._segment = int(number)
             self._pending.append(windows.part(np.flatnonzero((segment == number) & usable)))
 
-    def _flush(self) -> None:
-        """Accumulate the windows of a segment."""
+    def _flush(self, *, form: bool = True) -> None:
+        """Complete a segment; its products are formed later, see :meth:`_form_products`."""
         windows = Windows.joined(self._pending) if self._pending else None
         self._pending = []
         if windows is None or windows.short.all():
             return
-        fold, whole = self._segment % FOLDS, windows.part(~windows.short)
-        matrix = self._own(fold)
-        with one_blas_thread(with_scipy=True):
-            for start in range(0, len(whole), _CHUNK):
-                few = whole.part(slice(start, start + _CHUNK))
-                add_products(self.model.design(few).reshape(-1, self.model.size), matrix)
+        fold, whole = self._segment % FOLDS, windows.whole
+        if form:
+            self._due.append((fold, whole))
+        self._some = None
         self._counts[fold] += len(whole) if whole.weight is None else whole.weight.sum()
         self.windows += len(whole)
         self._last = self._segment
@@ -299,6 +345,39 @@ class WindowSums:
             earlier = self._kept.get(self._segment)
             self._kept[self._segment] = windows if earlier is None else Windows.joined([earlier, windows])
             self._thin()
+        if len(self._due) >= _DUE:
+            self._form_products()
+
+    def _form_products(self) -> None:
+        """Add the products of the segments that are due to their folds."""
+        by_fold: dict[int, list[Windows]] = {}
+        for number, windows in self._due:
+            by_fold.setdefault(number, []).append(windows)
+        self._due = []
+        triangles = {number: self._own(number) for number in by_fold}
+        model = self.model
+
+        def add(number: int) -> None:
+            for windows in by_fold[number]:
+                for start in range(0, len(windows), _CHUNK):
+                    few = windows.part(slice(start, start + _CHUNK))
+                    rows, columns = model.met(few)
+                    rows = rows.reshape(-1, len(columns))
+                    add_triangle(rows.T @ rows, columns, triangles[number])
+                    if model.reciprocal:
+                        self._squares[number] += model.map_squares(few)
+
+        with one_blas_thread(with_scipy=False):
+            in_threads(add, sorted(by_fold))
+
+    def _reduce(self) -> None:
+        """Sum over the columns of reciprocal maps from now on."""
+        if self.model.reciprocal:
+            return
+        model, size = replace(self.model, reciprocal=True), self.model.summed.size
+        self._squares = self._map_diagonals()
+        self._folds = [triangle_of(congruent(model.expansion, unpacked(one, size))) for one in self.triangles()]
+        self.model, self._shared = model, set()
 
     def _thin(self) -> None:
         while len(self._kept) > 1 and sum(int((~windows.short).sum()) for windows in self._kept.values()) > MOST_KEPT:
@@ -306,32 +385,14 @@ class WindowSums:
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
 
 
-def mirror_upper(matrix: FloatArray) -> None:
-    """Copy the upper triangle of a matrix to the lower one, tile by tile to stay in the cache."""
-    edges = [*range(0, len(matrix), _TILE), len(matrix)]
-    for k, (start, end) in enumerate(pairwise(edges)):
-        corner = matrix[start:end, start:end]
-        corner[...] = np.triu(corner) + np.triu(corner, 1).T
-        for left, right in pairwise(edges[: k + 1]):
-            matrix[start:end, left:right] = matrix[left:right, start:end].T
+@dataclass(frozen=True, eq=False)
+class _KeptProducts:
+    """Triangles of Z'Z (FOLDS) and sums of weights (FOLDS,) of the kept windows, where not all are kept."""
 
+    triangles: list[FloatArray]
+    counts: FloatArray
 
-@compiled
-def add_lower(block: FloatArray, columns: IntArray, total: FloatArray) -> None:
-    """Add the lower triangle of a matrix (K, K) to the rows and columns ``columns`` (K,), increasing, of ``total``."""
-    for column in range(len(columns)):
-        for row in range(column, len(columns)):
-            total[columns[row], columns[column]] += block[row, column]
-
-
-def add_products(rows: FloatArray, total: FloatArray) -> None:
-    """Add the lower triangle of rows' rows to ``total``, skipping columns that are zero.
-
-    Parameters
-    ----------
-    rows : (N, size) float
-        Neighbours in time, whose currents meet few of the basis functions.
-    total : (size, size) float, in Fortran order
-    """
-    columns = np.flatnonzero(rows.any(axis=0))
-    add_lower(dsyrk(1.0, rows[:, columns].T, lower=1), columns, total)
+    @classmethod
+    def none(cls, model: FullModel) -> _KeptProducts:
+        size = model.summed.size
+        return cls([np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)], np.zeros(FOLDS))

@@ -16,12 +16,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
+from drive_id.core.numerics.scans import first_order
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)
@@ -160,8 +160,15 @@ class Windows:
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
         """Concatenate windows."""
+        if len(parts) == 1:
+            return parts[0]
         known = [name for name in (*MEASURED, *_ADDED) if all(getattr(part, name) is not None for part in parts)]
         return Windows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in known})
+
+    @property
+    def whole(self) -> Windows:
+        """Those that are not short."""
+        return self.part(~self.short) if self.short.any() else self
 
     @property
     def weights(self) -> FloatArray:
@@ -296,7 +303,7 @@ class WindowCutter:
         decay, before, now = _lag_weights(samples.sample_period)
         lagged = np.stack(
             [
-                signal.lfilter([b, a], [1, -d], i_dq[1:], zi=[d * start + a * i_dq[0]])[0]
+                first_order(i_dq, start, d, a, b)
                 for d, a, b, start in zip(decay, before, now, self._lagged, strict=True)
             ],
             axis=1,

@@ -40,11 +40,14 @@ class BetweenCrossings:
     Parameters
     ----------
     sums : WindowSums
+    solution : FullSolution
+        A fit to them with nearly the same weights.
     excess : float
         Rms of the residuals of windows with a crossing over that which noise in the currents explains.
     """
 
     sums: WindowSums
+    solution: FullSolution
     excess: float
 
 
@@ -70,11 +73,11 @@ def between_crossings(
     weights = np.where(np.arange(len(_EDGES)) >= _CLEAR, 1.0, _FIRST)
     for _ in range(_ROUNDS):
         chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])  # noqa: B023
-        found = Solver(chosen.model, chosen.folds, chosen.counts).solve(spec)
+        found = Solver.over(chosen).solve(spec)
         excess = _excess(model, found, short, noise)
         weights = np.maximum(excess / max(1.0, excess[_CLEAR:].min()), 1.0) ** -_POWER
     chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])
-    return BetweenCrossings(chosen, float(excess[0]))
+    return BetweenCrossings(chosen, found, float(excess[0]))
 
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
@@ -107,7 +110,7 @@ def _squares(
     model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise
 ) -> tuple[FloatArray, FloatArray]:
     """Return the squared residuals (N,) and those that noise explains, (Vs)^2."""
-    left = model.design(windows) @ solution.estimate
+    left = model.residuals(windows, solution.estimate)
     slopes = jacobian(model.flux, solution.estimate[model.map], windows.i_dq.reshape(-1, 2))
     return np.square(left).sum(axis=1), noise.variance * np.square(slopes).reshape(len(windows), -1).sum(axis=1)
 

@@ -78,13 +78,8 @@ class SplineBasis:
 
     def slopes(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
         """Evaluate the derivatives, 1/A, as :meth:`values`."""
-        cell, lower = SplineBasis(self.edges, self.degree - 1).values(x)
-        knot = cell + self.degree
-        share = (
-            self.degree
-            * lower
-            / (self._after(knot, self.degree) - self.knots[knot[:, None] + np.arange(1 - self.degree, 1)])
-        )
+        cell, lower = self._lower.values(x)
+        share = self._steepness[cell] * lower
         w = np.zeros((len(x), self.degree + 1))
         w[:, :-1] = -share
         w[:, 1:] += share
@@ -96,8 +91,16 @@ class SplineBasis:
         step = sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(self.count - 1, self.count))
         return sparse.csr_array(sparse.diags_array(self.degree / width) @ step)
 
-    def _after(self, knot: IntArray, order: int) -> FloatArray:
-        return np.asarray(self.knots[knot[:, None] + np.arange(1, order + 1)])
+    @cached_property
+    def _lower(self) -> SplineBasis:
+        return SplineBasis(self.edges, self.degree - 1)
+
+    @cached_property
+    def _steepness(self) -> FloatArray:
+        """Degree over the width of the support (C, degree) of the lower splines that each cell meets, 1/A."""
+        knot = np.arange(len(self.edges) - 1)[:, None] + self.degree
+        after, before = (self.knots[knot + np.arange(first, first + self.degree)] for first in (1, 1 - self.degree))
+        return np.asarray(self.degree / (after - before))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +179,11 @@ class GradientSpline:
         return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
 
     @cached_property
+    def potential(self) -> PotentialSpline:
+        """The reciprocal maps of this space, by the coefficients of their co-energy."""
+        return PotentialSpline(self._high_d, self._high_q)
+
+    @cached_property
     def gradient(self) -> sparse.csr_array:
         """G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
         psi_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
@@ -200,6 +208,36 @@ class GradientSpline:
         column, value = np.empty((len(d_low[0]), 2, functions), np.int32), np.empty((len(d_low[0]), 2, functions))
         tensor_products(*d_low, *q_high, self._high_q.count, 0, column[:, 0], value[:, 0])
         tensor_products(*d_high, *q_low, self._low_q.count, self._count_d, column[:, 1], value[:, 1])
+        return BasisRows(column, value)
+
+
+@dataclass(frozen=True, eq=False)
+class PotentialSpline:
+    """Gradients of a co-energy spline, by its coefficients w, row-major in [i_d, i_q]: ``f = B w``.
+
+    The first coefficient is as good as free: the sum of all functions is constant.
+
+    Parameters
+    ----------
+    d, q : SplineBasis
+    """
+
+    d: SplineBasis
+    q: SplineBasis
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return self.d.count * self.q.count
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return B at currents (N, 2), A: both fluxes have the same columns."""
+        i_d, i_q = i_dq[:, 0], i_dq[:, 1]
+        functions = (self.d.degree + 1) * (self.q.degree + 1)
+        column, value = np.empty((len(i_d), 2, functions), np.int32), np.empty((len(i_d), 2, functions))
+        sides = (self.d.slopes(i_d), self.q.values(i_q)), (self.d.values(i_d), self.q.slopes(i_q))
+        for flux, (along_d, along_q) in enumerate(sides):
+            tensor_products(*along_d, *along_q, self.q.count, 0, column[:, flux], value[:, flux])
         return BasisRows(column, value)
 
 

@@ -123,7 +123,7 @@ class TensorSpline:
         return np.asarray(((i_dq >= low) & (i_dq <= high)).all(axis=1))
 
 
-@compiled
+@compiled("const f8[:, ::1], const f8[:, ::1], i8, i8, i8, i8, i4[:, :, ::1], f8[:, :, ::1]")
 def _tensor_rows(
     i_dq: FloatArray,
     axes: FloatArray,

@@ -12,7 +12,7 @@ from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
 from drive_id.core.full.effects import OF_RECORDINGS
-from drive_id.core.full.fit import FullFit, fit_full
+from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
 from drive_id.core.full.window_sums import WindowSums
@@ -50,14 +50,15 @@ class FullMethod:
     def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
         """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
         low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders))
+        reciprocal = settings.maps != "free"
+        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
         return Sums(regression_sums(settings, d, q, i_max), windows)
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
         """Return the widths of a cell of the flux map, A."""
         return (d.high - d.low) / FLUX_CELLS, (q.high - q.low) / FLUX_CELLS
 
-    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
         Raises
@@ -72,7 +73,7 @@ class FullMethod:
                 f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
                 "longer, or choose method joint."
             )
-        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance)
+        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance, earlier)
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
@@ -114,7 +115,8 @@ class FullMethod:
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=_statements(evidence, fit, inside, found),
+            statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
+            fit=EarlierFit.of(fit),
         )
 
 
@@ -318,6 +320,18 @@ def _on_crossings(fit: FullFit) -> str:
         f"Near zero crossings of the phase currents the residuals are {fit.crossings:.2g} times as large as current "
         "noise explains, as with a dead time that is not short against the ripple: the map rests on what lies between "
         "the crossings, and the inverter curve near zero current is a mean."
+    )
+
+
+def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
+    used = fit.selection.search.sums.windows
+    if fit.spec.reciprocal or used == sums.windows:
+        return ()
+    return (
+        (
+            f"The free maps were fitted to {used} of {sums.windows} windows, evenly spread over the recordings: set "
+            "maps to free to use all."
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from drive_id.types import BoolArray, Finding, FloatArray, Samples
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.full.fit import EarlierFit
     from drive_id.core.full.window_sums import WindowSums
 
 CURVE_POINTS = 201
@@ -127,6 +128,8 @@ class Estimate:
         Of this method only.
     sigma_inverter_voltage, phase_voltages, harmonics, calibrations, magnet_coefficient, statements
         See ``IdentifiedDrive``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
+    fit : EarlierFit or None
+        What a fit of further samples can take over; only of method ``full``.
     """
 
     resistance: float
@@ -157,6 +160,7 @@ class Estimate:
     calibrations: tuple[Calibration, ...] = ()
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[str, ...] = ()
+    fit: EarlierFit | None = None
 
 
 class Method(Protocol):
@@ -180,7 +184,7 @@ class Method(Protocol):
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
         """Return the widths of a cell of its map, A: smaller holes in the data count as covered."""
 
-    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Estimate maps and parameters.
 
         Parameters
@@ -189,6 +193,8 @@ class Method(Protocol):
             With what :meth:`accumulator` returned, filled.
         inside : (D, Q) bool
             Where on the grid of the visits data support the map.
+        earlier : EarlierFit, optional
+            By the same settings from most of these samples: method ``full`` takes its selection over.
 
         Raises
         ------

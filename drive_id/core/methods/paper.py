@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
 from drive_id.core.validation.current_simulation import typical_inductances
 from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
+    from drive_id.core.full.fit import EarlierFit
 
 _WEAK_COEFFICIENT = 0.1
 _FINE_COUNT = 24
@@ -54,7 +58,12 @@ class PaperMethod:
         """Return the widths of a cell of the splines, A."""
         return d.width, q.width
 
-    def conclude(self, evidence: Gathered, inside: BoolArray) -> Estimate:
+    def conclude(
+        self,
+        evidence: Gathered,
+        inside: BoolArray,
+        earlier: EarlierFit | None = None,  # noqa: ARG002  # there is nothing to select
+    ) -> Estimate:
         """Solve the regression, continue the map beyond the data and estimate standard errors by the jackknife."""
         information, model = evidence.information, evidence.information.model
         blocks, total = information.blocks, information.total

@@ -54,7 +54,7 @@ class Axis:
         return basis_matrix(np.clip(points, knots[3], knots[-4]), np.asarray(knots, np.float64))
 
 
-@compiled
+@compiled("f8, f8, f8, i8")
 def locate(x: float, low: float, width: float, cells: int) -> tuple[int, float]:
     """Return the cell of ``x`` and the position in it, 0 to 1; beyond the ends, the end cell and its edge."""
     position = (x - low) / width
@@ -66,7 +66,7 @@ def locate(x: float, low: float, width: float, cells: int) -> tuple[int, float]:
     return cell, position - cell
 
 
-@compiled
+@compiled("f8, f8[::1]")
 def weights(t: float, w: FloatArray) -> None:
     """Write the values of the four functions at position ``t`` in [0, 1] of their cell into ``w`` (4,)."""
     s = 1.0 - t
@@ -76,7 +76,7 @@ def weights(t: float, w: FloatArray) -> None:
     w[3] = t * t * t * _SIXTH
 
 
-@compiled
+@compiled("f8, f8, f8[::1]")
 def slopes(t: float, width: float, w: FloatArray) -> None:
     """Write the derivatives of the four functions with respect to the current, 1/A, into ``w`` (4,)."""
     s = 1.0 - t
@@ -133,7 +133,7 @@ def interpolation_matrix(nodes: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(weights.T)
 
 
-@compiled
+@compiled("const f8[::1], const f8[::1], i8, i8[::1], f8[:, ::1]")
 def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
     """Evaluate B-splines by the Cox-de Boor recursion.
 
@@ -172,7 +172,7 @@ def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray,
             w[n, order] = carried
 
 
-@compiled
+@compiled("const i8[::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], i8, i8, i4[:, :], f8[:, :]")
 def tensor_products(
     cell_d: IntArray,
     w_d: FloatArray,

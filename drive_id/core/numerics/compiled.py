@@ -1,23 +1,64 @@
-"""Compilation by numba, with the same typing, caching and flags for every kernel."""
+"""Kernels: functions that numba compiles, all with the same caching and flags.
+
+Importing a module with kernels costs nothing: numba is loaded, and a kernel compiled or read from the cache, at its
+first call. ``docs/adr/0006-few-kernels-one-signature.md`` says why.
+"""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
-import numba
+Function = TypeVar("Function", bound=Callable[..., object])
 
-Kernel = TypeVar("Kernel", bound=Callable[..., object])
+KERNELS: list[Kernel] = []
+"""All kernels of the modules imported so far."""
 
 
-def compiled(kernel: Kernel) -> Kernel:
-    """Compile ``kernel`` at its first call, cache the machine code on disk, and release the GIL while it runs.
+class Kernel:
+    """A function that numba compiles, or loads from its cache, when it is first called.
+
+    Parameters
+    ----------
+    function : callable
+    signature : str, optional
+        Types of the arguments as numba writes them, with ``const`` before contiguous arrays that may be read-only.
+        Default: those of the first call, for kernels that take tuples and records.
+    """
+
+    def __init__(self, function: Callable[..., object], signature: str | None) -> None:
+        functools.update_wrapper(self, function)
+        self.function = function
+        self.signature = signature
+        self._dispatcher: Any = None
+        KERNELS.append(self)
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the compiled function."""
+        return (self._dispatcher or self.dispatcher())(*args)
+
+    def dispatcher(self) -> Any:
+        """Return numba's function, compiled if the signature is given."""
+        if self._dispatcher is None:
+            from drive_id.core.numerics.compilation import dispatcher  # noqa: PLC0415  # numba takes 0.3 s
+
+            self._dispatcher = dispatcher(self.function, self.signature)
+        return self._dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes the kernel for where another one calls it."""
+        return self.dispatcher()._numba_type_  # numba's protocol
+
+
+def compiled(signature: str | None = None) -> Callable[[Function], Function]:
+    """Return the decorator that makes a function a :class:`Kernel`; the GIL is released while it runs.
 
     Without fast-math, so that results do not depend on the compiler's order of summation.
     """
-    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(kernel))
 
+    def made(function: Function) -> Function:
+        return cast(Function, Kernel(function, signature))
 
-def inlined(kernel: Kernel) -> Kernel:
-    """Inline ``kernel`` into each kernel that calls it."""
-    return cast(Kernel, numba.njit(inline="always", nogil=True, error_model="numpy")(kernel))
+    return made

@@ -83,7 +83,7 @@ def top_quantile(largest: FloatArray, count: int, share: float) -> float:
     return float(low + (at - below) * (high - low))
 
 
-@compiled
+@compiled("const f8[:, ::1], f8, f8[:, ::1], f8[::1], f8[::1]")
 def _divide(rows: FloatArray, floor: float, candidates: FloatArray, low: FloatArray, high: FloatArray) -> int:
     """Copy the rows (N, C) whose value reaches the floor, and extend the range of the companions by the others."""
     found = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -17,7 +18,7 @@ def all_finite(values: FloatArray) -> bool:
     return bool(np.isfinite(total) or np.isfinite(values).all())
 
 
-@compiled
+@compiled("const i8[::1]")
 def rising(stamp: IntArray) -> bool:
     """Tell whether the stamps (N,) are strictly increasing."""
     falls = 0
@@ -26,7 +27,7 @@ def rising(stamp: IntArray) -> bool:
     return falls == 0
 
 
-@compiled
+@compiled("const i8[::1], const i8[::1], i8")
 def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
     """Tell whether the first N of the stamps (M,) exceed the entries of the clock (N,) by exactly ``shift``."""
     others = 0
@@ -35,7 +36,7 @@ def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
     return others == 0
 
 
-@compiled
+@compiled("const f8[:, ::1], f8, f8, f8, i8, b1[::1]")
 def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
     """Mark in ``idle`` (N,) the samples after longer rests at zero current than allowed.
 
@@ -62,7 +63,7 @@ def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, re
     return rest
 
 
-@compiled
+@compiled("const f8[:, ::1]")
 def difference_square(i_dq: FloatArray) -> float:
     """Return the sum of the squared fourth differences of the currents (N, 2) of one run, A^2.
 
@@ -76,3 +77,28 @@ def difference_square(i_dq: FloatArray) -> float:
             difference = outer - 4.0 * inner + 6.0 * i_dq[k - 2, axis]
             total += difference * difference
     return total
+
+
+def first_order(
+    x: NDArray[np.complex128], start: complex, decay: float, before: float, now: float
+) -> NDArray[np.complex128]:
+    """Return the output (N - 1,) of the filter y[k] = now x[k] + before x[k - 1] + decay y[k - 1], k = 1 ... N - 1.
+
+    Parameters
+    ----------
+    x : (N,) complex
+    start : complex
+        y[0].
+    decay, before, now : float
+    """
+    y: NDArray[np.complex128] = np.empty(len(x), np.complex128)
+    y[0] = start
+    _first_order(np.ascontiguousarray(x).view(np.float64), decay, before, now, y.view(np.float64))
+    return y[1:]
+
+
+@compiled("const f8[::1], f8, f8, f8, f8[::1]")
+def _first_order(x: FloatArray, decay: float, before: float, now: float, y: FloatArray) -> None:
+    """Filter real and imaginary parts, which alternate."""
+    for k in range(2, len(x)):
+        y[k] = now * x[k] + (before * x[k - 2] + decay * y[k - 2])

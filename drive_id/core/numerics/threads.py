@@ -18,8 +18,27 @@ Result = TypeVar("Result")
 _MOST = 4
 
 
+class _Background(threading.local):
+    check: Callable[[], None] | None = None
+
+
+_background = _Background()
+
+
+@contextmanager
+def in_background(check: Callable[[], None]) -> Iterator[None]:
+    """Keep what this thread computes in the body to this thread, and call ``check`` often; it may raise to end it."""
+    _background.check = check
+    try:
+        yield
+    finally:
+        _background.check = None
+
+
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return ``work(item)`` of each item in order, computed in up to four threads."""
+    """Return ``work(item)`` of each item in order, computed in up to four threads; see :func:`in_background`."""
+    if (check := _background.check) is not None:
+        return [(check(), work(item))[1] for item in items]
     threads = min(_MOST, os.cpu_count() or 1, len(items))
     if threads < 2:
         return [work(item) for item in items]

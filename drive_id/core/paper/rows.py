@@ -93,7 +93,7 @@ def sample_integrals(
     )
 
 
-@compiled
+@compiled("const f8[:, :, ::1], const f8[::1], const b1[::1], const i4[:, :, ::1], const f8[:, :, ::1], f8[:, ::1]")
 def add_rows(
     known: FloatArray,
     half_turn: FloatArray,
@@ -112,12 +112,13 @@ def add_rows(
     row_d, row_q = np.zeros(wide), np.zeros(wide)
     local = np.zeros((narrow, narrow))
     where = np.zeros(wide, np.int32)
-    where[:3] = np.arange(3)
+    where[1], where[2] = 1, 2
     pending = -1  # sample whose columns the local matrix has
     for k in range(len(known)):
         if not valid[k]:
             continue
-        row_d[:3], row_q[:3] = known[k, 0], known[k, 1]
+        for j in range(3):
+            row_d[j], row_q[j] = known[k, 0, j], known[k, 1, j]
         if pending >= 0 and not _same_columns(column[pending], column[k]):
             _scatter(local, column[pending], where, gram)
             pending = -1
@@ -145,7 +146,7 @@ def add_rows(
         _scatter(local, column[pending], where, gram)
 
 
-@compiled
+@compiled("const i4[:, ::1], const i4[:, ::1]")
 def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     for j in range(first.shape[1]):  # noqa: SIM110  # numba compiles loops, not generators
         if first[0, j] != second[0, j] or first[1, j] != second[1, j]:
@@ -153,7 +154,7 @@ def _same_columns(first: ColumnArray, second: ColumnArray) -> bool:
     return True
 
 
-@compiled
+@compiled("f8[::1], f8[::1], f8[:, ::1]")
 def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
     """Add the outer products of both rows to the lower triangle of ``local``."""
     for a in range(len(local)):
@@ -163,7 +164,7 @@ def _add_outer(row_d: FloatArray, row_q: FloatArray, local: FloatArray) -> None:
             line[b] += x * row_d[b] + y * row_q[b]
 
 
-@compiled
+@compiled("f8[:, ::1], const i4[:, ::1], i4[::1], f8[:, ::1]")
 def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: FloatArray) -> None:
     """Add the symmetric matrix, given by its lower triangle, to ``gram`` and clear it."""
     width = column.shape[1]
@@ -173,5 +174,6 @@ def _scatter(local: FloatArray, column: ColumnArray, where: ColumnArray, gram: F
         for b in range(a):
             gram[where[a], where[b]] += local[a, b]
             gram[where[b], where[a]] += local[a, b]
+            local[a, b] = 0.0
         gram[where[a], where[a]] += local[a, a]
-        local[a] = 0.0
+        local[a, a] = 0.0

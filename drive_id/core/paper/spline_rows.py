@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from drive_id.core.numerics import bspline
-from drive_id.core.numerics.compiled import compiled, inlined
+from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _PAIRS = 4
@@ -25,7 +25,10 @@ _SERIES_BELOW = 0.1
 _THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 
 
-@compiled
+@compiled(
+    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], const f8[::1], const f8[::1], const f8[::1], const b1[::1], "
+    "f8, const f8[:, ::1], const i8[::1], f8[:, ::1]"
+)
 def add_spline_rows(
     i_abc: FloatArray,
     u_abc: FloatArray,
@@ -76,26 +79,29 @@ def add_spline_rows(
     last_cell, was_valid, was_inside = -1, False, True
     for k in range(len(i_abc)):
         now, last = k % 2, 1 - k % 2
-        i_d, i_q = _rotate(i_abc, drop, k, cosine[k], sine[k], vectors, now)
+        c, s = cosine[k], sine[k]
+        x = (2.0 * i_abc[k, 0] - i_abc[k, 1] - i_abc[k, 2]) * _THIRD
+        y = (i_abc[k, 1] - i_abc[k, 2]) * _ROOT_THIRD
+        i_d, i_q = x * c + y * s, y * c - x * s
+        vectors[now, 0], vectors[now, 1] = x, y
+        x = (2.0 * drop[k, 0] - drop[k, 1] - drop[k, 2]) * _THIRD
+        y = (drop[k, 1] - drop[k, 2]) * _ROOT_THIRD
+        vectors[now, 2], vectors[now, 3] = x * c + y * s, y * c - x * s
         inside = axes[0, 0] <= i_d <= axes[0, 1] and axes[1, 0] <= i_q <= axes[1, 1]
         valid = inside and not left_out[k]
-        cell = _write_weights(i_d, i_q, axes, counts, w_d, w_q, weights, now)
-        if cell != last_cell:
-            if last_cell >= 0:
-                _add_products(left, right, terms, waiting, square, mixed)
-                _scatter(square, mixed, column[last], functions, gram)
-                waiting = 0
-            for j in range(16):
-                column[now, j] = cell + j // 4 * counts[1] + j % 4
-        else:
-            for j in range(16):
-                column[now, j] = column[last, j]
+        cell = _write_weights(i_d, i_q, axes, counts, w_d, w_q, weights, column, now)
+        if cell != last_cell and last_cell >= 0:
+            _add_products(left, right, terms, waiting, square, mixed)
+            _scatter(square, mixed, column[last], functions, gram)
+            waiting = 0
         outside += k > 0 and not (inside and was_inside)
         if valid and was_valid:
             rows += 2
             half = speed[k - 1] * (0.5 * period)
             _write_known(u_abc, k - 1, cosine[k - 1], sine[k - 1], half, period, vectors, known)
-            _add_known(known, scalar)
+            for a in range(3):
+                for b in range(a + 1):
+                    scalar[a, b] += known[0, a] * known[0, b] + known[1, a] * known[1, b]
             if cell == last_cell:
                 _write_pair(weights, now, half, known, left, right, terms, waiting)
                 waiting += 1
@@ -114,26 +120,7 @@ def add_spline_rows(
     return rows, outside
 
 
-@inlined
-def _rotate(
-    i_abc: FloatArray, drop: FloatArray, k: int, c: float, s: float, vectors: FloatArray, now: int
-) -> tuple[float, float]:
-    """Write the current in the stator frame and the drop in the rotor frame; return the current in the rotor frame."""
-    re, im = _vector(i_abc, k)
-    x, y = _vector(drop, k)
-    vectors[now, 0], vectors[now, 1] = re, im
-    vectors[now, 2], vectors[now, 3] = x * c + y * s, y * c - x * s
-    return re * c + im * s, im * c - re * s
-
-
-@inlined
-def _vector(x_abc: FloatArray, k: int) -> tuple[float, float]:
-    """Return the stator-frame space vector, see :func:`drive_id.core.frames.space_vector`."""
-    a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
-    return (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
-
-
-@inlined
+@compiled("const f8[:, ::1], i8, f8, f8, f8, f8, f8[:, ::1], f8[:, ::1]")
 def _write_known(
     u_abc: FloatArray,
     k: int,
@@ -144,10 +131,27 @@ def _write_known(
     vectors: FloatArray,
     known: FloatArray,
 ) -> None:
-    """Write q_1, q_4 and v of a pair of samples, d in the first row and q in the second; see :func:`_rotate`."""
-    zeroth_re, zeroth_im, first_re, first_im = _moments(half)
+    """Write q_1, q_4 and v of a pair of samples, d in the first row and q in the second.
+
+    ``vectors`` are the currents in the stator frame and the drops in the rotor frame, ``half`` is half the turn, rad;
+    see ``frames.rotation_integrals``.
+    """
+    x = half * half
+    if abs(half) < _SERIES_BELOW:  # factors, because divisions are slow
+        odd = 1.0 - x * (1 / 10) * (1.0 - x * (1 / 28) * (1.0 - x * (1 / 54) * (1.0 - x * (1 / 88))))
+        odd *= half * (1 / 6)
+        sinc = 1.0 - x * (1 / 20) * (1.0 - x * (1 / 42) * (1.0 - x * (1 / 72) * (1.0 - x * (1 / 110))))
+        sinc = 1.0 - x * (1 / 6) * sinc
+        y = 1.0 - x * (1 / 12) * (1.0 - x * (1 / 30) * (1.0 - x * (1 / 56) * (1.0 - x * (1 / 90))))
+        sine, cosine = half * sinc, 1.0 - x * (1 / 2) * y
+    else:
+        cosine, sine = math.cos(half), math.sin(half)
+        odd, sinc = (sine - half * cosine) / (2.0 * x), sine / half
+    zeroth_re, zeroth_im = cosine * sinc, -sine * sinc
+    first_re, first_im = 0.5 * cosine * sinc - sine * odd, -0.5 * sine * sinc - cosine * odd
     first, last = k % 2, 1 - k % 2
-    x, y = _vector(u_abc, k)
+    x = (2.0 * u_abc[k, 0] - u_abc[k, 1] - u_abc[k, 2]) * _THIRD
+    y = (u_abc[k, 1] - u_abc[k, 2]) * _ROOT_THIRD
     x, y = zeroth_re * x - zeroth_im * y, zeroth_re * y + zeroth_im * x
     known[0, 2], known[1, 2] = period * (x * c + y * s), period * (y * c - x * s)
     re, im = vectors[first, 0], vectors[first, 1]
@@ -159,27 +163,7 @@ def _write_known(
     known[1, 1] = 0.5 * period * (vectors[0, 3] + vectors[1, 3])
 
 
-@inlined
-def _moments(half: float) -> tuple[float, float, float, float]:
-    """Return both complex ``frames.rotation_integrals`` of twice the angle ``half``, rad."""
-    x = half * half
-    if abs(half) < _SERIES_BELOW:
-        odd = half * _series(x, 1 / 6, 1 / 10, 1 / 28, 1 / 54, 1 / 88)
-        sinc = 1.0 - x * _series(x, 1 / 6, 1 / 20, 1 / 42, 1 / 72, 1 / 110)
-        s, c = half * sinc, 1.0 - x * _series(x, 1 / 2, 1 / 12, 1 / 30, 1 / 56, 1 / 90)
-    else:
-        c, s = math.cos(half), math.sin(half)
-        odd, sinc = (s - half * c) / (2.0 * x), s / half
-    return c * sinc, -s * sinc, 0.5 * c * sinc - s * odd, -0.5 * s * sinc - c * odd
-
-
-@inlined
-def _series(x: float, a: float, b: float, c: float, d: float, e: float) -> float:
-    """Return a (1 - b x (1 - c x (1 - d x (1 - e x)))); factors, because divisions are slow."""
-    return a * (1.0 - b * x * (1.0 - c * x * (1.0 - d * x * (1.0 - e * x))))
-
-
-@inlined
+@compiled("f8, f8, const f8[:, ::1], const i8[::1], f8[::1], f8[::1], f8[:, ::1], i8[:, ::1], i8")
 def _write_weights(
     i_d: float,
     i_q: float,
@@ -188,9 +172,10 @@ def _write_weights(
     w_d: FloatArray,
     w_q: FloatArray,
     weights: FloatArray,
+    column: IntArray,
     now: int,
 ) -> int:
-    """Write the 16 non-zero splines at a current and return the index of the first."""
+    """Write the 16 non-zero splines at a current and their indices, and return the first of these."""
     cell_d, t_d = bspline.locate(i_d, axes[0, 0], axes[0, 2], counts[0] - 3)
     cell_q, t_q = bspline.locate(i_q, axes[1, 0], axes[1, 2], counts[1] - 3)
     bspline.weights(t_d, w_d)
@@ -198,11 +183,12 @@ def _write_weights(
     for a in range(4):
         for b in range(4):
             weights[now, 4 * a + b] = w_d[a] * w_q[b]
-    first: int = cell_d * counts[1] + cell_q
+            column[now, 4 * a + b] = (cell_d + a) * counts[1] + cell_q + b
+    first: int = column[now, 0]
     return first
 
 
-@inlined
+@compiled("f8[:, ::1], i8, f8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8")
 def _write_pair(
     weights: FloatArray,
     now: int,
@@ -222,7 +208,7 @@ def _write_pair(
     _write_terms(known, terms, 2 * pair)
 
 
-@inlined
+@compiled("f8[:, ::1], f8[:, ::1], i8")
 def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
     """Write the factors of D and, below, those of S in the products with q_1, q_4 and v."""
     for a in range(3):
@@ -230,7 +216,7 @@ def _write_terms(known: FloatArray, terms: FloatArray, row: int) -> None:
         terms[row + 1, a], terms[row + 1, 3 + a] = known[1, a], -known[0, a]
 
 
-@compiled
+@compiled("f8[:, ::1], i8[:, ::1], i8, f8, f8[:, ::1], i8, f8[:, ::1]")
 def _add_crossing(
     weights: FloatArray,
     column: IntArray,
@@ -258,15 +244,7 @@ def _add_crossing(
     _scatter(square, mixed, both, functions, gram)
 
 
-@inlined
-def _add_known(known: FloatArray, scalar: FloatArray) -> None:
-    """Add the products of q_1, q_4 and v with each other to the lower triangle."""
-    for a in range(3):
-        for b in range(a + 1):
-            scalar[a, b] += known[0, a] * known[0, b] + known[1, a] * known[1, b]
-
-
-@compiled
+@compiled("f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8[:, ::1], f8[:, ::1]")
 def _add_products(
     left: FloatArray, right: FloatArray, terms: FloatArray, pairs: int, square: FloatArray, mixed: FloatArray
 ) -> None:
@@ -274,25 +252,28 @@ def _add_products(
 
     Unrolled by hand so that the sums stay in registers: three times as fast as the loop.
     """
-    left[2 * pairs :], right[2 * pairs :], terms[2 * pairs :] = 0.0, 0.0, 0.0
-    r0, r1, r2, r3, r4, r5, r6, r7 = right[0], right[1], right[2], right[3], right[4], right[5], right[6], right[7]
+    for n in range(2 * pairs, len(left)):
+        for a in range(16):
+            left[n, a] = right[n, a] = 0.0
+        for a in range(6):
+            terms[n, a] = 0.0
     for a in range(16):
-        line = square[a]
         x0, x1, x2, x3 = left[0, a], left[1, a], left[2, a], left[3, a]
         x4, x5, x6, x7 = left[4, a], left[5, a], left[6, a], left[7, a]
         for b in range(16):
-            first = (x0 * r0[b] + x1 * r1[b]) + (x2 * r2[b] + x3 * r3[b])
-            line[b] += first + ((x4 * r4[b] + x5 * r5[b]) + (x6 * r6[b] + x7 * r7[b]))
+            first = (x0 * right[0, b] + x1 * right[1, b]) + (x2 * right[2, b] + x3 * right[3, b])
+            last = (x4 * right[4, b] + x5 * right[5, b]) + (x6 * right[6, b] + x7 * right[7, b])
+            square[a, b] += first + last
     for a in range(6):
-        line = mixed[a]
         x0, x1, x2, x3 = terms[0, a], terms[1, a], terms[2, a], terms[3, a]
         x4, x5, x6, x7 = terms[4, a], terms[5, a], terms[6, a], terms[7, a]
         for b in range(16):
-            first = (x0 * r0[b] + x1 * r1[b]) + (x2 * r2[b] + x3 * r3[b])
-            line[b] += first + ((x4 * r4[b] + x5 * r5[b]) + (x6 * r6[b] + x7 * r7[b]))
+            first = (x0 * right[0, b] + x1 * right[1, b]) + (x2 * right[2, b] + x3 * right[3, b])
+            last = (x4 * right[4, b] + x5 * right[5, b]) + (x6 * right[6, b] + x7 * right[7, b])
+            mixed[a, b] += first + last
 
 
-@compiled
+@compiled("f8[:, ::1], f8[:, ::1], i8[::1], i8, f8[:, ::1]")
 def _scatter(square: FloatArray, mixed: FloatArray, column: IntArray, functions: int, gram: FloatArray) -> None:
     """Add the products to ``gram``, symmetrically, and clear them."""
     d, q = 3, 3 + functions

@@ -83,17 +83,12 @@ class RoughModel(FullModel):
     @classmethod
     def over(cls, i_max: float, cells: int) -> RoughModel:
         """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
-        return cls(np.array([-i_max, -i_max]), np.array([i_max, i_max]), i_max, (6,), cells)
+        return cls(np.array([-i_max, -i_max]), np.array([i_max, i_max]), i_max, (6,), cells, sensors=())
 
     @cached_property
     def flux(self) -> GradientSpline:
         """Space of the flux map."""
         return GradientSpline.within(self.low, self.high, self.cells, FLUX_DEGREE)
-
-    @property
-    def all_orders(self) -> tuple[int, ...]:
-        """Harmonics in the order of their columns."""
-        return self.orders
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +21,26 @@ from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.errors import DataError, UnexplainedError
 from drive_id.types import Samples
 
+if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
+    from drive_id.core.full.fit import EarlierFit
+
+
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """An identified drive, and what a conclusion from further samples takes over: selection, MAD, whether it judges."""
+
+    drive: IdentifiedDrive
+    fit: EarlierFit | None
+    mad: tuple[float, float]  # A
+    judged: bool
+
 
 def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDrive:
+    """Return the drive of :func:`concluded`."""
+    return concluded(evidence, validation).drive
+
+
+def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclusion | None = None) -> Conclusion:
     """Estimate by the method of the settings, simulate the currents, and judge the result.
 
     Parameters
@@ -30,10 +49,13 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         Of all samples.
     validation : sequence of Samples
         Samples whose currents are simulated for the MAD; NaN without any.
+    earlier : Conclusion, optional
+        By the same settings from most of these samples: its MAD, and what method full selected and found about its
+        errors, are taken over.
 
     Returns
     -------
-    IdentifiedDrive
+    Conclusion
 
     Raises
     ------
@@ -49,7 +71,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
             "check their fields and scales."
         )
     method = method_named(evidence.settings.method)
-    estimate = method.conclude(evidence, inside)
+    estimate = method.conclude(evidence, inside, earlier.fit if earlier else None)
     if not estimate.unexplained <= method.limits.refused:
         raise UnexplainedError(unexplained_sentence(evidence, estimate))
     flux_map = FluxMap(
@@ -61,7 +83,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         sigma_q=estimate.sigma[..., 1],
         inside=inside,
     )
-    mad, complete = _mad(validation, estimate)
+    mad, complete = (earlier.mad, earlier.judged) if earlier else _mad(validation, estimate)
     report = FitReport(
         samples_read=evidence.samples,
         samples_used=estimate.samples_used,
@@ -77,7 +99,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         coverage=coverage,
         warnings=review(evidence, coverage, estimate, flux_map, mad if complete else (0.0, 0.0)),
     )
-    return IdentifiedDrive(
+    drive = IdentifiedDrive(
         method=evidence.settings.method,
         i_max=evidence.i_max,
         resistance=estimate.resistance,
@@ -97,6 +119,7 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
         magnet_coefficient=estimate.magnet_coefficient,
         statements=estimate.statements,
     )
+    return Conclusion(drive, estimate.fit, mad, complete)
 
 
 def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[tuple[float, float], bool]:

@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.numerics import bspline
-from drive_id.core.numerics.compiled import compiled, inlined
+from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray, Samples
 
 _LARGEST_TURN = 0.3
@@ -45,6 +43,8 @@ _SEARCH_TOLERANCE = 3e-6
 """Last change of a search over the current of divergence: the steps are Newton's, so the next one is its square."""
 _FOLDED = 0.1
 """Share of the typical Jacobian's determinant below which the search uses that one: it must not run to a far branch."""
+
+Pair = tuple[float, float]
 
 _HALF_WINDOW = 5
 """Samples to each side over which the difference of the measured angle from the integral of the speed is averaged."""
@@ -99,31 +99,28 @@ def simulate_current(
     if not np.allclose(spacing, spacing[0], rtol=1e-6, atol=0.0):
         raise ValueError("the currents of the inverter's curve must be equally spaced")
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    u_s = frames.space_vector(samples.u_abc)
+    u_s = frames.as_pairs(frames.space_vector(samples.u_abc))
     largest = float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())
     inductances = typical_inductances(model, gamma, i_dq)
     inductance = 0.5 * sum(inductances)
-    circuit = Circuit(
-        np.array(list(harmonics), np.float64),
-        float(resistance),
-        float(drop[0][0]),
-        float(drop[0][1] - drop[0][0]),
-        np.ascontiguousarray(drop[1], np.float64),
-        samples.sample_period,
-        max(1 / _LARGEST_TURN, max(harmonics, default=0) / _LARGEST_PHASE),
-        _BEND * abs(inductance) * largest,
-        _DIVERGED * largest,
-        (_DAMPING * inductance) ** 2,
+    constants = np.array(
+        [
+            resistance,
+            samples.sample_period,
+            max(1 / _LARGEST_TURN, max(harmonics, default=0) / _LARGEST_PHASE),
+            _BEND * abs(inductance) * largest,
+            _DIVERGED * largest,
+            (_DAMPING * inductance) ** 2,
+        ]
     )
-    parts = [gamma, *(part for pair in harmonics.values() for part in pair)]
-    table = flux_table(model, parts, inductances)
-    out = np.full(len(i_dq), np.nan, np.complex128)
+    curve = np.array([drop[0][0], drop[0][1] - drop[0][0], *drop[1]], np.float64)
+    axes, table = flux_table(model, [gamma, *(part for pair in harmonics.values() for part in pair)], inductances)
+    orders = np.array(list(harmonics), np.float64)
+    out = np.full((len(i_dq), 2), np.nan)
     for run in samples.runs():
         angle = _smooth_angle(samples.angle[run], samples.speed[run], samples.sample_period)
-        slices = _slice(len(harmonics)), _slice(len(harmonics))
-        _simulate(u_s[run], angle, circuit, table, *slices, complex(*i_dq[run.start]), out[run])
-    out.imag[np.isnan(out.real)] = np.nan
-    return frames.as_pairs(out)
+        _simulate(u_s[run], angle, orders, constants, curve, axes, table, i_dq[run.start], out[run])
+    return out
 
 
 def typical_inductances(model: TensorSpline, gamma: FloatArray, i_dq: FloatArray) -> tuple[float, float]:
@@ -142,288 +139,285 @@ def _smooth_angle(angle: FloatArray, speed: FloatArray, period: float) -> FloatA
     return np.asarray(turned + np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))
 
 
-class FluxTable(NamedTuple):
-    """The map and its harmonics as polynomials per cell, continued beyond the range with the typical inductances."""
+def flux_table(
+    model: TensorSpline, parts: Sequence[FloatArray], inductances: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the map and its harmonics as polynomials per cell.
 
-    coefficients: ComplexArray
-    """Of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q, Wb, real part d and imaginary part q."""
-    per_cell: int  # coefficients, 16 for each part: f_0, then a_h and b_h of each harmonic
-    low_d: float  # A
-    width_d: float  # of a cell, A
-    count_d: int  # of cells
-    low_q: float
-    width_q: float
-    count_q: int
-    inductance_d: float  # H
-    inductance_q: float
+    Parameters
+    ----------
+    model : TensorSpline
+    parts : sequence of (P,) float
+        Parameters of f_0, then of a_h and b_h of each harmonic, Wb.
+    inductances : float, float
+        Of d and q, with which the map goes on beyond its range, H.
 
-
-class Circuit(NamedTuple):
-    """The constants of the voltage equation and of its integration."""
-
-    orders: Any  # (H,) of the harmonics
-    resistance: float  # ohm
-    drop_low: float  # lowest current of the inverter's curve, A
-    drop_width: float  # between its points, A
-    drop_voltage: Any  # (C,) V
-    period: float  # s
-    steps_per_turn: float  # 1/rad
-    bend: float  # error of a step above which it is divided, Wb
-    diverged: float  # current, A
-    damping: float  # of the search for a current, H^2
-
-
-class Slice(NamedTuple):
-    """The map at one angle of the rotor, in the cell where it was last evaluated; not used without harmonics."""
-
-    factors: Any  # (2 H,) cosine and sine of each order's phase
-    cell: Any  # (2,) int in d and q, -1 for none
-    coefficients: Any  # (16,) complex, Wb
-
-
-class Point(NamedTuple):
-    """A current and the map there, real parts d and imaginary parts q."""
-
-    i: complex  # A
-    psi: complex  # Wb
-    by_d: complex  # derivative of psi by i_d, H
-    by_q: complex
-
-
-def _slice(orders: int) -> Slice:
-    return Slice(np.zeros(2 * orders), np.full(2, -1), np.zeros(16, np.complex128))
-
-
-def flux_table(model: TensorSpline, parts: Sequence[FloatArray], inductances: tuple[float, float]) -> FluxTable:
-    """Return the kernels' table, from the parameters (P,), Wb, of f_0 and of the amplitudes of each harmonic.
-
-    ``inductances`` are the typical ones of d and q, H.
+    Returns
+    -------
+    axes : (2, 4) float
+        For d and q: lower end and width of a cell, A, number of cells, and inductance, H.
+    table : (cells, len(parts), 32) float
+        Coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q: psi_d, then psi_q, Wb.
     """
-    d, q = model.d, model.q
-    cells = np.concatenate([_polynomials(model, part) for part in parts], axis=-1)
-    range_d, range_q = (float(d.low), float(d.width), d.count - 3), (float(q.low), float(q.width), q.count - 3)
-    return FluxTable(np.ascontiguousarray(cells).ravel(), cells.shape[-1], *range_d, *range_q, *inductances)
+    axes = [
+        [axis.low, axis.width, axis.count - 3, own] for axis, own in zip((model.d, model.q), inductances, strict=True)
+    ]
+    coefficients = np.stack(parts).reshape(-1, 2, model.d.count, model.q.count)
+    windows = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4), axis=(2, 3))
+    table = np.einsum("ai,pfxyij,bj->xypfab", _POWERS, windows, _POWERS)
+    return np.array(axes), np.ascontiguousarray(table.reshape(-1, len(parts), 32))
 
 
-def _polynomials(model: TensorSpline, gamma: FloatArray) -> ComplexArray:
-    """Return the map of parameters (P,), Wb, as (D - 3, Q - 3, 16) coefficients, see :class:`FluxTable`."""
-    d, q = model.d, model.q
-    gamma_d, gamma_q = gamma.reshape(2, d.count, q.count)
-    windows = np.lib.stride_tricks.sliding_window_view(gamma_d + 1j * gamma_q, (4, 4))
-    cells = np.einsum("ai,xyij,bj->xyab", _POWERS, windows, _POWERS)
-    return np.asarray(cells.reshape(d.count - 3, q.count - 3, 16))
+@compiled("f8, f8, f8, const f8[::1]")
+def loss(i_alpha: float, i_beta: float, resistance: float, curve: FloatArray) -> tuple[float, float]:
+    """Return R i + drop in the stator frame, V; ``curve`` is the drop's first current, their spacing, and the drop."""
+    half_root3 = 0.8660254037844386
+    low, width, cells = curve[0], curve[1], len(curve) - 3
+    cell_a, t_a = bspline.locate(i_alpha, low, width, cells)
+    cell_b, t_b = bspline.locate(-0.5 * i_alpha + half_root3 * i_beta, low, width, cells)
+    cell_c, t_c = bspline.locate(-0.5 * i_alpha - half_root3 * i_beta, low, width, cells)
+    a = curve[cell_a + 2] + t_a * (curve[cell_a + 3] - curve[cell_a + 2])
+    b = curve[cell_b + 2] + t_b * (curve[cell_b + 3] - curve[cell_b + 2])
+    c = curve[cell_c + 2] + t_c * (curve[cell_c + 3] - curve[cell_c + 2])
+    alpha, beta = (2.0 * a - b - c) / 3.0, (b - c) * (half_root3 * 2.0 / 3.0)
+    return resistance * i_alpha + alpha, resistance * i_beta + beta
 
 
-@compiled
-def _simulate(
-    u_s: Any,
-    angle: Any,
-    circuit: Circuit,
-    table: FluxTable,
-    middle: Slice,
-    end: Slice,
-    start: complex,
-    out: ComplexArray,
+def new_slice(orders: int) -> FloatArray:
+    """Return an empty slice for the kernels: the map at one angle of the rotor, in the cell where it was needed last.
+
+    It holds the 32 coefficients there, the cell's number, and cosine and sine of each harmonic's phase.
+    """
+    return np.zeros(33 + 2 * orders)
+
+
+@compiled("f8, const f8[::1], f8[::1]")
+def turn_to(theta: float, orders: FloatArray, here: FloatArray) -> None:
+    """Prepare a slice of the map at another angle."""
+    here[32] = -1.0
+    for m in range(len(orders)):
+        here[33 + 2 * m], here[34 + 2 * m] = math.cos(orders[m] * theta), math.sin(orders[m] * theta)
+
+
+@compiled("f8, f8, f8[::1], const f8[:, ::1], const f8[:, :, ::1], f8[::1]")
+def evaluate(i_d: float, i_q: float, here: FloatArray, axes: FloatArray, table: FloatArray, point: FloatArray) -> None:
+    """Write the current, the flux and the inductances L_dd, L_dq, L_qd, L_qq to ``point`` (8,), A, Wb and H.
+
+    The polynomials of all harmonics are summed once per angle and cell. Beyond its range the map is continued.
+    """
+    cell_d, t = bspline.locate(i_d, axes[0, 0], axes[0, 1], int(axes[0, 2]))
+    cell_q, s = bspline.locate(i_q, axes[1, 0], axes[1, 1], int(axes[1, 2]))
+    cell = cell_d * int(axes[1, 2]) + cell_q
+    if here[32] != cell:
+        here[32] = cell
+        for j in range(32):
+            total = table[cell, 0, j]
+            for m in range(1, table.shape[1]):
+                total += here[32 + m] * table[cell, m, j]
+            here[j] = total
+    point[0], point[1] = i_d, i_q
+    beyond_d = i_d - min(max(i_d, axes[0, 0]), axes[0, 0] + axes[0, 2] * axes[0, 1])
+    beyond_q = i_q - min(max(i_q, axes[1, 0]), axes[1, 0] + axes[1, 2] * axes[1, 1])
+    for axis in range(2):
+        psi = by_d = by_q = 0.0
+        for a in range(3, -1, -1):  # Horner's rule
+            k = 16 * axis + 4 * a
+            row = here[k] + s * (here[k + 1] + s * (here[k + 2] + s * here[k + 3]))
+            slope = here[k + 1] + s * (2.0 * here[k + 2] + 3.0 * s * here[k + 3])
+            by_d = psi + t * by_d
+            psi = row + t * psi
+            by_q = slope + t * by_q
+        point[2 + axis] = psi
+        point[4 + 2 * axis] = by_d / axes[0, 1]
+        point[5 + 2 * axis] = by_q / axes[1, 1]
+    point[2] += axes[0, 3] * beyond_d
+    point[3] += axes[1, 3] * beyond_q
+    if beyond_d != 0.0:
+        point[4], point[6] = axes[0, 3], 0.0
+    if beyond_q != 0.0:
+        point[5], point[7] = 0.0, axes[1, 3]
+
+
+@compiled("f8, f8, f8, f8, f8[::1], const f8[:, ::1], const f8[:, :, ::1], f8[::1], f8[::1]")
+def search(
+    psi_d: float,
+    psi_q: float,
+    small: float,
+    least_damping: float,
+    here: FloatArray,
+    axes: FloatArray,
+    table: FloatArray,
+    point: FloatArray,
+    trial: FloatArray,
 ) -> None:
-    """Integrate over one run; steps are halved where the loss bends and doubled again behind."""
-    _turn_to(angle[0], end, circuit)
-    point = _at(start, end, table)
-    turn = complex(math.cos(angle[0]), math.sin(angle[0]))
-    psi = point.psi * turn
-    out[0] = start
+    """Move ``point`` to where the flux is nearest to psi, by damped least squares; ``trial`` (8,) is for its use.
+
+    The last step of Newton's, below ``small``, is not checked: the inductances stay, the flux is taken for psi.
+    """
+    e_d, e_q = psi_d - point[2], psi_q - point[3]
+    damping = 0.0
+    for _ in range(_SEARCH_STEPS):
+        dd, dq, qd, qq = point[4], point[5], point[6], point[7]
+        regular = dd * qq - qd * dq >= _FOLDED * axes[0, 3] * axes[1, 3]
+        if not regular:
+            dd, dq, qd, qq = axes[0, 3], 0.0, 0.0, axes[1, 3]
+        g_d, g_q = dd * e_d + qd * e_q, dq * e_d + qq * e_q
+        h_dd, h_dq, h_qq = dd * dd + qd * qd + damping, dd * dq + qd * qq, dq * dq + qq * qq + damping
+        determinant = h_dd * h_qq - h_dq * h_dq
+        if determinant <= 0.0:
+            damping = max(least_damping, 10.0 * damping)
+            continue
+        x, y = (h_qq * g_d - h_dq * g_q) / determinant, (h_dd * g_q - h_dq * g_d) / determinant
+        tiny = x * x + y * y < small * small
+        if tiny and regular and damping == 0.0:
+            point[0] += x
+            point[1] += y
+            point[2], point[3] = psi_d, psi_q
+            return
+        evaluate(point[0] + x, point[1] + y, here, axes, table, trial)
+        x, y = psi_d - trial[2], psi_q - trial[3]
+        if x * x + y * y <= e_d * e_d + e_q * e_q:
+            e_d, e_q = x, y
+            for j in range(8):
+                point[j] = trial[j]
+            damping = 0.1 * damping if damping > least_damping else 0.0
+            if tiny:
+                return
+        else:
+            damping = max(least_damping, 10.0 * damping)
+
+
+_STAGES = np.array([[1.0, 0.5, 1.0], [2.0, 0.5, 0.0], [2.0, 1.0, -2.0], [1.0, 1.0, 1.0]])
+"""Of Runge-Kutta's stages: six times the weight, how far they lead, and factor in the error's estimate."""
+
+
+@compiled(
+    "UniTuple(f8, 2), UniTuple(f8, 2), UniTuple(f8, 2), UniTuple(f8, 2), f8, const f8[::1], const f8[::1], "
+    "const f8[::1], const f8[:, ::1], const f8[:, :, ::1], f8[::1], f8[::1], f8[::1]"
+)
+def _step(
+    psi: Pair,
+    turn: Pair,
+    u_s: Pair,
+    thetas: Pair,
+    step: float,
+    orders: FloatArray,
+    constants: FloatArray,
+    curve: FloatArray,
+    axes: FloatArray,
+    table: FloatArray,
+    here: FloatArray,
+    work: FloatArray,
+    trial: FloatArray,
+) -> tuple[Pair, Pair, float]:
+    """Make one step of Runge-Kutta's rule of order 4 from the point in ``work``, and leave the last point there.
+
+    ``turn`` is cosine and sine of the angle at its start, ``thetas`` the angles at its middle and end. Returns flux
+    (stator frame) and turn at the end, and the error that the loss's curvature may have caused, Wb.
+    """
+    small = _SEARCH_TOLERANCE * constants[4]
+    i_d, i_q = work[0], work[1]
+    c, s = turn
+    loss_x = loss_y = bend_x = bend_y = 0.0
+    new = psi
+    for stage in range(4):
+        x, y = loss(c * work[0] - s * work[1], s * work[0] + c * work[1], constants[0], curve)
+        loss_x, loss_y = loss_x + _STAGES[stage, 0] * x, loss_y + _STAGES[stage, 0] * y
+        bend_x, bend_y = bend_x + _STAGES[stage, 2] * x, bend_y + _STAGES[stage, 2] * y
+        if stage % 2 == 0:  # the first stage leads to the middle of the step, the third to its end
+            theta = thetas[stage // 2]
+            c, s = math.cos(theta), math.sin(theta)
+            if len(orders) > 0:
+                turn_to(theta, orders, here)
+            if stage == 2:
+                evaluate(2.0 * work[0] - i_d, 2.0 * work[1] - i_q, here, axes, table, work)
+            elif len(orders) > 0:
+                evaluate(i_d, i_q, here, axes, table, work)
+        if stage == 3:
+            x, y = loss_x / 6.0, loss_y / 6.0
+        reach = step * _STAGES[stage, 1]
+        new = (psi[0] + reach * (u_s[0] - x), psi[1] + reach * (u_s[1] - y))
+        search(c * new[0] + s * new[1], c * new[1] - s * new[0], small, constants[5], here, axes, table, work, trial)
+    evaluate(work[0], work[1], here, axes, table, work)
+    return new, (c, s), step / 6.0 * math.hypot(bend_x, bend_y)
+
+
+@compiled(
+    "const f8[:, ::1], const f8[::1], const f8[::1], const f8[::1], const f8[::1], const f8[:, ::1], "
+    "const f8[:, :, ::1], const f8[::1], f8[:, ::1]"
+)
+def _simulate(
+    u_s: FloatArray,
+    angle: FloatArray,
+    orders: FloatArray,
+    constants: FloatArray,
+    curve: FloatArray,
+    axes: FloatArray,
+    table: FloatArray,
+    start: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Integrate over one run (N,); steps of Runge-Kutta are halved where the loss bends and doubled again behind.
+
+    Parameters
+    ----------
+    u_s : (N, 2) float
+        Held voltage in the stator frame, V.
+    angle : (N,) float
+        rad, not wrapped.
+    orders : (H,) float
+    constants : (6,) float
+        R, ohm; period, s; least steps per radian; error above which a step is divided, Wb; current at which the
+        simulation has diverged, A; damping of the search, H^2.
+    curve, axes, table
+        See :func:`loss` and :func:`flux_table`.
+    start : (2,) float
+        First current, A.
+    out : (N, 2) float
+        Output, A; unchanged from where the simulation diverged on.
+    """
+    period, steps_per_turn, bend_limit, diverged = constants[1], constants[2], constants[3], constants[4]
+    here = np.zeros(33 + 2 * len(orders))
+    point, work, trial = np.zeros(8), np.zeros(8), np.zeros(8)
+    turn_to(angle[0], orders, here)
+    evaluate(start[0], start[1], here, axes, table, point)
+    turn = (math.cos(angle[0]), math.sin(angle[0]))
+    psi = (turn[0] * point[2] - turn[1] * point[3], turn[1] * point[2] + turn[0] * point[3])  # stator frame
+    out[0, 0], out[0, 1] = start[0], start[1]
     size = _FINEST
     for k in range(len(u_s) - 1):
         by = angle[k + 1] - angle[k]
-        ticks = _FINEST * (int(abs(by) * circuit.steps_per_turn) + 1)
+        ticks = _FINEST * (int(abs(by) * steps_per_turn) + 1)
         now = 0
         while now < ticks:
             since, until = now / ticks, (now + size) / ticks
-            thetas = (angle[k] + 0.5 * (since + until) * by, angle[k] + until * by)
-            step = (until - since) * circuit.period
-            new_psi, new_point, new_turn, bend = _step(
-                psi, point, turn, u_s[k], thetas, step, circuit, table, middle, end
+            for j in range(8):
+                work[j] = point[j]
+            held, thetas = (u_s[k, 0], u_s[k, 1]), (angle[k] + 0.5 * (since + until) * by, angle[k] + until * by)
+            new_psi, new_turn, bend = _step(
+                psi,
+                turn,
+                held,
+                thetas,
+                (until - since) * period,
+                orders,
+                constants,
+                curve,
+                axes,
+                table,
+                here,
+                work,
+                trial,
             )
-            if bend > circuit.bend and size > 1:
+            if bend > bend_limit and size > 1:
                 size //= 2
                 continue
-            psi, point, turn = new_psi, new_point, new_turn
+            for j in range(8):
+                point[j] = work[j]
+            psi, turn = new_psi, new_turn
             now += size
-            if bend < circuit.bend / 16 and size < _FINEST and now % (2 * size) == 0:
+            if bend < bend_limit / 16 and size < _FINEST and now % (2 * size) == 0:
                 size *= 2
-        if not abs(point.i) < circuit.diverged:
+        if not math.hypot(point[0], point[1]) < diverged:
             return
-        out[k + 1] = point.i
-
-
-@inlined
-def _step(
-    psi: complex,
-    point: Point,
-    turn: complex,
-    u_s: complex,
-    thetas: tuple[float, float],
-    step: float,
-    circuit: Circuit,
-    table: FluxTable,
-    middle: Slice,
-    end: Slice,
-) -> tuple[complex, Point, complex, float]:
-    """Make one step of Runge-Kutta's rule of order 4; ``turn`` is e^{j theta} at its start, angles at middle and end.
-
-    Returns flux, point and e^{j theta} at the end, and the error that the loss's curvature may have caused, Wb.
-    """
-    loss1 = _loss(point.i * turn, circuit)
-    turn = complex(math.cos(thetas[0]), math.sin(thetas[0]))
-    half = point
-    if table.per_cell > 16:
-        _turn_to(thetas[0], middle, circuit)
-        half = _at(point.i, middle, table)
-    half = _nearest((psi + 0.5 * step * (u_s - loss1)) * turn.conjugate(), half, middle, circuit, table)
-    loss2 = _loss(half.i * turn, circuit)
-    half = _nearest((psi + 0.5 * step * (u_s - loss2)) * turn.conjugate(), half, middle, circuit, table)
-    loss3 = _loss(half.i * turn, circuit)
-    turn = complex(math.cos(thetas[1]), math.sin(thetas[1]))
-    if table.per_cell > 16:
-        _turn_to(thetas[1], end, circuit)
-    whole = _at(2.0 * half.i - point.i, end, table)
-    whole = _nearest((psi + step * (u_s - loss3)) * turn.conjugate(), whole, end, circuit, table)
-    loss4 = _loss(whole.i * turn, circuit)
-    psi += step * (u_s - (loss1 + 2.0 * loss2 + 2.0 * loss3 + loss4) / 6.0)
-    whole = _at(_nearest(psi * turn.conjugate(), whole, end, circuit, table).i, end, table)
-    return psi, whole, turn, step / 6.0 * abs(loss1 - 2.0 * loss3 + loss4)
-
-
-@inlined
-def _loss(i_s: complex, circuit: Circuit) -> complex:
-    """Return the space vector of R i + drop in the stator frame, V."""
-    half_root3 = 0.8660254037844386
-    low, width, voltage = circuit.drop_low, circuit.drop_width, circuit.drop_voltage
-    a = _drop(i_s.real, low, width, voltage)
-    b = _drop(-0.5 * i_s.real + half_root3 * i_s.imag, low, width, voltage)
-    c = _drop(-0.5 * i_s.real - half_root3 * i_s.imag, low, width, voltage)
-    return circuit.resistance * i_s + complex((2.0 * a - b - c) / 3.0, (b - c) * (half_root3 * 2.0 / 3.0))
-
-
-@inlined
-def _drop(i: float, low: float, width: float, voltage: Any) -> float:
-    """Interpolate the inverter's curve, V."""
-    cell, t = bspline.locate(i, low, width, len(voltage) - 1)
-    return voltage[cell] + t * (voltage[cell + 1] - voltage[cell])  # type: ignore[no-any-return]
-
-
-@compiled
-def _nearest(psi: complex, guess: Point, here: Slice, circuit: Circuit, table: FluxTable) -> Point:
-    """Return the point whose flux is nearest to ``psi``, by damped least squares from one nearby at the same angle.
-
-    The last, small step of Newton's is not checked: flux and derivatives of the returned point are linear in it.
-    """
-    best, error = guess, psi - guess.psi
-    damping, small = 0.0, _SEARCH_TOLERANCE * circuit.diverged
-    for _ in range(_SEARCH_STEPS):
-        change, regular, good = _search_step(best, error, damping, table)
-        if not good:
-            damping = max(circuit.damping, 10.0 * damping)
-            continue
-        tiny = change.real * change.real + change.imag * change.imag < small * small
-        if tiny and regular and damping == 0.0:
-            return Point(best.i + change, psi, best.by_d, best.by_q)
-        trial = _at(best.i + change, here, table)
-        left = psi - trial.psi
-        if left.real * left.real + left.imag * left.imag <= error.real * error.real + error.imag * error.imag:
-            best, error = trial, left
-            damping = 0.1 * damping if damping > circuit.damping else 0.0
-            if tiny:
-                break
-        else:
-            damping = max(circuit.damping, 10.0 * damping)
-    return best
-
-
-@inlined
-def _search_step(best: Point, error: complex, damping: float, table: FluxTable) -> tuple[complex, bool, bool]:
-    """Return the change of the current, A, that cancels ``error``, Wb, and whether the map is regular and it exists."""
-    dd, qd, dq, qq = best.by_d.real, best.by_d.imag, best.by_q.real, best.by_q.imag
-    regular = dd * qq - qd * dq >= _FOLDED * table.inductance_d * table.inductance_q
-    if not regular:
-        dd, qd, dq, qq = table.inductance_d, 0.0, 0.0, table.inductance_q
-    g_d, g_q = dd * error.real + qd * error.imag, dq * error.real + qq * error.imag
-    h_dd, h_dq, h_qq = dd * dd + qd * qd + damping, dd * dq + qd * qq, dq * dq + qq * qq + damping
-    determinant = h_dd * h_qq - h_dq * h_dq
-    if determinant <= 0.0:
-        return complex(0.0, 0.0), regular, False
-    change = complex((h_qq * g_d - h_dq * g_q) / determinant, (h_dd * g_q - h_dq * g_d) / determinant)
-    return change, regular, True
-
-
-@inlined
-def _turn_to(theta: float, here: Slice, circuit: Circuit) -> None:
-    """Prepare the map at another angle."""
-    for m in range(len(circuit.orders)):
-        phase = circuit.orders[m] * theta
-        here.factors[2 * m], here.factors[2 * m + 1] = math.cos(phase), math.sin(phase)
-    here.cell[0] = -1
-
-
-@inlined
-def _at(i: complex, here: Slice, table: FluxTable) -> Point:
-    """Evaluate the map at the angle of ``here``; polynomials of all harmonics are summed once per angle and cell."""
-    cell_d, t = bspline.locate(i.real, table.low_d, table.width_d, table.count_d)
-    cell_q, s = bspline.locate(i.imag, table.low_q, table.width_q, table.count_q)
-    if table.per_cell == 16:
-        return _point_in_cell(i, table.coefficients, _first_of(cell_d, cell_q, table), t, s, table)
-    c = here.coefficients
-    if here.cell[0] != cell_d or here.cell[1] != cell_q:
-        here.cell[0], here.cell[1] = cell_d, cell_q
-        parts, first = table.coefficients, _first_of(cell_d, cell_q, table)
-        for j in range(16):
-            part = parts[first + j]
-            d, q = part.real, part.imag
-            for m in range(len(here.factors)):
-                part = parts[first + 16 * (m + 1) + j]
-                d += here.factors[m] * part.real
-                q += here.factors[m] * part.imag
-            c[j] = complex(d, q)
-    return _point_in_cell(i, c, 0, t, s, table)
-
-
-@inlined
-def _first_of(cell_d: int, cell_q: int, table: FluxTable) -> int:
-    """Return where the coefficients of a cell begin."""
-    return (cell_d * table.count_q + cell_q) * table.per_cell
-
-
-@inlined
-def _cubic(a: complex, b: complex, c: complex, d: complex, x: float) -> complex:
-    """Return a + b x + c x^2 + d x^3; by parts, for a compiler takes a real factor for a complex one."""
-    return complex(a.real + x * (b.real + x * (c.real + x * d.real)), a.imag + x * (b.imag + x * (c.imag + x * d.imag)))
-
-
-@inlined
-def _slope_of_cubic(b: complex, c: complex, d: complex, x: float) -> complex:
-    """Return b + 2 c x + 3 d x^2."""
-    twice, thrice = 2.0 * x, 3.0 * x * x
-    return complex(b.real + twice * c.real + thrice * d.real, b.imag + twice * c.imag + thrice * d.imag)
-
-
-@inlined
-def _point_in_cell(i: complex, c: ComplexArray, k: int, t: float, s: float, table: FluxTable) -> Point:
-    """Evaluate the polynomial c[k] ... c[k + 15] of a cell at its positions ``t`` in d and ``s`` in q.
-
-    Beyond the range of the map it is continued.
-    """
-    r0, v0 = _cubic(c[k], c[k + 1], c[k + 2], c[k + 3], s), _slope_of_cubic(c[k + 1], c[k + 2], c[k + 3], s)
-    r1, v1 = _cubic(c[k + 4], c[k + 5], c[k + 6], c[k + 7], s), _slope_of_cubic(c[k + 5], c[k + 6], c[k + 7], s)
-    r2, v2 = _cubic(c[k + 8], c[k + 9], c[k + 10], c[k + 11], s), _slope_of_cubic(c[k + 9], c[k + 10], c[k + 11], s)
-    r3, v3 = _cubic(c[k + 12], c[k + 13], c[k + 14], c[k + 15], s), _slope_of_cubic(c[k + 13], c[k + 14], c[k + 15], s)
-    psi = _cubic(r0, r1, r2, r3, t)
-    by_d, by_q = _slope_of_cubic(r1, r2, r3, t), _cubic(v0, v1, v2, v3, t)
-    by_d = complex(by_d.real / table.width_d, by_d.imag / table.width_d)
-    by_q = complex(by_q.real / table.width_q, by_q.imag / table.width_q)
-    beyond_d = i.real - min(max(i.real, table.low_d), table.low_d + table.count_d * table.width_d)
-    beyond_q = i.imag - min(max(i.imag, table.low_q), table.low_q + table.count_q * table.width_q)
-    psi += complex(table.inductance_d * beyond_d, table.inductance_q * beyond_q)
-    if beyond_d != 0.0:
-        by_d = complex(table.inductance_d, 0.0)
-    if beyond_q != 0.0:
-        by_q = complex(0.0, table.inductance_q)
-    return Point(i, psi, by_d, by_q)
+        out[k + 1, 0], out[k + 1, 1] = point[0], point[1]

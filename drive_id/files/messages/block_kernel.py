@@ -23,7 +23,7 @@ _MESSAGE = 5
 _NANOSECONDS = 1_000_000_000
 
 
-@compiled
+@compiled("const u1[::1], i8, i8, i8[::1], i8[::1], i8[:, ::1], i8[::1], i8[::1]")
 def read_blocks(
     data: ByteArray,
     start: int,
@@ -31,7 +31,7 @@ def read_blocks(
     sections: IntArray,
     fields: IntArray,
     table: IntArray,
-    periods: FloatArray,
+    periods: IntArray,
     found: IntArray,
 ) -> tuple[int, int, int]:
     """List the blocks among the records of a chunk.
@@ -47,8 +47,8 @@ def read_blocks(
         Number of arrays in the blocks of each section.
     table : (M, 6) int64
         Output, see the constants above; M must be at least ``(stop - start) / 31``.
-    periods : (M,) float
-        Output: sample periods, s.
+    periods : (M,) int64
+        Output: bits of the sample periods, float64, s.
     found : (65536,) int64
         Number of messages of each channel; incremented.
 
@@ -65,7 +65,7 @@ def read_blocks(
     while position < stop:
         if position + 9 > stop:
             return DAMAGED, count, position
-        length = _uint64(data, position + 1)
+        length = _number(data, position + 1, 8)
         body = position + 9
         if length < 0 or length > stop - body:
             return DAMAGED, count, position
@@ -77,46 +77,44 @@ def read_blocks(
             if section >= 0:
                 if not _read_block(data, body + 22, body + length, fields[section], table[count], periods, count):
                     return UNUSUAL, count, position
-                table[count, LOGGED], table[count, SECTION] = _uint64(data, body + 6), section
+                table[count, LOGGED], table[count, SECTION] = _number(data, body + 6, 8), section
                 found[channel] += 1
                 count += 1
         position = body + length
     return DONE, count, position
 
 
-@compiled
-def _read_block(
-    data: ByteArray, start: int, stop: int, fields: int, row: IntArray, periods: FloatArray, at: int
-) -> bool:
+@compiled("const u1[::1], i8, i8, i8, i8[::1], i8[::1], i8")
+def _read_block(data: ByteArray, start: int, stop: int, fields: int, row: IntArray, periods: IntArray, at: int) -> bool:
     """Fill the row with one block; return False if the message has another layout or a fault."""
     body = start + 4
     if stop < body + 12 or data[start] != 0 or data[start + 1] != 1:
         return False
-    nanoseconds, name = _uint32(data, body + 4), _uint32(data, body + 8)
+    nanoseconds, name = _number(data, body + 4, 4), _number(data, body + 8, 4)
     position = body + (12 + name + 7) // 8 * 8
     if nanoseconds >= _NANOSECONDS or position + 16 > stop:
         return False
-    first = _uint64(data, position)
-    periods[at] = data[position + 8 : position + 16].view(np.float64)[0]
+    first = _number(data, position, 8)
+    periods[at] = _number(data, position + 8, 8)
     position += 16
     begin, samples = position, 0
     for field in range(fields):
         if position + 4 > stop:
             return False
-        number = _uint32(data, position)
+        number = _number(data, position, 4)
         if (field > 0 and number != samples) or 4 * number > stop - position - 4:
             return False
         samples = number
         position += 4 + 4 * number
     if stop - position > 3 or first < 0:
         return False
-    seconds = _uint32(data, body)
+    seconds = _number(data, body, 4)
     row[STAMP] = (seconds - (1 << 32) * (seconds >> 31)) * _NANOSECONDS + nanoseconds
     row[FIRST], row[SAMPLES], row[POSITION] = first, samples, begin
     return True
 
 
-@compiled
+@compiled("const u1[::1], const i8[:, ::1], const i8[::1], const f8[::1], b1, i8[::1], f8[:, ::1]")
 def copy_blocks(
     data: ByteArray, table: IntArray, columns: IntArray, periods: FloatArray, logged: bool, stamp: IntArray,
     values: FloatArray,
@@ -152,14 +150,10 @@ def copy_blocks(
         row += samples
 
 
-@compiled
-def _uint32(data: ByteArray, at: int) -> int:
-    number: int = np.int64(data[at : at + 4].view(np.uint32)[0])
-    return number
-
-
-@compiled
-def _uint64(data: ByteArray, at: int) -> int:
-    """Return eight bytes as a number; negative from 2**63 on."""
-    number: int = np.int64(data[at : at + 8].view(np.int64)[0])
+@compiled("const u1[::1], i8, i8")
+def _number(data: ByteArray, at: int, size: int) -> int:
+    """Return four or eight bytes as a number; eight are negative from 2**63 on."""
+    number: int = np.int64(0)
+    for k in range(size):
+        number |= np.int64(data[at + k]) << np.int64(8 * k)
     return number

@@ -254,7 +254,8 @@ class SignalStream:
         found = np.zeros(len(sections), np.int64)
         for chunk in chunks:
             stop, room = start + len(chunk.data), slice(count, None)
-            end, more, position = read_blocks(data, start, stop, sections, fields, table[room], periods[room], found)
+            bits = periods[room].view(np.int64)
+            end, more, position = read_blocks(data, start, stop, sections, fields, table[room], bits, found)
             if end == DAMAGED:
                 storage.refuse(chunk)
             if end == UNUSUAL:

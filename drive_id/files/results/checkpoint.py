@@ -30,7 +30,7 @@ from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.storage.bag import storage_files
 
 FORMAT = "drive_id/checkpoint"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 INTERVAL = 5.0
 """Time between two checkpoints, s; what is read sooner leaves none."""
 _DAMAGE = (

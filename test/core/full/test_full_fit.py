@@ -86,7 +86,7 @@ def test_what_noise_takes_from_the_map_is_given_back():
     def with_and_without(noise):
         evidence = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL)
         information = evidence.windows.finished()
-        solver = Solver(information.model, information.folds, information.counts)
+        solver = Solver.over(information)
         solution = solver.solve(choice)
         met = CurrentNoise.met(evidence.noise_variance, information.kept())
         whole, _ = correct_attenuation(solver, solution, met)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from scipy.interpolate import BSpline
 from synthetic import record
 
 from drive_id.core.full import window_sums
-from drive_id.core.full.model import MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec, basis
+from drive_id.core.full.model import EFFECT_COLUMNS, MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec, basis
+from drive_id.core.full.solver import Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.types import Samples
@@ -19,8 +21,13 @@ LOW, HIGH = np.array([-310.0, -310.0]), np.array([310.0, 310.0])
 
 
 @pytest.fixture(scope="module")
-def model():
+def free():
     return FullModel(LOW, HIGH, 300.0, (6,))
+
+
+@pytest.fixture(scope="module", params=["free", "reciprocal"])
+def model(free, request):
+    return dataclasses.replace(free, reciprocal=request.param == "reciprocal")
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +63,14 @@ def flux_by_scipy(space, gamma, i_dq):
     return out[0] + 1j * out[1]
 
 
-@pytest.mark.parametrize("reciprocal", [True, False])
-def test_design_times_is_the_design_times_a_matrix(model, samples, reciprocal):
+def some_windows(model, samples):
     cutter = WindowCutter(model.shapes)
-    windows = Windows.joined([*cutter.cut(samples), *cutter.finish()]).part(np.arange(0, 1500, 47))
+    return Windows.joined([*cutter.cut(samples), *cutter.finish()]).part(np.arange(0, 1500, 47))
+
+
+@pytest.mark.parametrize("reciprocal", [True, False])
+def test_design_times_is_the_design_times_a_matrix(free, samples, reciprocal):
+    model, windows = free, some_windows(free, samples)
     windows = dataclasses.replace(windows, heating=np.linspace(-1.0, 40.0, len(windows)))
     for orders in ((), (1, 2), (1, 2, 6)):
         t = basis(model, ModelSpec(reciprocal, orders, per_phase=True, magnet=True, lag=True))
@@ -70,8 +81,7 @@ def test_design_times_is_the_design_times_a_matrix(model, samples, reciprocal):
 
 def test_rows_say_what_the_balance_says(model, samples):
     """Any parameters, put into the voltage balance one window at a time, give the rows times the parameters."""
-    cutter = WindowCutter(model.shapes)
-    windows = Windows.joined([*cutter.cut(samples), *cutter.finish()]).part(np.arange(0, 1500, 47))
+    windows = some_windows(model, samples)
     rng = np.random.default_rng(5)
     x = rng.standard_normal(model.size)
     resistance, constant, drops = x[1], x[2] + 1j * x[3], x[model.drops].reshape(-1, 3)
@@ -95,10 +105,96 @@ def test_folds_hold_the_cross_products(model, samples):
     information = gathered(model, samples)
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
-    rows = model.design(windows).reshape(-1, model.size)
+    rows = model.design(windows).reshape(-1, model.size) @ model.expansion
     np.testing.assert_allclose(information.folds.sum(axis=0), rows.T @ rows, rtol=1e-7, atol=1e-9)
     assert information.counts.sum() == len(rows) == 2 * information.windows
     assert sum(len(kept) for kept in information.kept()) == information.windows
+
+
+def test_the_columns_of_the_sums_are_those_of_reciprocal_maps(model, samples):
+    windows = some_windows(model, samples)
+    expected = (model.design(windows).reshape(-1, model.size) @ model.expansion).reshape(len(windows), 2, -1)
+    np.testing.assert_allclose(model.design(windows, model.summed), expected, rtol=0, atol=1e-13)
+    rows, columns = model.met(windows)
+    np.testing.assert_allclose(rows, expected[:, :, columns], rtol=0, atol=1e-13)
+    assert np.all(np.diff(columns) > 0)
+    assert not np.delete(expected, columns, axis=2).any()
+    spec = ModelSpec(reciprocal=True, orders=(2, 6), per_phase=True, lag=True, effects=("iron_loss",))
+    own, on_all = basis(model, spec), basis(dataclasses.replace(model, reciprocal=False), spec)
+    np.testing.assert_allclose(own.toarray(), on_all.toarray(), rtol=0, atol=1e-15)
+
+
+def test_free_maps_need_sums_over_free_columns(free, samples):
+    reciprocal = gathered(dataclasses.replace(free, reciprocal=True), samples)
+    with pytest.raises(ValueError, match="freed"):
+        Solver.over(reciprocal).solve(ModelSpec(reciprocal=False, orders=(6,)))
+    expected = gathered(free, samples)
+    np.testing.assert_allclose(reciprocal.freed(free.all_orders).folds, expected.folds, rtol=1e-12, atol=1e-12)
+    assert reciprocal.unit == pytest.approx(expected.unit, rel=1e-10)
+    with_sixth_only = reciprocal.freed((6,))
+    assert with_sixth_only.model.all_orders == (6,)
+    spec = ModelSpec(reciprocal=False, orders=(6,))
+    one, other = (Solver.over(sums).solve(spec) for sums in (with_sixth_only, expected))
+    assert one.resistance == pytest.approx(other.resistance, rel=1e-7)
+
+
+@pytest.mark.parametrize("spec", [ModelSpec(True, (6,)), ModelSpec(True, (1, 2, 6), delay=0.3, magnet=True)])
+def test_a_reciprocal_fit_does_not_depend_on_the_columns_of_the_sums(free, samples, spec):
+    solvers = [Solver.over(gathered(dataclasses.replace(free, reciprocal=own), samples)) for own in (True, False)]
+    one, other = (solver.solve(spec) for solver in solvers)
+    np.testing.assert_allclose(one.estimate, other.estimate, rtol=0, atol=1e-6 * np.abs(other.estimate).max())
+    assert one.sum_of_squares == pytest.approx(other.sum_of_squares, rel=1e-7)
+    errors = [solver.left_out(spec, (1e-4, 1e-2)) for solver in solvers]
+    np.testing.assert_allclose(*errors, rtol=1e-6)
+
+
+def test_sums_over_either_columns_can_be_merged(free, samples):
+    """The result has the reciprocal columns, whichever comes first."""
+    reciprocal = dataclasses.replace(free, reciprocal=True)
+    expected = gathered(reciprocal, samples, samples)
+    for first, second in ((free, reciprocal), (reciprocal, free)):
+        merged = gathered(first, samples)
+        other = gathered(second, samples)
+        merged.merge(other)
+        assert merged.model.reciprocal
+        assert other.model is second
+        scale = np.abs(expected.folds).max()
+        np.testing.assert_allclose(merged.folds, expected.folds, rtol=0, atol=1e-12 * scale)
+        assert merged.unit == pytest.approx(expected.unit, rel=1e-10)
+
+
+def test_effects_beside_the_folds_are_as_good_as_within(model, samples):
+    rng = np.random.default_rng(3)
+    sums = gathered(model, samples)
+    mixing = rng.standard_normal((3, EFFECT_COLUMNS)) + 1j * rng.standard_normal((3, EFFECT_COLUMNS))
+    extended = sums.with_effects(
+        lambda windows: np.stack([windows.voltage.conj(), windows.held[:, 1], windows.slope[:, 0]], axis=1) @ mixing
+    )
+    rows = np.concatenate(
+        [model.design(windows, model.summed).reshape(-1, model.summed.size) for windows in extended.kept()]
+    )
+    np.testing.assert_allclose(extended.folds.sum(axis=0), rows.T @ rows, rtol=1e-7, atol=1e-7)
+    spec = ModelSpec(True, (6,), effects=("iron_loss",))
+    within = Solver(model, extended.folds, extended.counts, unit=extended.unit)
+    one, other = (solver.solve(spec) for solver in (Solver.over(extended), within))
+    np.testing.assert_allclose(one.estimate, other.estimate, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(sums.folds[:, :, model.effects], 0.0)
+
+
+def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
+    monkeypatch.setattr(window_sums, "MOST_KEPT", 700)
+
+    def peak(passes):
+        sums = WindowSums(dataclasses.replace(free, reciprocal=True))
+        tracemalloc.start()
+        for _ in range(passes):
+            sums.next_recording()
+            sums.add(samples)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    assert peak(9) < 1.05 * peak(3)
 
 
 def test_pieces_make_no_difference(model, samples):
@@ -167,9 +263,8 @@ def test_windows_beyond_the_range_are_counted_and_left_out(samples):
     assert information.outside + information.windows == gathered(FullModel(LOW, HIGH, 300.0, (6,)), samples).windows
 
 
-def test_a_basis_selects_the_unknowns(model):
-    from drive_id.core.full.model import ModelSpec
-
+def test_a_basis_selects_the_unknowns(free):
+    model = free
     everything = ModelSpec(reciprocal=False, orders=model.all_orders, per_phase=True, crossing=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))
     assert set(range(model.size)) - set(columns) == {

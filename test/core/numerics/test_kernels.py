@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy_oracles as oracles
 import pytest
-from scipy import sparse
+from scipy import signal, sparse
 
 from drive_id.core.full import model as full_model
-from drive_id.core.full import window_sums
 from drive_id.core.maps import flux_models
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
-from drive_id.core.numerics import bspline, scans
+from drive_id.core.numerics import bspline, normal_equations, scans
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper import rows as paper_rows
 from drive_id.core.validation import current_simulation
@@ -70,19 +69,21 @@ def test_fourth_differences(count):
 
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
     gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
-    table, here = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0)), current_simulation._slice(0)
+    axes, table = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0))
+    here, point = current_simulation.new_slice(0), np.empty(8)
+    current_simulation.turn_to(0.0, np.zeros(0), here)
     for i in currents(50)[:50]:
-        point = current_simulation._at(complex(*i), here, table)
+        current_simulation.evaluate(*i, here, axes, table, point)
         inside = np.clip(i, [-10, -9], [12, 9])
         psi = MODEL.rows(inside[None]).dot(gamma)[0] + np.array([1.0, 2.0]) * (i - inside)
-        np.testing.assert_allclose([point.psi.real, point.psi.imag], psi, atol=1e-13)
+        np.testing.assert_allclose(point[2:4], psi, atol=1e-13)
         by_d, by_q = (rows.dot(gamma)[0] for rows in MODEL.slope_rows(inside[None]))
         by_d, by_q = (
             np.array([1.0, 0.0]) if i[0] != inside[0] else by_d,
             np.array([0.0, 2.0]) if i[1] != inside[1] else by_q,
         )
-        np.testing.assert_allclose([point.by_d.real, point.by_d.imag], by_d, atol=1e-12)
-        np.testing.assert_allclose([point.by_q.real, point.by_q.imag], by_q, atol=1e-12)
+        np.testing.assert_allclose(point[[4, 6]], by_d, atol=1e-12)
+        np.testing.assert_allclose(point[[5, 7]], by_q, atol=1e-12)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3, 4])
@@ -125,9 +126,24 @@ def test_products_and_ends_of_windows():
 
 
 def test_blocks_of_a_triangle():
-    block = np.asfortranarray(np.random.default_rng(5).standard_normal((4, 4)))
-    totals = [np.zeros((9, 9), order="F") for _ in range(2)]
-    for add, total in zip((window_sums.add_lower, oracles.add_block), totals, strict=True):
-        add(block, np.array([1, 2, 5, 8]), total)
-    np.testing.assert_array_equal(totals[0], totals[1])
-    assert not np.triu(totals[0], 1).any()
+    rng = np.random.default_rng(5)
+    root, before = rng.standard_normal((4, 4)), rng.standard_normal((9, 9))
+    columns, total = np.array([1, 2, 5, 8]), before + before.T
+    triangle = normal_equations.triangle_of(total)
+    normal_equations.add_triangle(root @ root.T, columns, triangle)
+    total[np.ix_(columns, columns)] += root @ root.T
+    np.testing.assert_allclose(normal_equations.unpacked(triangle, 9), total, rtol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1, 255, 257, 700])
+def test_a_triangle_is_unpacked_to_the_symmetric_matrix(size):
+    half = np.random.default_rng(size).standard_normal((size, size))
+    matrix = half + half.T
+    np.testing.assert_array_equal(normal_equations.unpacked(normal_equations.triangle_of(matrix), size), matrix)
+
+
+@pytest.mark.parametrize("count", [1, 2, 1000])
+def test_a_filter_of_first_order(count):
+    x = np.random.default_rng(9).normal(size=(count, 2)) @ [1, 1j]
+    expected = signal.lfilter([0.3, 0.5], [1, -0.2], x[1:], zi=[0.2 * (4 - 2j) + 0.5 * x[0]])[0]
+    np.testing.assert_array_equal(scans.first_order(x, 4 - 2j, 0.2, 0.5, 0.3), expected)

@@ -137,25 +137,25 @@ def test_noise_and_steps_of_the_resolver_do_not_drive_the_current():
 def test_the_map_at_an_angle_is_the_sum_of_its_parts():
     model, random = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7)), np.random.default_rng(3)
     gamma, *parts = random.normal(size=(5, model.parameters))
-    table = current_simulation.flux_table(model, (gamma, *parts), (1.0, 2.0))
-    circuit = current_simulation.Circuit(np.array([6.0, 18.0]), 0.0, 0.0, 1.0, np.zeros(2), *np.zeros(5))
-    here = current_simulation._slice(2)
+    axes, table = current_simulation.flux_table(model, (gamma, *parts), (1.0, 2.0))
+    here, point = current_simulation.new_slice(2), np.empty(8)
     for theta in (0.3, -4.0):
-        current_simulation._turn_to(theta, here, circuit)
+        current_simulation.turn_to(theta, np.array([6.0, 18.0]), here)
         total = gamma + np.array([np.cos(6 * theta), np.sin(6 * theta), np.cos(18 * theta), np.sin(18 * theta)]) @ parts
         for i in random.uniform(-14, 14, (30, 2)):
             inside = np.clip(i, [-10, -9], [12, 9])
             psi = model.rows(inside[None]).dot(total)[0] + np.array([1.0, 2.0]) * (i - inside)
-            point = current_simulation._at(complex(*i), here, table)
-            np.testing.assert_allclose([point.psi.real, point.psi.imag], psi, rtol=0, atol=1e-12)
+            current_simulation.evaluate(*i, here, axes, table, point)
+            np.testing.assert_allclose(point[2:4], psi, rtol=0, atol=1e-12)
 
 
 def test_the_drop_is_interpolated_and_constant_beyond():
     x, y = np.linspace(-5.0, 7.0, 5), np.array([-2.0, -1.5, 0.0, 1.0, 3.0])
-    circuit = current_simulation.Circuit(np.zeros(0), 0.5, x[0], x[1] - x[0], y, *np.zeros(5))
+    curve = np.array([x[0], x[1] - x[0], *y])
     for i in (-9.0, -5.0, -3.0, -2.0, -1.0, 0.05, 0.1, 6.9, 7.0, 8.0):
-        found = current_simulation._drop(i, circuit.drop_low, circuit.drop_width, circuit.drop_voltage)
-        assert found == pytest.approx(np.interp(i, x, y), abs=1e-14)
-    i_abc = np.array([[4.0, -3.0, -1.0]])
-    loss = current_simulation._loss(complex(frames.space_vector(i_abc)[0]), circuit)
-    assert loss == pytest.approx(frames.space_vector(0.5 * i_abc + np.interp(i_abc, x, y))[0], abs=1e-14)
+        for i_abc in np.array([[[i, -0.7 * i, -0.3 * i]], [[-0.3 * i, i, -0.7 * i]]]):
+            i_s = frames.space_vector(i_abc)[0]
+            expected = frames.space_vector(0.5 * i_abc + np.interp(i_abc, x, y))[0]
+            assert complex(*current_simulation.loss(i_s.real, i_s.imag, 0.5, curve)) == pytest.approx(
+                expected, abs=1e-13
+            )

@@ -40,7 +40,7 @@ def read(data, fields=3):
     found = np.zeros(65536, np.int64)
     array = np.frombuffer(data, np.uint8)
     end, count, position = read_blocks(
-        array, 0, len(data), sections, np.array([fields]), table, periods, found
+        array, 0, len(data), sections, np.array([fields]), table, periods.view(np.int64), found
     )  # fmt: skip
     return end, table[:count], periods[:count], position, found, array
 

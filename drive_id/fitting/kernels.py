@@ -1,0 +1,46 @@
+"""Compiling all kernels at once, on all cores: ``python -m drive_id.fitting.kernels``, which ``make setup`` calls.
+
+What is compiled already is not compiled again. Without this step each kernel is compiled when it is first needed.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+from drive_id.bench.drive import simulate
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.methods.full import FullMethod  # noqa: F401  # its kernels count
+from drive_id.core.numerics.compiled import KERNELS
+from drive_id.fitting.fit import fit_bags  # noqa: F401  # likewise
+
+_FIRST = ("drive_id.core.paper", "drive_id.core.numerics", "drive_id.core.maps", "drive_id.core.full")
+"""Half of the work of compiling for a fit."""
+
+
+def compile_part(name: str) -> None:
+    """Compile a part: the simulated drive, by running it, or half of what fits need."""
+    if name == "drive":
+        for settings in (
+            SimulationSettings(),
+            SimulationSettings(flux_lag=0.01),
+        ):  # its kernels take tuples and records
+            simulate(machine_map("ipm"), settings, np.zeros((10, 2)))
+    else:
+        for kernel in KERNELS:
+            if kernel.signature is not None and kernel.__module__.startswith(_FIRST) == (name == "first half"):
+                kernel.dispatcher()
+
+
+def main() -> None:
+    """Compile all parts, the longest ones first."""
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        list(pool.map(compile_part, ("drive", "first half", "second half")))
+
+
+if __name__ == "__main__":
+    main()

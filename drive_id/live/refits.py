@@ -1,0 +1,168 @@
+"""Fits of the live samples in the background: when one is due, what it costs, and what the last one found."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.threads import in_background
+from drive_id.core.result.conclusion import Conclusion
+from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.errors import DriveIdError
+from drive_id.live.identification_settings import IdentificationSettings
+from drive_id.live.live_evidence import LiveEvidence, Snapshot
+from drive_id.types import Progress
+
+MOST_GROWTH = 1.25
+"""Samples of a request over those of a fit, up to which the request takes over what the fit selected."""
+_RENEWED_GROWTH = 1.1
+"""The same, from which on the background selects anew."""
+_FEWEST_SAMPLES = 2000
+_LEAST_PERIOD = 1.0  # s between the starts of two fits
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A finished fit of live samples.
+
+    Parameters
+    ----------
+    settings : FitSettings
+    samples : int
+        Samples that it covers, rests not counted.
+    stamp : int
+        Of the last one, ns.
+    conclusion : Conclusion
+    selected : bool
+        It selected its model itself, and did not take an earlier selection over.
+    """
+
+    settings: FitSettings
+    samples: int
+    stamp: int
+    conclusion: Conclusion
+    selected: bool
+
+    @property
+    def drive(self) -> IdentifiedDrive:
+        """The identified drive."""
+        return self.conclusion.drive
+
+
+def moving(evidence: Evidence) -> int:
+    """Return the number of samples with current: rests add nothing to a fit."""
+    return evidence.samples - evidence.idle
+
+
+def of_snapshot(snapshot: Snapshot, earlier: Conclusion | None) -> Refit:
+    """Fit a snapshot, see :meth:`~drive_id.live.live_evidence.Snapshot.conclude`."""
+    conclusion = snapshot.conclude(earlier)
+    evidence = snapshot.gathered.evidence
+    return Refit(
+        evidence.settings, moving(evidence), snapshot.join.last_stamp or 0, conclusion, selected=earlier is None
+    )
+
+
+RefitJob = Callable[[Progress], Refit | None]
+
+
+class Refits:
+    """Paces fits of the live samples, and keeps the last one; its jobs run in other threads, one at a time.
+
+    Parameters
+    ----------
+    settings : IdentificationSettings
+    clock : callable
+        Returns the time, s.
+    """
+
+    def __init__(self, settings: IdentificationSettings, clock: Callable[[], float] = time.monotonic) -> None:
+        self._share = settings.refit_share
+        self._period = settings.provisional_map_period
+        self._clock = clock
+        self.due = -np.inf
+        """Time of the next fit at the earliest, s."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last fit, because its samples were."""
+        self._selected: Refit | None = None
+        self._latest: Refit | None = None
+        self._finished = self._provisional_due = -np.inf
+        self._seen = 0
+        self.error = ""
+
+    def earlier(self, settings: FitSettings, samples: int) -> Conclusion | None:
+        """Return what a fit of so many samples, rests not counted, by these settings may take over, if anything."""
+        known = self._selected
+        if known is None or known.settings != settings or not known.samples <= samples <= MOST_GROWTH * known.samples:
+            return None
+        return known.conclusion if known.conclusion.fit is not None or settings.method != "full" else None
+
+    def job(self, live: LiveEvidence) -> RefitJob | None:
+        """Return a fit in the background if one is due: never twice of the same samples."""
+        now, samples = self._clock(), 0 if live.evidence is None else moving(live.evidence)
+        if self._share <= 0 or now < self.due or samples < _FEWEST_SAMPLES or samples == self._seen:
+            return None
+        earlier = self.earlier(live.settings, samples)
+        if earlier is not None and self._selected and samples <= _RENEWED_GROWTH * self._selected.samples:
+            if self._period <= 0 or now < self._provisional_due:
+                return None
+        else:
+            earlier = None
+        self._seen = samples
+        self._provisional_due = now + self._period
+        return partial(self._run, live.snapshot(), earlier)
+
+    def _run(self, snapshot: Snapshot, earlier: Conclusion | None, tell: Progress) -> Refit | None:
+        start, spent = self._clock(), time.thread_time()
+        try:
+            with in_background(partial(tell, "Refitting", None)):
+                return of_snapshot(snapshot, earlier)
+        except DriveIdError as error:
+            self.error = str(error)
+            return None
+        except Exception as error:  # noqa: BLE001  # a mistake of ours must not end the thread without a word
+            _log.exception("A fit in the background failed")
+            self.error = f"A fit in the background failed ({type(error).__name__}): report this as a bug."
+            return None
+        finally:  # also where it is cancelled
+            end = self._clock()
+            self.due = max(end, start + max(_LEAST_PERIOD, (time.thread_time() - spent) / self._share))
+
+    def take(self, refit: Refit) -> None:
+        """Keep a finished fit of the present samples, made in the background or for a request."""
+        self.error, self._finished = "", self._clock()
+        self._latest = refit
+        if refit.selected:
+            self._selected = refit
+
+    @property
+    def publishes(self) -> bool:
+        """Whether provisional maps are wanted."""
+        return self._period > 0
+
+    def values(self) -> dict[str, str]:
+        """Return what the last fit found, for diagnostics."""
+        if self._latest is None:
+            return {"fit: error": self.error} if self.error else {}
+        drive = self._latest.drive
+        sigma = np.stack([drive.flux_map.sigma_d, drive.flux_map.sigma_q])
+        flux = np.hypot(drive.flux_map.psi_d, drive.flux_map.psi_q).max()
+        values = {
+            "fit: samples": str(self._latest.samples),
+            "fit: age [s]": f"{self._clock() - self._finished:.1f}",
+            "fit: coverage": f"{drive.report.coverage:.4f}",
+            "fit: resistance [ohm]": f"{drive.resistance:.6g}",
+            "fit: sigma of resistance [ohm]": f"{drive.sigma_resistance:.3g}",
+            "fit: median sigma of flux [%]": f"{100 * float(np.nanmedian(sigma)) / flux:.4g}",
+        }
+        return values | ({"fit: error": self.error} if self.error else {})

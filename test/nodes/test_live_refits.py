@@ -1,0 +1,94 @@
+"""Fits in the background of the node ``identification``: diagnostics, provisional maps, replies meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ros_bench import ros_bench
+from test_identification_node import I_MAX, MODULE, Diagnosis, Player, identify, messages_of
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.sources import Sources
+
+
+@pytest.fixture(scope="module")
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+def start(ros, namespace, **parameters):
+    known = {"output_directory": str(ros.folder / "results"), "i_max": I_MAX, "method": "joint"}
+    return ros.start(MODULE, parameters=known | parameters, namespace=namespace)
+
+
+def play(ros, namespace, bag, diagnosis):
+    """Publish a recording, and wait until the node has taken it all."""
+    player = Player(ros, namespace=namespace)
+    player.wait_for_listeners()
+    player.play(messages_of(bag))
+    topics = [f"/{name}" for name in ("phase_currents", "phase_voltages", "resolver")]
+    diagnosis.wait(lambda *_: min(map(diagnosis.samples, topics)) >= 20_000, "all samples")
+    return player
+
+
+def test_the_map_is_there_before_anybody_asks_and_stops_with_the_samples(ros, bag):
+    from drive_id_msgs.msg import FluxMap
+
+    from drive_id.nodes.qos import LATCHED
+
+    node = "/early/identification"
+    process = start(ros, "/early", refit_share=1.0, provisional_map_period=0.1)
+    maps = []
+    ros.node.create_subscription(FluxMap, "/early/flux_map", maps.append, LATCHED)
+    with Diagnosis(ros, node) as diagnosis:
+        player = play(ros, "/early", bag, diagnosis)
+        diagnosis.wait(lambda _, values: float(values.get("fit: age [s]", 0)) > 3.0, "no further fits of old samples")
+        last = diagnosis.values
+    assert int(last["fit: samples"]) > 15_000
+    assert 0.5 < float(last["fit: coverage"]) <= 1.0
+    reply = identify(ros, name=f"{node}/identify")
+    assert reply.success, reply.message
+    assert reply.report.samples_read == 20_000
+    assert reply.flux_map.method == "joint"
+    provisional = [one for one in maps if one.method == "joint (provisional)"]
+    assert provisional
+    sigma = np.array(reply.flux_map.sigma_d)
+    off = np.abs(np.array(provisional[-1].psi_d) - np.array(reply.flux_map.psi_d)) / sigma
+    assert np.nanmedian(off) < 1.0
+    ros.wait(lambda: maps[-1].method == "joint", "the requested map on the topic")
+    player.close()
+    assert process.end() == ""
+    assert "Traceback" not in process.output
+
+
+def test_a_reply_by_method_full_is_that_of_the_bag_whatever_the_background_is_doing(ros, bag):
+    node = "/busy/identification"
+    start(ros, "/busy", method="full", refit_share=1.0)
+    with Diagnosis(ros, node) as diagnosis:
+        player = play(ros, "/busy", bag, diagnosis)
+        early = identify(ros, name=f"{node}/identify")
+        diagnosis.wait(lambda _, values: int(values.get("fit: samples", 0)) > 15_000, "a fit")
+    late = identify(ros, name=f"{node}/identify")
+    offline = fit_bags(Sources([bag]), None, FitSettings(i_max=I_MAX)).drive
+    for reply in (early, late):
+        assert reply.success, reply.message
+        assert reply.report.samples_read == 20_000
+        assert reply.flux_map.resistance == pytest.approx(offline.resistance, abs=0.2 * offline.sigma_resistance)
+        off = np.abs(np.array(reply.flux_map.psi_d) - offline.flux_map.psi_d.ravel())
+        assert np.nanmax(off / offline.flux_map.sigma_d.ravel()) < 0.5
+    player.close()
+
+
+def test_without_a_share_nothing_is_fitted_until_somebody_asks(ros, bag):
+    node = "/idle/identification"
+    start(ros, "/idle", refit_share=0.0, provisional_map_period=0.1)
+    with Diagnosis(ros, node) as diagnosis:
+        player = play(ros, "/idle", bag, diagnosis)
+        heard = []
+        diagnosis.wait(lambda status, _: heard.append(status) or heard[-1] is not heard[0], "further diagnostics")
+        assert not any(key.startswith("fit:") for key in diagnosis.values)
+        assert identify(ros, name=f"{node}/identify").success
+        diagnosis.wait(lambda _, values: "fit: samples" in values, "the requested fit in the diagnostics")
+    player.close()

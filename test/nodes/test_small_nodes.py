@@ -1,0 +1,107 @@
+"""What the nodes cost as processes: memory, time until they are ready, time in the publisher's callbacks."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from ros_bench import ros_bench
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+SUPPORT = Path(__file__).parent.parent / "support"
+FITS = 5
+MEMORY = {"trajectory_publisher": 90.0, "recorder": 90.0, "identification": 250.0}
+"""MB at rest."""
+AFTER_FITS = 400.0
+READY = 3.0
+"""s of processor time: of elapsed time on a machine that does nothing else."""
+
+
+@pytest.fixture(scope="module")
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+def memory(process):
+    """Resident memory, MB."""
+    status = Path(f"/proc/{process.popen.pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1024
+
+
+def processor_time(process):
+    """CPU time so far, s."""
+    fields = Path(f"/proc/{process.popen.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def ready(ros, name, **options):
+    process = ros.start(f"drive_id.nodes.{name}", files=[CONFIG / f"{name}.yaml"], **options)
+    ros.wait(lambda: "Ready" in process.output, f"{name} is ready")
+    return process
+
+
+@pytest.mark.parametrize("name", MEMORY)
+def test_a_node_at_rest_is_small_and_soon_ready(ros, name):
+    ready(ros, name, namespace="/first").interrupt()  # compiles what is not in the cache
+    process = ready(ros, name)
+    assert processor_time(process) < READY
+    assert memory(process) < MEMORY[name]
+    assert process.interrupt()[0] == 0
+
+
+def test_fits_of_bags_leave_no_memory_behind(ros, bag):
+    from drive_id_msgs.srv import Identify
+
+    data = ros.folder / "data"
+    data.mkdir()
+    shutil.copytree(bag, data / "bag")
+    folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": 300.0}
+    ready(ros, "identification", parameters=folders, namespace="/before")  # loads and compiles
+    ros.call(Identify, "/before/identification/identify", bags=["bag"])
+    process = ready(ros, "identification", parameters=folders, namespace="/again")
+    after = []
+    for _ in range(FITS):
+        reply = ros.call(Identify, "/again/identification/identify", bags=["bag"])
+        assert reply.success, reply.message
+        after.append(memory(process))
+    assert max(after) < AFTER_FITS, after
+    assert after[-1] < 1.1 * after[0] + 10, after
+
+
+@pytest.mark.parametrize("trajectory", ["lissajous", "stair"])
+def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_srvs.srv import Trigger
+
+    namespace = f"/{trajectory}"
+    ready(ros, "bench_simulator", namespace=namespace)
+    ros.environment["PYTHONPATH"] = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
+    process = ros.start(
+        "timed_publisher",
+        files=[CONFIG / "trajectory_publisher.yaml"],
+        parameters={"trajectory": trajectory},
+        namespace=namespace,
+    )
+    heard = {}
+    name = f"{namespace}/trajectory_publisher"
+
+    def note(array):
+        for status in array.status:
+            heard[status.name] = {value.key: value.value for value in status.values}
+
+    subscription = ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    ros.wait(lambda: heard.get(name) and heard.get(f"{namespace}/bench_simulator"), "news of both")
+    ros.wait(lambda: ros.call(Trigger, f"{name}/start").success, "the start")
+    ros.wait(lambda: float(heard[name].get("elapsed [s]", 0)) > 3.0, "three seconds of the trajectory")
+    ros.node.destroy_subscription(subscription)
+    assert process.interrupt()[0] == 0, process.output
+    spent = dict(re.findall(r"^spent: \w+\.(\w+) (.*)$", process.output, re.MULTILINE))
+    assert {"_on_timer", "_on_currents", "_on_resolver", "publish"} <= set(spent)
+    for callback, figures in spent.items():
+        calls, usual, longest = map(float, figures.split())
+        assert usual < 2.0 or calls < 5, (callback, figures)  # below 1 ms on a machine that does nothing else
+        assert longest < 50.0, (callback, figures)  # loading a kernel took 700 ms

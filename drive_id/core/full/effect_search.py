@@ -32,8 +32,8 @@ _MOST_EFFECTS, _REFINEMENTS = 6, 2
 _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
-_LONGEST_LATENCY, _LARGEST_LAG = 1.0, 0.2
-"""Sample periods by which angle or currents may be late, and share of the flux that may lag."""
+_LONGEST_LATENCY, _LARGEST_LAG = 0.8, 0.2
+"""Sample periods by which angle or currents may be late (the columns hold within one), share of flux that may lag."""
 _POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 

@@ -24,6 +24,10 @@ FULL = FitSettings(i_max=300.0)
 SHARE = 0.25
 
 
+def reciprocal_flux(i_dq):
+    return np.stack([0.05 + 0.04 * np.tanh(i_dq[:, 0] / 200.0), 0.08 * np.tanh(i_dq[:, 1] / 150.0)], axis=1)
+
+
 class Clock:
     now = 100.0
 
@@ -33,7 +37,7 @@ class Clock:
 
 @pytest.fixture(scope="module")
 def samples():
-    return record(duration=5.0, noise=0.3)
+    return record(reciprocal_flux, duration=5.0, noise=0.3)
 
 
 @pytest.fixture

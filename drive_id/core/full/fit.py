@@ -178,8 +178,8 @@ class EarlierFit:
 
     @classmethod
     def of(cls, fit: FullFit) -> EarlierFit | None:
-        """Take from a fit what a later one needs; None where it rests on a choice among the windows."""
-        if np.isfinite(fit.crossings):
+        """Take from a fit what a later one needs; None where it rests on other sums, by free maps or short windows."""
+        if np.isfinite(fit.crossings) or not fit.spec.reciprocal:
             return None
         of_fit = {name: getattr(fit, name) for name in _KEPT_OF_FIT}
         search = fit.selection.search
@@ -193,16 +193,13 @@ _KEPT_OF_FIT = (
 )  # fmt: skip
 
 
-def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit | None:
+def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit:
     """Solve the variant that an earlier fit selected on sums over its samples and further ones.
 
     Standard errors, lack of fit and outliers stay those of the earlier fit: only they need the windows themselves.
-    None where the earlier fit was of another model.
     """
     if earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
-    if sums.model.reciprocal and not earlier.spec.reciprocal:
-        return None
     if earlier.spec.effects:
         sums = sums.with_effects(earlier.columns)
     solver = Solver.over(sums)
@@ -235,8 +232,8 @@ def fit_full(
         Fit of most of these samples, whose selection is taken over, see :func:`fit_again`.
     """
     noise = CurrentNoise.met(variance, sums.kept())
-    if earlier is not None and not settings.passive_maps and (again := fit_again(sums, earlier, noise)):
-        return again
+    if earlier is not None and not settings.passive_maps:
+        return fit_again(sums, earlier, noise)
     sums, selection = select(sums, settings, turn, noise)
     noise = CurrentNoise.met(variance, sums.kept())
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution

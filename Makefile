@@ -11,8 +11,8 @@ DISTRO ?= jazzy
 VENV := .venv$(if $(filter-out jazzy,$(DISTRO)),-$(DISTRO))
 endif
 BIN := $(CURDIR)/$(VENV)/bin
-# Workers among which the tests are divided.
-JOBS ?= $(shell echo $$(($$(nproc) + 1)))
+# Workers among which the tests are divided: one for each core, and two that mostly wait for nodes.
+JOBS ?= $(shell echo $$(($$(nproc) + 2)))
 
 # Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
 # run (hence a domain of its own) and not to a robot in the same network.
@@ -47,7 +47,7 @@ demo: setup ## simulate a drive, identify it, and leave the results in out/demo
 	@$(RUN) bash examples/demo.sh out/demo
 
 test: setup ## run the tests on all cores (JOBS=0: in one process); options for pytest: make test ARGS="-k bag"
-	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 python -m pytest -n $(JOBS) --dist loadscope $(ARGS)
+	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest -n $(JOBS) --dist loadscope $(ARGS)
 
 bench: setup ## run the benchmarks
 	@$(RUN) python benchmarks/run.py $(ARGS)

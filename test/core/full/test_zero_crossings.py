@@ -42,6 +42,11 @@ def fit(samples):
     return fit_full(evidence.windows.finished(), SETTINGS, evidence.turn, evidence.noise_variance)
 
 
+@pytest.fixture(scope="module")
+def good_fit(good):
+    return fit(good)
+
+
 def test_short_windows_share_the_beginning_and_keep_clear_of_zero(good):
     windows = Windows.joined(list(WindowCutter(SHAPES, short=True).cut(good)))
     long, short = windows.part(~windows.short), windows.part(windows.short)
@@ -61,12 +66,12 @@ def test_short_windows_share_the_beginning_and_keep_clear_of_zero(good):
     assert 0.1 < crossing.mean() < 0.6
 
 
-def test_a_drop_that_follows_the_current_needs_no_weights(good):
-    assert np.isnan(fit(good).crossings)
+def test_a_drop_that_follows_the_current_needs_no_weights(good_fit):
+    assert np.isnan(good_fit.crossings)
 
 
-def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good, stuck, monkeypatch):
-    found, without = fit(stuck), fit(good)
+def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good_fit, stuck, monkeypatch):
+    found, without = fit(stuck), good_fit
     with monkeypatch.context() as patched:
         patched.setattr(selection, "between_crossings", lambda *_: None)
         spoiled = fit(stuck)

@@ -181,7 +181,7 @@ def test_a_killed_publisher_leaves_no_current_behind():
 
 def test_a_killed_bench_trips_the_watchdog():
     with ros_bench() as ros:
-        drive = LiveDrive(ros, publisher={"watch_timeout": 10.0}, clock=SimulatedTime(ros))
+        drive = LiveDrive(ros, publisher={"watch_timeout": 5.0}, clock=SimulatedTime(ros))
         drive.run_without_end()
         drive.bench.popen.kill()
         drive.wait_for_message("Nothing has arrived on")

@@ -60,8 +60,9 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag):
     data.mkdir()
     shutil.copytree(bag, data / "bag")
     folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": 300.0}
-    ready(ros, "identification", parameters=folders, namespace="/before")  # loads and compiles
+    before = ready(ros, "identification", parameters=folders, namespace="/before")  # loads and compiles
     ros.call(Identify, "/before/identification/identify", bags=["bag"])
+    before.interrupt()
     process = ready(ros, "identification", parameters=folders, namespace="/again")
     after = []
     for _ in range(FITS):
@@ -78,7 +79,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     from std_srvs.srv import Trigger
 
     namespace = f"/{trajectory}"
-    ready(ros, "bench_simulator", namespace=namespace)
+    bench = ready(ros, "bench_simulator", namespace=namespace)
     ros.environment["PYTHONPATH"] = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
     process = ros.start(
         "timed_publisher",
@@ -99,6 +100,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     ros.wait(lambda: float(heard[name].get("elapsed [s]", 0)) > 3.0, "three seconds of the trajectory")
     ros.node.destroy_subscription(subscription)
     assert process.interrupt()[0] == 0, process.output
+    assert bench.interrupt()[0] == 0, bench.output
     spent = dict(re.findall(r"^spent: \w+\.(\w+) (.*)$", process.output, re.MULTILINE))
     assert {"_on_timer", "_on_currents", "_on_resolver", "publish"} <= set(spent)
     for callback, figures in spent.items():

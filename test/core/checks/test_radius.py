@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from synthetic import record
 
+from drive_id.cli import app as cli
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
@@ -86,12 +86,14 @@ def test_what_was_reached_is_merged_and_stored():
         (600, 0, r"i_max is 600 A but the currents reach only \d+ A: the map covers 2\d % of the disc, .*\."),
     ],
 )
-def test_drive_id_fit_says_so(bag, tmp_path, i_max, code, said):
-    command = [sys.executable, "-m", "drive_id.cli.app", "fit", bag, "--method", "joint", "--i-max", i_max]
-    command += ["--output", tmp_path / "out"]
-    ran = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
-    assert ran.returncode == code, ran.stderr
-    assert re.search(said, re.sub(r"\s+", " ", ran.stderr + ran.stdout)), ran.stderr + ran.stdout
+def test_drive_id_fit_says_so(bag, tmp_path, monkeypatch, capfd, i_max, code, said):
+    command = ["drive-id", "fit", bag, "--method", "joint", "--i-max", i_max, "--output", tmp_path / "out"]
+    monkeypatch.setattr(sys, "argv", [*map(str, command)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    out, err = capfd.readouterr()
+    assert int(ended.value.code or 0) == code, err
+    assert re.search(said, re.sub(r"\s+", " ", err + out)), err + out
     if not code:
         warnings = json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"]
         assert any(re.fullmatch(said, text) for text in warnings)

@@ -27,7 +27,11 @@ from drive_id.fitting.sources import Sources
 
 GROUPS = {"test/nodes/test_live": "drives", "test/nodes/test_first": "drives", "test/nodes/": "nodes"}
 """Tests that run one after another on one worker, as they have deadlines; they mostly wait, so they come first."""
-LAST = ("test/fitting/test_full_accuracy.py", "test/fitting/test_full_with_rests.py", "test/fitting/test_real_drives.py")
+LAST = (
+    "test/fitting/test_full_accuracy.py",
+    "test/fitting/test_full_with_rests.py",
+    "test/fitting/test_real_drives.py",
+)
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell; tests interrupt processes

@@ -30,6 +30,9 @@ _LEAST_EXCESS, _ABOVE_CLEAR = 1.3, 1.15
 _LEAST_VOLTAGE = 3e-4
 """Rms of the excess relative to that of the integrated voltages."""
 _ROUNDS = 2
+_USUAL = 0.95
+_MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
+"""Share of the windows that counts, and the mean of so many of the smallest squares of complex noise of unit mean."""
 _FEWEST, _MOST = 32, 1500
 
 
@@ -89,7 +92,7 @@ def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: Curr
     if min(crossing.sum(), clear.sum()) < _FEWEST:
         return False
     excess, usual = (_ratio(squares[own], expected[own]) for own in (crossing, clear))
-    voltage = (squares - expected)[crossing].mean()
+    voltage = (excess - 1.0) * expected[crossing].mean()
     least = max(_LEAST_EXCESS**2, _ABOVE_CLEAR**2 * usual)
     return bool(excess > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage)
 
@@ -116,7 +119,9 @@ def _squares(
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:
-    return float(squares.sum() / max(expected.sum(), np.finfo(np.float64).tiny))
+    """Return the squared residuals over those of noise, without the largest, which a short disturbance may cause."""
+    shares = np.sort(squares / np.maximum(expected, np.finfo(np.float64).tiny))
+    return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / _MEAN)
 
 
 def _classes(windows: Windows, i_max: float) -> IntArray:

@@ -15,7 +15,7 @@ class Level(IntEnum):
     ERROR = 2
 
 
-Finding = tuple[Level, str]
+Observation = tuple[Level, str]
 """Severity of an observation, and a sentence about it."""
 
 

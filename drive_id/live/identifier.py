@@ -24,7 +24,7 @@ from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.fit import Draw, fit_bags, known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
-from drive_id.health import Finding, Health, Level
+from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
@@ -208,7 +208,7 @@ class Identifier:
             "method": self.live.settings.method,
             **self.refits.values(),
         }
-        findings: list[Finding] = []
+        findings: list[Observation] = []
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
             values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
             findings += publisher_findings(signal.topic, kind, found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drive_id.health import Finding, Level
+from drive_id.health import Level, Observation
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ def reliable_wanted(publishers: Sequence[Publisher], type_name: str, now: bool) 
     return all(publisher.reliable for publisher in right) if right else now
 
 
-def publisher_findings(topic: str, type_name: str, publishers: Sequence[Publisher]) -> list[Finding]:
+def publisher_findings(topic: str, type_name: str, publishers: Sequence[Publisher]) -> list[Observation]:
     """Return what is wrong with the publishers of a topic: wrong type, best effort, more than one."""
-    findings: list[Finding] = []
+    findings: list[Observation] = []
     for publisher in publishers:
         if publisher.type_name != type_name:
             sentence = f"{publisher.node} publishes {publisher.type_name} on {topic} instead of {type_name}."

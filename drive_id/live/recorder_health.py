@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drive_id.health import Finding, Health, Level
+from drive_id.health import Health, Level, Observation
 from drive_id.live.publishers import Publisher, of_type, publisher_findings
 from drive_id.live.recording_report import RecordingReport, TopicReport
 
@@ -48,7 +48,7 @@ def recorder_health(
     queue_size : float
         Capacity of the queue, MB.
     """
-    findings: list[Finding] = []
+    findings: list[Observation] = []
     values: dict[str, str] = {}
     if report is not None:
         findings += _recording_findings(report, queue_size)
@@ -68,7 +68,7 @@ def recorder_health(
     return Health(level, " ".join(said if report is not None and report.error else [doing, *said]), values)
 
 
-def _recording_findings(report: RecordingReport, queue_size: float) -> list[Finding]:
+def _recording_findings(report: RecordingReport, queue_size: float) -> list[Observation]:
     if report.error:
         return [(Level.ERROR, report.error)]
     findings = []
@@ -80,7 +80,7 @@ def _recording_findings(report: RecordingReport, queue_size: float) -> list[Find
     return findings
 
 
-def _sample_findings(state: TopicState, report: TopicReport, longest_silence: float) -> list[Finding]:
+def _sample_findings(state: TopicState, report: TopicReport, longest_silence: float) -> list[Observation]:
     findings = []
     if report.lost:
         findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))

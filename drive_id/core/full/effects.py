@@ -217,7 +217,7 @@ class EffectColumns:
         return out
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return f(i, theta) and its derivative by theta (N, 2) at currents, A, and angles (N, 2), rad, Wb."""
+        """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
         model, estimate = self.model, self.estimate
         flat, angle = frames.as_pairs(i_dq.ravel()), at.reshape(-1, 1)
         flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))

@@ -84,7 +84,7 @@ class WindowSums:
         self._form_products()
 
     def finished(self) -> WindowSums:
-        """Return a copy that includes the samples still waiting for more; this one goes on without them."""
+        """Return a copy that includes the samples not yet in a window; the original can still be extended."""
         other = self.copy()
         for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
             other._take(windows)  # noqa: SLF001

@@ -32,7 +32,7 @@ _LEAST_VOLTAGE = 3e-4
 _ROUNDS = 2
 _USUAL = 0.95
 _MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
-"""Share of the windows that counts, and the mean of so many of the smallest squares of complex noise of unit mean."""
+"""Share of the windows that is used, and the mean of this share of smallest squares of unit complex noise."""
 _FEWEST, _MOST = 32, 1500
 
 
@@ -119,7 +119,7 @@ def _squares(
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:
-    """Return the squared residuals over those of noise, without the largest, which a short disturbance may cause."""
+    """Return the squared residuals relative to noise, without the largest, which a short disturbance may cause."""
     shares = np.sort(squares / np.maximum(expected, np.finfo(np.float64).tiny))
     return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / _MEAN)
 

@@ -1,4 +1,4 @@
-"""What each ingredient of method ``full`` is worth: every one off in turn, on simulated drives of known truth.
+"""Contribution of each ingredient of method ``full``: each is switched off in turn, on simulated drives.
 
 Usage: python benchmarks/ablation.py [--only PART,...] [--output docs/ablation.md]
 
@@ -32,7 +32,7 @@ from drive_id.types import FloatArray
 
 COLUMNS = ("psi_d", "psi_q", "R", "Inverter curve")
 INGREDIENTS = ModelSpec(reciprocal=True, orders=(6, 12), penalty=PENALTIES[-2])
-"""What ``full`` chooses for these drives, but for the weight of the penalty, which it chooses by cross-validation."""
+"""What ``full`` chooses for these drives, except the weight of the penalty, which it chooses by cross-validation."""
 ANGLES = (30.0, 60.0, 120.0, 240.0, 360.0)
 REPETITIONS = 12
 STRIDES = (0.4e-3, 0.8e-3, 1.6e-3, 3.2e-3)
@@ -89,7 +89,7 @@ def model() -> Iterator[str]:
 
 
 def windows() -> Iterator[str]:
-    """Cut other windows."""
+    """Vary angle and stride of the windows."""
     for speed in (100.0, 500.0):
         simulation = drive("ipm", at(speed))
         yield from head(
@@ -108,7 +108,7 @@ def windows() -> Iterator[str]:
 
 
 def splines() -> Iterator[str]:
-    """Divide the map otherwise."""
+    """Vary the cells of the map."""
     for machine in ("ipm", "pmsyrm"):
         simulation = drive(machine, NOISY)
         yield from head(
@@ -173,7 +173,7 @@ def instruments_section() -> Iterator[str]:
 
 
 def dilution() -> Iterator[str]:
-    """Leave what noise in the currents takes from the maps."""
+    """Switch off the correction of the attenuation by current noise."""
     yield from head(
         "What noise takes",
         f"Mean and scatter of the maps' errors over {REPETITIONS} experiments of {SECONDS:g} s that differ in their "
@@ -205,7 +205,7 @@ def _experiment(machine: str, settings: SimulationSettings) -> Accumulation:
 
 
 def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
-    """Return the fluxes (2, N, 2) at currents (N, 2), Wb, without and with what noise takes."""
+    """Return the fluxes (2, N, 2) at currents (N, 2), Wb, without and with the correction for current noise."""
     solver = Solver(data.model, data.information.folds, data.information.counts)
     solution = solver.solve(INGREDIENTS)
     noise = CurrentNoise.met(data.evidence.noise_variance, data.information.kept())
@@ -227,7 +227,7 @@ PARTS = {
 def page(wanted: list[str]) -> Iterator[str]:
     """Yield the lines of the page."""
     yield from (
-        "# Each ingredient off in turn",
+        "# Ablation: each ingredient switched off in turn",
         "",
         "Written by `python benchmarks/ablation.py`. Method `full` on simulated drives, 10 s at 10 kHz on the paper's",
         "trajectory; errors of the fluxes, the resistance and the inverter's curve as in [accuracy.md](accuracy.md).",

@@ -1,4 +1,4 @@
-"""How far methods ``joint`` and ``full`` are from the truth, on simulated drives, against the goals.
+"""Errors of methods ``joint`` and ``full`` on simulated drives, compared with the goals.
 
 Usage: python benchmarks/accuracy.py [--only BLOCK,...] [--machines FOLDER] [--output docs/accuracy.md]
 
@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Block:
-    """Cases that belong together, and what they show."""
+    """Cases of one table, with its title and text."""
 
     title: str
     sentence: str
@@ -168,7 +168,7 @@ def root_mean_square(figures: list[Figures]) -> Figures:
 
 
 def rows(case: Case) -> Iterator[str]:
-    """Fit one case by both methods and lay out what came of it as rows of a Markdown table."""
+    """Fit one case by both methods and return the results as rows of a Markdown table."""
     several: dict[str, list[Figures]] = {method: [] for method in METHODS}
     noisy = any(settings.current_noise > 0 for settings in case.settings)
     for seed in range(SEEDS if noisy else 1):
@@ -184,7 +184,7 @@ def rows(case: Case) -> Iterator[str]:
 
 
 def _limits(goal: Goal, joint: Figures) -> Figures:
-    """Return what the figures of ``full`` may be at most: the goal, and never more than those of ``joint``."""
+    """Return the limits for the figures of ``full``: the goals, and at most the figures of ``joint``."""
     mad = [goal.mad_share * value if math.isfinite(value) else math.inf for value in (joint.mad_d, joint.mad_q)]
     worst = min(goal.nrmse, joint.nrmse_d), min(goal.nrmse, joint.nrmse_q)
     return Figures(*worst, goal.resistance, goal.curve, *mad)
@@ -221,7 +221,7 @@ def prediction() -> Iterator[str]:
 
 
 def _noise(i_max: float) -> float:
-    """Return the mean absolute noise of i_d, A: of three phases' independent noise Clarke's matrix passes 2/3."""
+    """Return the mean absolute noise of i_d, A: the Clarke transform passes 2/3 of the variance of phase noise."""
     return math.sqrt(2 / math.pi) * math.sqrt(2 / 3) * NOISY.current_noise * i_max
 
 

@@ -1,4 +1,4 @@
-"""The fit in this process: against the dense script, and against the least that reading the samples once can take."""
+"""The fit in this process: compared with the dense script and with reading the samples once."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def dense(samples: Samples) -> tuple[float, float, Any]:
 
 
 def plain_sum(samples: Samples) -> float:
-    """Read all samples once: what no fit can be faster than."""
+    """Read all samples once: a lower bound for any fit."""
     return float(sum(array.sum() for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)))
 
 
@@ -53,7 +53,7 @@ def has_full() -> bool:
 
 
 def peak_memory(action: Callable[[], Any]) -> Cost:
-    """Return the most memory that Python and numpy held at once beyond what was there before."""
+    """Return the peak of additional memory allocated by Python and numpy."""
     tracemalloc.start()
     action()
     peak = tracemalloc.get_traced_memory()[1]

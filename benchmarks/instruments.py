@@ -1,4 +1,4 @@
-"""Instrumental variables for the windows of method ``full``: whether noise in the currents leaves them a bias."""
+"""Instrumental variables for the windows of method ``full``: bias by current noise."""
 
 from __future__ import annotations
 

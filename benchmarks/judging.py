@@ -1,4 +1,4 @@
-"""How far an identified drive is from the truth, under one normalization of resistance and inverter curve."""
+"""Errors of an identified drive, with the linear part of the inverter curve counted as resistance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LARGE = 0.5
 
 @dataclass(frozen=True)
 class Figures:
-    """What came of one fit; all but the MAD dimensionless.
+    """Errors of one fit; all but the MAD are dimensionless.
 
     Parameters
     ----------
@@ -91,5 +91,5 @@ def percent(value: float) -> str:
 
 
 def amperes(value: float) -> str:
-    """Write a current, or that there is none."""
+    """Format a current, or its absence."""
     return f"{value:.3g} A" if np.isfinite(value) else "diverged"

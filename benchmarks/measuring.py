@@ -22,7 +22,7 @@ HERE = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Cost:
-    """What one run took: elapsed and processor time, s, and peak memory, bytes (0: not measured)."""
+    """Cost of one run: elapsed and processor time, s, and peak memory, bytes (0: not measured)."""
 
     elapsed: float
     cpu: float
@@ -39,7 +39,7 @@ def in_turns(actions: dict[str, Callable[[], Any]], repeats: int, warm_up: bool 
 
 
 def best_of(measured: dict[str, Callable[[], Cost]], repeats: int, warm_up: bool = False) -> dict[str, Cost]:
-    """Return the best of what each says of itself, called in turns."""
+    """Return the best of the costs that each action reports, called in turns."""
     best: dict[str, Cost] = {}
     for number in range(-1 if warm_up else 0, repeats):
         for name, action in measured.items():

@@ -1,10 +1,10 @@
-"""What the effects of real drives cost method ``full``, what it says of them, and how far it is from perfect knowledge.
+"""Errors of method ``full`` on drives with real effects, its reports, and a comparison with perfect knowledge.
 
 Usage: python benchmarks/robustness.py [--only EFFECT,...] [--machines ipm,spm,pmsyrm] [--no-ratio]
                                        [--output docs/robustness.md]
 
 All effects on the ipm, at one speed and at two, some of them on the other machines; then the errors over several seeds
-relative to those of a fit that is told noise, harmonics, inverter and delay. The figures do not depend on the computer.
+relative to those of a fit that is given noise, harmonics, inverter and delay. The figures are the same on any computer.
 """
 
 from __future__ import annotations
@@ -289,17 +289,17 @@ def told_nothing(name: str, seed: int) -> np.ndarray:
 
 
 def ratios(machines: list[str]) -> Iterator[str]:
-    """Yield the section on the distance from perfect knowledge."""
+    """Yield the section that compares with perfect knowledge."""
     yield from (
-        "## Distance from the limit",
+        "## Comparison with perfect knowledge",
         "",
         (
             "Errors on the drive without effects (one speed), root mean square over "
             f"{SEEDS} seeds, and their ratio to those of a"
         ),
-        "fit that is told noise, harmonics, inverter curve and delay exactly: it has only the flux map and R to find.",
+        "fit that is given noise, harmonics, inverter curve and delay exactly and estimates only the flux map and R.",
         "",
-        "| machine | psi_d, % | psi_q, % | R, % | told: psi_d | psi_q | R | ratio psi_d | psi_q | R |",
+        "| machine | psi_d, % | psi_q, % | R, % | given: psi_d | psi_q | R | ratio psi_d | psi_q | R |",
         "|---|" + "---:|" * 9,
     )
     for name in machines:
@@ -320,15 +320,15 @@ def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]
         "the default settings of method `full`. ψ_d / ψ_q: NRMSE over the map points with data within the disc, in",
         "percent, against the map at the start of the first recording and, with iron loss, over the machine's current",
         "(without the iron's). R: error in percent and, in brackets, in stated standard errors. Band: share of map",
-        "points whose nominal 95 % interval holds the truth. Said: effects that were identified and corrected, with",
-        "values, (open) where another would explain as much, then the first warning, shortened (+ further ones).",
-        "**No warning** marks results with an error of the flux above 0.3 %, or of R above 1 % and 3 σ, without any.",
+        "points whose nominal 95 % interval contains the truth. Report: effects identified and corrected, with",
+        "values, (open) if another would explain nearly as much; then the first warning, shortened (+ further ones).",
+        "**No warning** marks results without a warning whose error exceeds 0.3 % of the flux, or 1 % of R and 3 σ.",
         "",
     )
     for number, name in enumerate(machines):
         for speeds in (ONE, TWO):
             at = " and ".join(f"{speed:+g}" for speed in speeds).replace("-", "−")
-            yield from (f"## {name}, {at} rpm", "", "| effect | ψ_d / ψ_q, % | R, % (z) | band | said |")
+            yield from (f"## {name}, {at} rpm", "", "| effect | ψ_d / ψ_q, % | R, % (z) | band | report |")
             yield "|---|---:|---:|---:|---|"
             for effect in names:
                 if number == 0 or EFFECTS[effect].short:

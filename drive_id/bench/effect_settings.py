@@ -1,7 +1,7 @@
-"""Settings of the effects that real drives add to the plain simulation, by place; all are off by default.
+"""Settings of the effects of real drives in the simulation, by location; all are off by default.
 
-:class:`~drive_id.bench.settings.SimulationSettings` inherits the groups, so every effect is reached by its plain name.
-Temperatures are in degrees Celsius; resistance and magnet flux of the machine hold at 20 degrees.
+:class:`~drive_id.bench.settings.SimulationSettings` inherits the groups, so every effect is set by its plain name.
+Temperatures are in degrees Celsius; resistance and magnet flux of the machine are given at 20 degrees.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from drive_id.settings import setting
 
 REFERENCE_TEMPERATURE = 20.0
-"""At which the machine's resistance and flux map hold, degrees Celsius."""
+"""Temperature at which resistance and flux map of the machine hold, degrees Celsius."""
 
 MOST_ORDERS = 8
-"""Of the eccentricity and of each kind of resolver error."""
+"""Most orders of the eccentricity and of each kind of resolver error."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class MachineEffects:
 
 @dataclass(frozen=True)
 class InverterEffects:
-    """What the inverter applies and the log does not know, beside the laws of ``inverter``.
+    """Inverter effects that the log does not show, in addition to the laws of ``inverter``.
 
     ``inverter: switching`` switches the legs at edges from a symmetric carrier of one sample period and min-max
     injection, with ``dead_time``, ``output_capacitance``, ``device_voltage`` and ``device_resistance``.

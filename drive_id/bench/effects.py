@@ -1,7 +1,7 @@
-"""Effects of real drives, from the settings to constants and state of :mod:`drive_id.bench.real_drive`.
+"""Conversion of the settings of effects to constants and initial state of :mod:`drive_id.bench.real_drive`.
 
-These are numpy records, not named tuples, as numba passes a record as one pointer, but the members of a tuple one by
-one: compiling takes half as long so.
+Both are numpy records, not named tuples: numba passes a record as one pointer, but the members of a tuple one by one,
+which doubles the compile time.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ EFFECTS = np.dtype(
         ("dead_time", float),  # s
         ("capacitance", float),  # F
         ("clamping", bool),  # a current that reaches zero in the dead time stays zero
-        ("u_dc", float),  # that the commands are made for, V
+        ("u_dc", float),  # DC-link voltage assumed by the commands, V
         ("u_dc_waves", float, (2, 2)),  # amplitude as a fraction and frequency, Hz, of ripple and drift
         ("filter_pole", complex),  # of the current filter, 1/s; 0 without
         ("filter_gain", complex),  # the output is Re(gain z) with dz/dt = pole z + i
@@ -60,30 +60,30 @@ EFFECTS = np.dtype(
 
 EFFECT_STATE = np.dtype(
     [
-        ("iron_voltage", float, (2,)),  # induced voltage as the iron current sees it, stator frame, V
+        ("iron_voltage", float, (2,)),  # lagged induced voltage that drives the iron current, stator frame, V
         ("lagged", float, (2,)),  # flux linkage of the lagging share, rotor frame, Wb
         ("temperature", float, (2,)),  # of copper and magnet, degC
         ("filter", complex, (2,)),  # in the stator frame
-        ("sampled", float, (3,)),  # phase currents that the sensors see at the next sample, A
+        ("sampled", float, (3,)),  # phase currents at the sensors at the next sample, A
         ("slope", float),  # d/dt of the mean speed before the next sample, rad/s^2
         ("energy", float, (5,)),  # into the terminals, and lost in copper, inverter, iron, magnets, J
     ],
     align=True,
 )
-"""What the effects carry from sample to sample, beside :class:`~drive_id.bench.parameters.DriveState`."""
+"""State of the effects, in addition to :class:`~drive_id.bench.parameters.DriveState`."""
 
 COURSE = np.dtype(
     [
         ("i_dq_machine", float, (2,)),  # true rotor frame, without the iron current, A
         ("psi_dq", float, (2,)),  # true rotor frame, Wb
-        ("lagged", float, (2,)),  # flux linkage that the lagging share has reached, Wb
+        ("lagged", float, (2,)),  # flux linkage of the lagging share, Wb
         ("temperature", float, (2,)),  # of copper and magnet, degC
         ("u_dc", float),  # of the period that begins, V
         ("energy", float, (5,)),  # so far: into the terminals, and lost in copper, inverter, iron, magnets, J
     ],
     align=True,
 )
-"""What a simulation with effects knows at each sample, and no sensor."""
+"""True quantities at each sample of a simulation with effects, which no sensor measures."""
 
 
 def _record(kind: np.dtype[np.void], **values: object) -> np.record:
@@ -105,7 +105,7 @@ def active(settings: SimulationSettings) -> dict[str, object]:
 
 
 def acts_inside(settings: SimulationSettings) -> bool:
-    """Return whether an effect acts inside the loop, so that the plain kernels do not serve."""
+    """Return whether an effect acts inside the control loop, so that the plain kernels cannot be used."""
     return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
 
 
@@ -191,7 +191,7 @@ def effect_state(settings: SimulationSettings, effects: np.record, plant: Plant,
 
 
 def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, duration: float) -> dict[str, float]:
-    """Return what a fit of the ``duration``, s, simulated so far is scored against, for the truth's details."""
+    """Return the details of the truth for scoring a fit of the ``duration``, s, simulated so far."""
     powers = dict(zip(("input", "copper", "inverter", "iron", "magnet"), state.energy, strict=True))
     warm = {"start": settings.copper_temperature, "end": float(state.temperature[0])}
     means = {f"{name}_power_mean": float(value) / duration for name, value in powers.items()} if duration else {}
@@ -209,6 +209,6 @@ def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, d
 
 
 def recorded(settings: SimulationSettings) -> set[str]:
-    """Return the names of the settings that the truth records: those of effects only when one is active."""
+    """Return the names of the settings stored in the truth; those of effects only if an effect is active."""
     names = {field.name for field in dataclasses.fields(settings)}
     return names if active(settings) or acts_inside(settings) else names - set(EFFECT_NAMES)

@@ -1,4 +1,4 @@
-"""The drive with the effects of real drives, compiled; the plain drive of :mod:`drive_id.bench.kernels` stays apart.
+"""Kernels of the drive with the effects of real drives; the plain drive is in :mod:`drive_id.bench.kernels`.
 
 The state is again the stator flux linkage in the stator frame. With the induced voltage e, the current i_m that
 magnetises the machine, the rotor position theta, the magnet temperature t and the mechanical angle theta_m,
@@ -8,10 +8,10 @@ magnetises the machine, the rotor position theta, the magnet temperature t and t
     e^(-J theta) psi = m(theta_m) ((1 - k) f(i_m, theta) + k l) + (offset(t_magnet), 0),
     d/dt l = (f(i_m, theta) - l) / tau_lag,                     m = 1 + sum_n a_n cos(n theta_m),
 
-where i flows in the terminals and G v + h v/... is the iron current; v is the induced voltage, slightly late, as the
-field diffuses into the laminations. Temperatures and the energies that heat them are carried on after each step.
+where i flows in the terminals and G v + h v/... is the iron current; v lags the induced voltage slightly, because the
+field diffuses into the laminations. Temperatures and loss energies are updated after each step.
 
-numba's cache notices only changes of a kernel's own file: after a change in kernels.py, touch this one.
+numba's cache detects changes of a kernel's own file only: after a change in kernels.py, touch this file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from drive_id.types import FloatArray
 
 _FINEST = 1024
 _SQRT3 = math.sqrt(3.0)
-_REACH = (0.5, 0.5, 1.0)  # of Runge-Kutta's stages: how far each rate leads to the next stage
+_REACH = (0.5, 0.5, 1.0)  # Runge-Kutta stages: fraction of the step from each rate to the next stage
 _WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 _SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
 _BEND = (1.0, 0.0, -2.0, 1.0)
@@ -91,7 +91,7 @@ def _rates(
     e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
     e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
     lag_d, lag_q, magnet = effects.lag_rate * (f[0] - y[4]), effects.lag_rate * (f[1] - y[5]), 0.0
-    if effects.lag_share > 0.0:  # the lagging share's flux belongs to another current, the rest flows in the magnets
+    if effects.lag_share > 0.0:  # the lagging flux belongs to another current; the difference flows in the magnets
         l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
         magnet = (i_dq[0] - l_d) * lag_d + (i_dq[1] - l_q) * lag_q
         magnet *= 1.5 * effects.lag_share * _modulation(effects, theta)
@@ -146,11 +146,11 @@ def _step(
     thetas: tuple[float, float, float],
     h: float,
 ) -> tuple[Six, Pair, tuple[Pair, Pair, Pair], Five, float, bool]:
-    """Make one step of Runge-Kutta's rule of order 4; ``warm`` is resistance and flux offset at their temperatures.
+    """Make one step of the Runge-Kutta method of order 4; ``warm`` is resistance and flux offset at their temperatures.
 
     Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
-    step by Simpson's rule; what the drop's curvature may have cost, Wb; and whether Newton converged. The stages are a
-    loop, the fifth of which is the end of the step: unrolled, the kernel takes longer to compile.
+    step by Simpson's rule; the error estimated from the curvature of the drop, Wb; and whether Newton converged. The
+    stages are a loop, of which the fifth is the end of the step: unrolled, the kernel takes longer to compile.
     """
     resistance, offset = warm
     at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
@@ -234,7 +234,7 @@ def integrate(
 
 @compiled()
 def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> None:
-    """Count the losses and warm copper and magnets by them."""
+    """Add up the losses and update the temperatures of copper and magnets."""
     for k in range(5):
         more.energy[k] += energy[k]
     for k, heat in ((0, energy[1]), (1, energy[1] + energy[3] + energy[4])):
@@ -315,7 +315,7 @@ def _on_phase(pair: Pair, j: int) -> float:
 
 @compiled()
 def _sensed(effects: np.record, more: np.record, i: Pair) -> Pair:
-    """Return the current behind the sensors' filter, stator frame."""
+    """Return the output of the current sensors' filter, stator frame."""
     if effects.filter_pole == 0.0:
         return i
     return (effects.filter_gain * more.filter[0]).real, (effects.filter_gain * more.filter[1]).real
@@ -339,16 +339,16 @@ def _predicted(
 
 @compiled()
 def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_moves: float) -> float:
-    """Return by how much a leg falls after the command, s, as one edge of the same volt-seconds.
+    """Return the delay of a falling edge of a leg after its command, s, as an ideal edge of equal volt-seconds.
 
     A positive current discharges the output within the dead time t_d by u = i t / C, at once without capacitance; a
     negative one keeps it high through the diode until the other switch turns on. With clamping, a current that reaches
     zero stays there until the end of the dead time, which fixes the mean voltage. ``i_stays`` and ``i_moves`` are the
-    currents at that end if the leg stayed high, or fell at once. A rising edge is a falling one of negated currents.
+    currents at that end if the leg stayed high, or fell at once. A rising edge is a falling edge with negated currents.
     """
     if not effects.clamping:
         i, i_stays, i_moves = max(i, 0.0), 1.0, 0.0
-    elif i <= 0.0:  # the mean of what gets positive
+    elif i <= 0.0:  # the mean over the part that becomes positive
         i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
     x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
     charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
@@ -361,7 +361,7 @@ def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: f
     """Set the times in the period at which something changes, s.
 
     ``marks`` (16,): sampling of the three phases; change of the command; commanded rising edges and falling edges of
-    the legs; their real rising and falling edges, known when the commanded ones come.
+    the legs; their actual rising and falling edges, known once the commanded edges occur.
     """
     marks[:] = math.inf
     for j in range(3):
@@ -378,7 +378,7 @@ def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: f
 
 @compiled()
 def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) -> None:
-    """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection where the legs' limits count."""
+    """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection if legs are limited."""
     for j in range(3):
         legs[j] = state.commands[row, j] + state.compensations[row, j]
     if effects.switching or effects.hexagon:
@@ -401,7 +401,7 @@ def _switch(
     j: int,
     u_dc: float,
 ) -> None:
-    """Set the real edge of leg ``j``, whose edge is commanded now; ``turn`` is the angle turned in a dead time, rad."""
+    """Set the actual edge of leg ``j`` at its commanded edge; ``turn`` is the angle turned in a dead time, rad."""
     for e in range(2):
         if marks[4 + 3 * e + j] != now:
             continue
@@ -430,7 +430,7 @@ def _vector(legs: FloatArray, scale: float) -> Pair:
 def _period(
     plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, speeds: Pair, u_dc: float
 ) -> bool:
-    """Carry the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
+    """Integrate the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
     period, slope = plant.period, (speeds[1] - speeds[0]) / plant.period
     legs, marks = np.empty(3), np.empty(16)
     _command(effects, state, 1 if sensors.held_fraction == 0.0 else 2, legs)
@@ -477,7 +477,7 @@ def run_with_effects(
     out: Signals,
     course: np.recarray[Any, np.dtype[np.record]],
 ) -> int:
-    """Run the drive over a block of N samples, of which the first is sample ``first``, and carry its state on.
+    """Run the drive over a block of N samples, of which the first is sample ``first``, and update its state.
 
     ``course`` is (N,) of dtype COURSE. Other arguments and result as for :func:`drive_id.bench.kernels.run`.
     """

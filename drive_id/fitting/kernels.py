@@ -1,6 +1,6 @@
-"""Compiling all kernels at once, on all cores: ``python -m drive_id.fitting.kernels``, which ``make setup`` calls.
+"""Compile all kernels in advance, on all cores: ``python -m drive_id.fitting.kernels``, called by ``make setup``.
 
-What is compiled already is not compiled again. Without this step each kernel is compiled when it is first needed.
+Kernels in the cache are not compiled again. Without this step, each kernel is compiled at its first call.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 from drive_id.bench.drive import simulate
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
-from drive_id.core.methods.full import FullMethod  # noqa: F401  # its kernels count
+from drive_id.core.methods.full import FullMethod  # noqa: F401  # registers its kernels
 from drive_id.core.numerics.compiled import KERNELS
 from drive_id.fitting.fit import fit_bags  # noqa: F401  # likewise
 
 _FIRST = ("drive_id.core.paper", "drive_id.core.numerics", "drive_id.core.maps", "drive_id.core.full")
-"""Half of the work of compiling for a fit."""
+"""Modules whose kernels take about half of the compile time of a fit."""
 
 
 def compile_part(name: str) -> None:
-    """Compile a part: the simulated drive, by running it, or half of what fits need."""
+    """Compile one part: the simulated drive, by running it, or one half of the kernels of a fit."""
     if name == "drive":
         for settings in (
             SimulationSettings(),

@@ -1,4 +1,4 @@
-"""Memory of a process that fits now and then: what a fit needed goes back to the system."""
+"""Return memory to the system after a fit, in processes that fit occasionally."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _ARENAS = 2
 
 
 def share_arenas() -> None:
-    """Keep the threads of this process to two heaps of the C library; call it before any thread is started.
+    """Limit this process to two malloc arenas of glibc; call it before any thread is started.
 
-    By default each thread gets a heap of its own, which keeps the most that a fit has needed. Without glibc, nothing is
-    changed.
+    By default, threads get arenas of their own, each of which keeps its peak memory after a fit. Without glibc, this
+    does nothing.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -20,7 +20,7 @@ def share_arenas() -> None:
 
 
 def return_free_memory() -> None:
-    """Return free memory to the system, which takes some 10 ms after a fit; without glibc, nothing is returned."""
+    """Return free memory to the system: some 10 ms after a fit. Without glibc, this does nothing."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

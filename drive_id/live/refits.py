@@ -1,4 +1,4 @@
-"""Fits of the live samples in the background: when one is due, what it costs, and what the last one found."""
+"""Background fits of the live samples: scheduling, limit on processor time, and the last result."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from drive_id.live.live_evidence import LiveEvidence, Snapshot
 from drive_id.types import Progress
 
 MOST_GROWTH = 1.25
-"""Samples of a request over those of a fit, up to which the request takes over what the fit selected."""
+"""Largest ratio of a request's samples to those of a fit at which the request reuses the fit's selection."""
 _RENEWED_GROWTH = 1.1
-"""The same, from which on the background selects anew."""
+"""The same ratio, above which a background fit selects its model again."""
 _FEWEST_SAMPLES = 2000
 _LEAST_PERIOD = 1.0  # s between the starts of two fits
 _log = logging.getLogger(__name__)
@@ -37,12 +37,12 @@ class Refit:
     ----------
     settings : FitSettings
     samples : int
-        Samples that it covers, rests not counted.
+        Number of samples, rests not counted.
     stamp : int
-        Of the last one, ns.
+        Stamp of the last sample, ns.
     conclusion : Conclusion
     selected : bool
-        It selected its model itself, and did not take an earlier selection over.
+        Whether the fit selected its model itself instead of reusing an earlier selection.
     """
 
     settings: FitSettings
@@ -75,7 +75,7 @@ RefitJob = Callable[[Progress], Refit | None]
 
 
 class Refits:
-    """Paces fits of the live samples, and keeps the last one; its jobs run in other threads, one at a time.
+    """Schedules background fits of the live samples and keeps the last one; jobs run in other threads, one at a time.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ class Refits:
         self._period = settings.provisional_map_period
         self._clock = clock
         self.due = -np.inf
-        """Time of the next fit at the earliest, s."""
+        """Earliest time of the next fit, s."""
         self.forget()
 
     def forget(self) -> None:
-        """Forget the last fit, because its samples were."""
+        """Discard the last fit when its samples are discarded."""
         self._selected: Refit | None = None
         self._latest: Refit | None = None
         self._finished = self._provisional_due = -np.inf
@@ -101,14 +101,14 @@ class Refits:
         self.error = ""
 
     def earlier(self, settings: FitSettings, samples: int) -> Conclusion | None:
-        """Return what a fit of so many samples, rests not counted, by these settings may take over, if anything."""
+        """Return the conclusion that a fit of ``samples`` samples (rests not counted) may reuse, or None."""
         known = self._selected
         if known is None or known.settings != settings or not known.samples <= samples <= MOST_GROWTH * known.samples:
             return None
         return known.conclusion if known.conclusion.fit is not None or settings.method != "full" else None
 
     def job(self, live: LiveEvidence) -> RefitJob | None:
-        """Return a fit in the background if one is due: never twice of the same samples."""
+        """Return a background fit if one is due; the same samples are never fitted twice."""
         now, samples = self._clock(), 0 if live.evidence is None else moving(live.evidence)
         if self._share <= 0 or now < self.due or samples < _FEWEST_SAMPLES or samples == self._seen:
             return None
@@ -130,7 +130,7 @@ class Refits:
         except DriveIdError as error:
             self.error = str(error)
             return None
-        except Exception as error:  # noqa: BLE001  # a mistake of ours must not end the thread without a word
+        except Exception as error:  # noqa: BLE001  # a bug must not end the thread silently
             _log.exception("A fit in the background failed")
             self.error = f"A fit in the background failed ({type(error).__name__}): report this as a bug."
             return None
@@ -139,7 +139,7 @@ class Refits:
             self.due = max(end, start + max(_LEAST_PERIOD, (time.thread_time() - spent) / self._share))
 
     def take(self, refit: Refit) -> None:
-        """Keep a finished fit of the present samples, made in the background or for a request."""
+        """Keep a finished fit of the present samples, from the background or for a request."""
         self.error, self._finished = "", self._clock()
         self._latest = refit
         if refit.selected:
@@ -147,11 +147,11 @@ class Refits:
 
     @property
     def publishes(self) -> bool:
-        """Whether provisional maps are wanted."""
+        """Whether provisional maps are published."""
         return self._period > 0
 
     def values(self) -> dict[str, str]:
-        """Return what the last fit found, for diagnostics."""
+        """Return the results of the last fit, for diagnostics."""
         if self._latest is None:
             return {"fit: error": self.error} if self.error else {}
         drive = self._latest.drive

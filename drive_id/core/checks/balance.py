@@ -1,13 +1,13 @@
-"""How much of the voltage a rough machine model explains, with the signals as declared and read in other ways.
+"""Rough machine model: the share of the voltage that it explains, for the declared and for other readings.
 
 Over windows of about 60 degrees electrical, in the stator frame,
 
     int u dt = R int i dt + c int h(i) dt + change of e^{j theta} f(e^{-j theta} i),
 
 where h is the smoothed sign of each phase current and f = dW/di the gradient of a polynomial co-energy W of degree 4:
-16 real unknowns, linear. Coefficients that an offset of the angle turns are complex, so that any offset fits as well;
-those of i and |i|^2 i are real, as reciprocity demands. R, c and the inductance cannot be negative: this tells signs
-apart.
+16 real unknowns, linear. Coefficients that an angle offset rotates are complex, so that any offset fits equally well;
+those of i and |i|^2 i are real because of reciprocity. R, c and the inductance cannot be negative, which reveals wrong
+signs.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _RESISTANCE, _DROP, _MAGNET, _INDUCTANCE, _SATURATION, _SALIENCY = 0, 1, slice(2
 _WINDOW_TURN = np.pi / 3
 _LONGEST_WINDOW = 512
 _NODES, _FEW_NODES = 750, 250
-"""Most windows of a run, and where the likeliest of many readings is searched."""
+"""Most windows of a run: in a fit, and in the search for the likeliest of many readings."""
 _SIGN_WIDTH = 0.02
-"""Width of the smoothed sign, share of the largest current."""
+"""Width of the smoothed sign relative to the largest current."""
 _RIDGE = 1e-9
 
 
@@ -44,7 +44,7 @@ class Reading:
     ratio : (int, int)
         Factor on the angle as a fraction; negative: it counts the other way.
     turned : int
-        Voltages turned against the currents by so many times 60 degrees.
+        Rotation of the voltages against the currents, in steps of 60 degrees.
     mirrored : bool
         Two phases of the voltages swapped, before they are turned.
     reversed_current, reversed_voltage : int
@@ -78,7 +78,7 @@ class RoughFit:
     resistance, inductance : float
         ohm, and H, the mean of both axes.
     magnet, saliency : complex
-        Wb, and (L_d - L_q)/2, H: turned by once and twice the offset of the angle.
+        Wb, and (L_d - L_q)/2, H: rotated by once and twice the angle offset.
     estimate : (16,) float
         All unknowns, of scaled currents.
     """
@@ -235,7 +235,7 @@ def residuals(excerpts: Sequence[Excerpt], fit: RoughFit) -> tuple[FloatArray, F
 def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[float]) -> list[_Sums]:
     """Return the sums of each run; those of an angle that is divided by q, turned by the best multiple of 2 pi/q.
 
-    Which multiple is unknown behind each gap; the longest run decides what the others are compared with.
+    The multiple is unknown after each gap; the longest run is the reference for the others.
     """
     over, under = reading.ratio
     choices = []

@@ -1,4 +1,4 @@
-"""One-pass statistics of the samples, gathered before fitting: what is implausible, and the range of the map."""
+"""One-pass statistics of the samples, gathered before fitting: findings and the range of the map."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from drive_id.errors import CoverageError, DataError, StandstillError
 from drive_id.types import Finding, FloatArray, Samples
 
 USUAL_QUANTILE = 0.999
-"""Share of the samples that stay below the usual amplitude."""
+"""Share of the samples below the usual amplitude."""
 SPIKE_FACTOR = 1.2
-"""Amplitudes beyond so many times the usual one are spikes: they do not widen the map."""
+"""Ratio to the usual amplitude above which a sample is a spike, which does not widen the map."""
 _FAULT_FACTOR = 10.0
-"""Amplitudes beyond so many times the usual one are faults of a sensor or a field: they are refused."""
+"""Ratio to the usual amplitude above which a sample shows a faulty sensor or field and is refused."""
 _NOISE_SHARE = 0.1
 _RESOLVER_TOLERANCE = 0.02
 _LEAST_TURN = 2 * np.pi
@@ -52,7 +52,7 @@ class Prescan:
     """Checks samples and finds the range of their currents, in one pass and in bounded memory.
 
     Arrays, bags and live samples all pass through it. The usual amplitude and the usual step of the angle (99.9 %
-    quantiles) are exact up to ``1000 kept`` samples, everything else always.
+    quantiles) are exact up to ``1000 kept`` samples; all other statistics are always exact.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Prescan:
         ----------
         samples : Samples
         continues : bool
-            They continue the piece before and begin with its last sample, which counts once.
+            The samples continue the previous piece and begin with its last sample, which counts once.
         """
         if self._begin is None:
             self._begin = int(samples.stamp[0])
@@ -118,17 +118,17 @@ class Prescan:
 
     @property
     def _usual(self) -> float:
-        """Amplitude that 99.9 % of the samples stay below, A; 0 without samples."""
+        """Amplitude below which 99.9 % of the samples lie, A; 0 without samples."""
         return self._amplitudes.quantile(USUAL_QUANTILE) if self.samples else 0.0
 
     @property
     def radius(self) -> float:
-        """Radius of the current disc of the experiment as the samples show it: i_max where it is not set, A.
+        """Radius of the current disc, estimated from the samples, A; used as i_max if that is not set.
 
         It is the largest amplitude of the references. Samples without a reference (a recording without the topic)
-        count by the amplitude that 99.9 % of them stay below, so that a second recording without references that
-        reaches further widens the disc. It never exceeds the usual amplitude of all samples, and is that amplitude
-        where there are no references, or where the currents exceed them by more than 20 %.
+        count with the amplitude below which 99.9 % of them lie, so a second recording without references widens the
+        disc if it reaches further. The radius never exceeds the usual amplitude of all samples. It equals that
+        amplitude if there are no references, or if the currents exceed them by more than 20 %.
         """
         usual, wanted = self._usual, self._largest_reference
         if SPIKE_FACTOR * wanted < usual:
@@ -141,13 +141,13 @@ class Prescan:
         return min(max(wanted, other), usual)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return all that is wrong with the samples so far, most basic first; nothing that follows from an error."""
+        """Return the findings so far, most basic first, without consequences of an error."""
         if self._found[0] != self.samples:
             self._found = self.samples, tuple(self._judge())
         return self._found[1]
 
     def check(self) -> tuple[Finding, ...]:
-        """Refuse samples that cannot give a map; return the findings that are warnings.
+        """Raise the first error among the findings; return the warnings.
 
         Raises
         ------
@@ -187,9 +187,9 @@ class Prescan:
                 return
 
     def prepare(self, settings: FitSettings) -> Evidence:
-        """Return empty evidence for the i_max that is set, or else for the radius and range of these samples.
+        """Return empty evidence for the i_max of the settings or, by default, the radius and range of these samples.
 
-        Without i_max, the axes of the map end where the currents do, spikes left out.
+        Without i_max, the axes of the map end at the largest currents, spikes excluded.
         """
         radius = self.radius
         if settings.i_max is not None:
@@ -205,7 +205,7 @@ class Prescan:
         return evidence
 
     def inform(self, evidence: Evidence) -> None:
-        """Tell evidence of these samples what was found."""
+        """Add the findings to evidence of these samples."""
         evidence.reached = self.radius
         evidence.findings = self.findings() if self.samples else ()
 
@@ -306,7 +306,7 @@ def _follow_rotor(
         Over all full windows, the squared turns by the speed and their products with those by the angle, rad^2; and
         the number of advances since the last one.
     jumps : (N, C) float
-        The first column becomes the distance of the angle from where the speed takes it, rad.
+        The first column becomes the difference between the angle and its prediction from the speed, rad.
     """
     for k in range(1, len(angle)):
         expected = speed[k - 1] * period

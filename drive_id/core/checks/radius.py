@@ -1,4 +1,4 @@
-"""The set i_max against the currents of the data: too small, too large, or the disc is not filled."""
+"""Compare i_max with the currents of the data: too small, too large, or the disc is not filled."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _EMPTY_HALF = 0.5
 
 
 def check_radius(evidence: Evidence, coverage: float) -> None:
-    """Refuse a disc that the data do not fit at all.
+    """Refuse a disc that does not match the data.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def check_radius(evidence: Evidence, coverage: float) -> None:
 
 
 def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
-    """Say in sentences what is wrong with the disc, and which samples lie beyond the map; see :func:`check_radius`."""
+    """Return warnings on the disc and on samples beyond the map; see :func:`check_radius`."""
     warnings = []
     i_max, reached, outside = evidence.i_max, evidence.reached, evidence.information.outside
     if _too_large(evidence):
@@ -70,7 +70,7 @@ def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
 
 
 def _missing(evidence: Evidence) -> str:
-    """Say in a clause in which half of the disc most is missing; empty where no half has much more than the others."""
+    """Return a clause naming the half of the disc with the least data; empty if no half stands out."""
     i_d, i_q = np.meshgrid(evidence.visits.i_d, evidence.visits.i_q, indexing="ij")
     disc, inside = np.hypot(i_d, i_q) <= evidence.i_max, evidence.inside()
     halves = {"i_d > 0": i_d > 0, "i_d < 0": i_d < 0, "i_q > 0": i_q > 0, "i_q < 0": i_q < 0}

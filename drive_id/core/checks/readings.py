@@ -1,4 +1,4 @@
-"""Whether the signals mean what they are declared to: phases, signs, pole pairs, direction, offset, decimation."""
+"""Check the declared meaning of the signals: phases, signs, pole pairs, direction, offset, decimation."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, res
 from drive_id.types import Finding, Samples
 
 _BAD = 0.05
-"""Share of the voltage that the declared reading must leave unexplained before others are tried."""
+"""Unexplained share of the voltage above which other readings are tried."""
 _BETTER = 1 / 3
-"""Another reading is proposed when it leaves less than this part of what the declared one leaves."""
+"""Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
 _REFUSED = 0.1
 _HOPELESS = 0.35
 _FEW_RUNS = 3
-"""Runs from which the likeliest of the other readings is chosen."""
+"""Number of runs used to choose the likeliest of the other readings."""
 _MULTIPLES, _PARTS = 24, (8, 4)
 _LEAST_OFFSET, _AGREEING = np.deg2rad(20.0), np.deg2rad(15.0)
 _LEAST_MAGNET, _WEAK_MAGNET, _LEAST_SALIENCY = 0.3, 0.05, 0.15
@@ -34,7 +34,7 @@ _ORDER = {2: "c, a, b", 4: "b, c, a"}
 
 
 def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield what is wrong with the meaning of the signals.
+    """Yield findings on the meaning of the signals.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]
 
 
 def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield angle and speed that are both in degrees, which the voltages tell."""
+    """Yield a finding if angle and speed are both in degrees, according to the voltages."""
     if max(float(np.abs(run.speed).max()) * run.sample_period for run in runs) < _LARGE_TURN:
         return
     declared = rough_fit([Excerpt.of(run, i_max) for run in runs])
@@ -90,7 +90,7 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
 
 
 def _others() -> Iterator[Reading]:
-    """Yield all other readings that come from one mistake."""
+    """Yield all readings that differ from the declared one by a single mistake."""
     for turned in range(6):
         for mirrored in (False, True):
             for direction in (1, -1):
@@ -125,7 +125,7 @@ def _misread(declared: RoughFit, better: RoughFit) -> Finding:
 
 
 def _meaning(reading: Reading) -> tuple[str, str, str]:
-    """Return code, what is wrong and what to do for a reading other than the declared one."""
+    """Return code, problem and remedy for a reading other than the declared one."""
     for phase, name in ((reading.reversed_current, "current"), (reading.reversed_voltage, "voltage")):
         if phase >= 0:
             what = f"The {name} of phase {'abc'[phase]} seems to be reversed"
@@ -185,7 +185,7 @@ def percent(share: float) -> str:
 
 
 def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Finding | None:
-    """Return the finding of voltages that are many samples early or late; None when that explains no more."""
+    """Return a finding if the voltages are many samples early or late; None if a shift explains no more."""
     delays = tuple(float(delay) for delay in range(-_LATE, _LATE + 1))
     shifted = rough_fit(runs, delays=delays)
     if shifted is None or shifted.unexplained > _SHIFTED * declared.unexplained or abs(shifted.delay) <= max(DELAYS):
@@ -216,7 +216,7 @@ def _unexplained(declared: RoughFit) -> Finding:
 
 
 def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Finding]:
-    """Yield an offset of the angle beyond what method full corrects, unless a shift in time explains more."""
+    """Yield an angle offset too large for method full to correct, unless a shift in time explains more."""
     offset = _offset_of(fit, i_max)
     reluctance = abs(fit.magnet) < _WEAK_MAGNET * fit.inductance * i_max
     if abs(offset) > _LEAST_OFFSET or (not reluctance and abs(np.angle(fit.magnet)) > _LEAST_OFFSET):
@@ -237,10 +237,10 @@ def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Fi
 
 
 def _offset_of(fit: RoughFit, i_max: float) -> float:
-    """Return the offset of the d axis, rad: from the magnet, or else from the saliency; 0 where neither tells.
+    """Return the offset of the d axis, rad, from the magnet or else from the saliency; 0 if neither shows it.
 
-    The saliency tells it but for multiples of 90 degrees, as the d axis of a reluctance machine is either one: the
-    magnet, if there is one at all, chooses.
+    The saliency gives it up to multiples of 90 degrees, because the d axis of a reluctance machine is a convention. The
+    magnet flux, if there is any, resolves the ambiguity.
     """
     reach = fit.inductance * i_max
     by_magnet, by_saliency = float(np.angle(fit.magnet)), float(np.angle(fit.saliency**2)) / 4
@@ -257,7 +257,7 @@ def _offset_of(fit: RoughFit, i_max: float) -> float:
 
 
 def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
-    """Yield the mark of a log with every n-th sample only: voltages early by (n - 1)/(2 n) samples."""
+    """Yield the sign of a decimated log (every n-th sample): voltages early by (n - 1)/(2 n) samples."""
     turn = float(np.sqrt(np.mean(np.concatenate([run.speed * run.sample_period for run in runs]) ** 2)))
     early = _DECIMATED[0] <= fit.delay <= _DECIMATED[1] and fit.without_delay > _DECIMATED_SHARE * fit.unexplained
     rate = 1 / max(run.sample_period for run in runs)
@@ -274,7 +274,7 @@ def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
 
 
 def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield the part whose voltages are explained far worse than those of all others that do not rest, at one speed."""
+    """Yield the part, not at rest, whose voltages are explained far worse than those of all others, at one speed."""
     count = [round(_PART / run.sample_period) for run in runs]
     parts = [run.part(at, at + n) for run, n in zip(runs, count, strict=True) for at in range(0, len(run) - n + 1, n)]
     parts = [part for part in parts if np.abs(part.i_abc).mean() > _RESTING * i_max]

@@ -1,4 +1,4 @@
-"""Angle, speed and time: units, jumps, standstill, and whether the angle advances as the speed says."""
+"""Checks of angle, speed and time: units, jumps, standstill, and agreement of angle and speed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from drive_id.types import Finding, Samples
 
 _PERIODS = (5e-7, 0.02)
-"""Shortest and longest sample period that is believed, s."""
+"""Shortest and longest plausible sample period, s."""
 _UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts" for n in range(8, 25)}
 _TURN_TOLERANCE = 0.003
 _FEWEST_WRAPS = 3
@@ -21,7 +21,7 @@ _RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
 
 
 def time_findings(periods: Sequence[float]) -> Iterator[Finding]:
-    """Yield sample periods, s, that cannot be."""
+    """Yield implausible sample periods, s."""
     for period in periods:
         if not _PERIODS[0] <= period <= _PERIODS[1]:
             yield Finding(
@@ -35,7 +35,7 @@ def time_findings(periods: Sequence[float]) -> Iterator[Finding]:
 
 
 def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
-    """Yield an angle that is not in radians, as the steps show by which it wraps."""
+    """Yield an angle that is not in radians, detected from the step by which it wraps."""
     steps = [np.diff(run.angle) for run in runs]
     angles = np.concatenate([run.angle for run in runs])
     spread = float(np.ptp(angles))
@@ -62,7 +62,7 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
 
 
 def rotation_finding(ratio: float) -> Finding:
-    """Return the finding of an angle that advances ``ratio`` times as fast as its speed says."""
+    """Return the finding for an angle that advances at ``ratio`` times its speed."""
     meaning = _ratio_meaning(ratio)
     return Finding(
         "angle_speed",
@@ -96,7 +96,7 @@ def motion_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
 
 
 def _drift(runs: Sequence[Samples]) -> Iterator[Finding]:
-    """Yield a speed that changes steadily over the recording by more than noise, and less than on purpose."""
+    """Yield a steady change of speed over the recording, larger than noise and smaller than an intended one."""
     speed = np.array([float(run.speed.mean()) for run in runs])
     if len(runs) < _DRIFT_PARTS or not speed.all():
         return
@@ -107,7 +107,7 @@ def _drift(runs: Sequence[Samples]) -> Iterator[Finding]:
     within = [np.polyfit(run.stamp - run.stamp[0], run.speed, 1)[0] for run in runs]
     expected = float(np.median(within)) * float(
         runs[-1].stamp[-1] - runs[0].stamp[0]
-    )  # steps between runs are no drift
+    )  # steps between runs are not drift
     steady = rest < (1 - _DRIFT_FIT) * float(np.sum((speed - middle) ** 2)) and 0.5 < expected / (drift or 1.0) < 2
     if steady and _DRIFT[0] < abs(drift / middle) < _DRIFT[1]:
         yield Finding(
@@ -131,7 +131,7 @@ def _in_unit(name: str, unit: float, why: str) -> Finding:
 
 
 def _ratio_meaning(ratio: float) -> str:
-    """Say in a clause what a ratio of both speeds means; empty when it means nothing."""
+    """Return a clause with the likely cause of a ratio of both speeds; empty if there is none."""
     against = " counted the other way" if ratio < 0 else ""
     if abs(ratio + 1) < 0.02:
         return ", as if one of them counted the other way"

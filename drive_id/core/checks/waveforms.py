@@ -1,4 +1,4 @@
-"""Currents and voltages by themselves: duty cycles, scale, offsets, and phases that are clipped, stuck or quantized."""
+"""Checks of currents and voltages: duty cycles, scale, offsets, and clipped, stuck or quantized phases."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from drive_id.types import Finding, FloatArray, Samples
 
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
 _LEAST_DROP = 0.15
-"""Resistive voltage at the largest current that volts exceed, and duty cycles do not, V."""
+"""Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
 _CURRENTS = (0.02, 5000.0)
-"""Smallest and largest current amplitudes that are believed, A."""
+"""Smallest and largest plausible current amplitude, A."""
 _SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.97
 _ZERO_SEQUENCE = 0.02
 _ODD_PHASE = 0.1
@@ -26,7 +26,7 @@ _HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))
 
 
 def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield what is wrong with the phases.
+    """Yield findings on the phases.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> It
 
 
 def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield currents far from their references, or beyond what machines have."""
+    """Yield currents far from their references, or of implausible size."""
     product = reference_square = current_square = 0.0
     for run in runs:
         if run.i_dq_reference is None:
@@ -112,7 +112,7 @@ def _unit_of(gain: float) -> str:
 
 
 def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Finding]:
-    """Yield phase currents whose sum is not zero, with the phase that does not fit to the others."""
+    """Yield phase currents whose sum is not zero, with the phase that does not match the others."""
     total = i_abc.sum(axis=1)
     rms = float(np.sqrt(np.mean(total**2)))
     if rms <= _ZERO_SEQUENCE * i_max:

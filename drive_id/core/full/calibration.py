@@ -19,16 +19,16 @@ from drive_id.types import BoolArray, FloatArray, Samples
 _SIGNIFICANCE = 3.0
 _AGREEMENT, _LEAST_SHOWN, _LEAST_EXPLAINED = 0.5, 5e-4, 0.5
 _DECIMATED = -0.23
-"""Samples; a log of every n-th sample looks like a delay of -(n-1)/2n, from -1/4 on."""
+"""Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
 _TRIED, _STEPS, _SETTLED = 5, 30, 1e-9
-"""Angles tried on each side, and steps that refine the best one until it moves by less, rad."""
+"""Angles tried on each side, most refining steps, and step at which they have converged, rad."""
 _LARGEST_ASYMMETRY = 0.01
-"""Asymmetry left at the best angle, relative to the largest flux: mirror-symmetric machines stay below."""
+"""Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
-"""Range of i_q with mirror images, relative to i_max, below which there is no symmetry to use."""
+"""Least range of i_q with mirror images, relative to i_max."""
 _FEWEST_MIRRORED, _MOST_MIRRORED = 16, 1500
 
 
@@ -43,7 +43,7 @@ class Calibration:
         Estimate and its standard error.
     unit : str
     applied : bool
-        The results hold for signals corrected by it.
+        Whether the signals are corrected by it.
     sentence : str
         The finding, and the reason if it was not applied.
     doubtful : bool
@@ -131,7 +131,7 @@ def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
 
 
 def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
-    """Tell whether the flux has the first harmonic of an offset of the currents (2,), A, or may have it.
+    """Tell whether the first harmonic of the flux agrees with a current offset (2,), A, or does not contradict it.
 
     The part that is constant in the stator frame induces no voltage and cannot be checked.
     """
@@ -142,7 +142,7 @@ def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: Floa
     expected = expected - constant @ np.linalg.lstsq(constant, expected)[0]
     largest = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.estimate[fit.model.map])).max())
     if np.sqrt(np.mean(expected**2)) < _LEAST_SHOWN * largest:
-        return True  # too small to be seen there
+        return True  # too small to be visible in the flux
     traced = _traced(fit, order, i_dq)
     if traced is None:
         return False
@@ -308,7 +308,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
 
     tried = np.linspace(-_LARGEST_ANGLE, _LARGEST_ANGLE, 2 * _TRIED + 1)
     angle = float(tried[np.argmin([np.sum(difference(angle) ** 2) for angle in tried])])
-    for _ in range(_STEPS):  # of Gauss and Newton, from the best of a coarse scan
+    for _ in range(_STEPS):  # Gauss-Newton, from the best of a coarse scan
         slope = slope_at(angle)
         change = -float(np.sum(slope * difference(angle)) / np.sum(slope**2))
         angle = min(max(angle + change, -_LARGEST_ANGLE), _LARGEST_ANGLE)

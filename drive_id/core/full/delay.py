@@ -1,4 +1,4 @@
-"""Estimate of the delay by which the voltages act later than recorded, corrected for noise in the currents."""
+"""Estimate of the voltage delay (voltages act later than recorded), corrected for current noise."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _NOISE_SHARE = 0.02
 """Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
 _USUAL, _MOST_LEFT = 2.0, 0.7
 _SMOOTHING_BOUND = 2.0
-"""Uncertainty of a delay, in units of its change with ten times the penalty: on a ring the penalty decides it."""
+"""Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
-"""Distance from a half or a whole period within which a delay is one that drives have, samples."""
+"""Largest distance of a physical delay from a half or a whole sample, samples."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Delay:
     sigma: float
 
     def significant(self, turn: float) -> bool:
-        """Tell whether it differs from zero by more than noise, and turns the voltages by an angle that matters.
+        """Tell whether it differs significantly from zero and rotates the voltages by a relevant angle.
 
         Parameters
         ----------
@@ -48,7 +48,7 @@ class Delay:
 
     @property
     def physical(self) -> bool:
-        """Whether it is a half or a whole number of periods, as the timing of a drive causes."""
+        """Whether it is a half or a whole number of samples, as the timing of a drive causes."""
         if np.isnan(self.value):
             return False
         halves = 2 * self.value
@@ -57,11 +57,11 @@ class Delay:
 
 
 def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> Delay:
-    """Estimate the delay of the voltages, corrected for noise in the currents.
+    """Estimate the voltage delay, corrected for current noise.
 
-    A controller answers noise with voltage, later. The standard error includes the correction, what may be left of the
-    bias where the data hardly determine a delay, and the effect of smoothing. A delay of more samples than usual must
-    explain a good part of the residuals to count.
+    The controller responds to noise with voltage, later, which biases the estimate. The standard error includes the
+    correction, the bias that may remain where the data hardly determine a delay, and the effect of smoothing. A delay
+    of more than two samples is accepted only if it explains a substantial part of the residuals.
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]

@@ -1,4 +1,4 @@
-"""What the fit says of the effects that it took into the model: values with standard errors, and what is open."""
+"""Report of the effects in the model: values with standard errors, sentences, and remaining alternatives."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NOUNS = {
     "voltage_gains": "unequal voltage gains of the phases",
     "voltage_delay": "a delay of the voltages",
 }
-"""What each effect is called in a sentence."""
+"""Name of each effect in sentences."""
 
 TESTED = (
     "iron loss, lag of the flux, heat, latencies, resolver, unequal phases, rotor-position harmonics, ripple of a "
@@ -47,14 +47,14 @@ TESTED = (
 
 _MICRO, _MILLI = 1e6, 1e3
 _NEGLIGIBLE = 3e-4
-"""Rms of residuals over that of the integrated voltages that is not worth a warning."""
+"""Ratio of the rms residual to the rms integrated voltage below which there is no warning."""
 _CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.15, 20.0
 _ALIKE, _MOST_NAMED = 0.5, 2
-"""Share of the best explanation from which on another one is named with it, and how many are."""
+"""Share of the best explanation above which another one is named too, and the most that are named."""
 
 
 def misfit_warning(fit: FullFit) -> str | None:
-    """Say what the model leaves beyond noise, where, and what may cause it; None where it leaves little."""
+    """Describe residuals above noise: size, region and likely cause; None if they are small."""
     misfit = fit.misfit
     if misfit.ratio < LEAST_TOLD or fit.solution.residual_rms**2 < _NEGLIGIBLE**2 * fit.total_voltage:
         return None
@@ -67,7 +67,7 @@ def misfit_warning(fit: FullFit) -> str | None:
 
 
 def _suspect(fit: FullFit) -> str:
-    """Name what explains the residuals best among what was tested."""
+    """Name the tested cause that explains the residuals best."""
     misfit, (noun, share) = fit.misfit, likeliest_cause(fit)
     if fit.outlying > _OUTLYING:
         return f"the samples around {fit.outlying_time:.2f} s of data stand out from all others"
@@ -103,7 +103,7 @@ def _cause(name: str) -> str:
 
 
 def not_reciprocal_warning(fit: FullFit) -> str:
-    """Say that the maps are not reciprocal, and what the tests name as the cause."""
+    """Report maps that are not reciprocal, with the cause suggested by the score tests."""
     noun, share = likeliest_cause(fit)
     cause = (
         f"of the causes tested, {noun} would explain most, {100 * share:.0f} % of the squared residuals"
@@ -139,7 +139,7 @@ def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibr
 
 
 def _open(taken: Taken, *, several_speeds: bool) -> str:
-    """Say which other effects would explain the residuals as well, and which recording would tell."""
+    """Name other effects that explain the residuals nearly as well, and the recording that would distinguish them."""
     if not taken.rivals:
         return ""
     others = " or ".join(NOUNS[name] for name in taken.rivals)
@@ -223,7 +223,7 @@ def _copper(found: _Found) -> list[Value]:
 
 
 def _magnet(found: _Found) -> list[Value]:
-    """Report the change of psi_d at zero current, by flux and by the current that stands for the magnet."""
+    """Report the change of psi_d at zero current, by flux and by the equivalent current of the magnet."""
     forms = np.zeros((found.fit.model.size, len(found.value) // 2))
     slope = jacobian(found.fit.model.flux, found.fit.solution.estimate[found.fit.model.map], np.zeros((1, 2)))[0, 0, 0]
     first = found.fit.model.effect(found.name).start

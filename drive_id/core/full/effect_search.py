@@ -1,4 +1,4 @@
-"""Search for effects of real drives: the one that explains the residuals best is taken, until none explains enough."""
+"""Greedy search for effects of real drives: add the best one until none explains enough of the residuals."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from drive_id.core.full.windows import Windows
 DELAY = "voltage_delay"
 
 _LEAST_SAVING = 3e-3
-"""Share of the squared residuals that an effect must explain; on drives that obey the model it is below 1e-3."""
+"""Share of the squared residuals that an effect must explain; below 1e-3 for drives that obey the model."""
 _PER_UNKNOWN = 5.0
-"""The same, in shares of one row per unknown."""
+"""Further share for each unknown, in units of the share of one row."""
 _LEAST_VOLTAGE = 5e-5
 """Rms that an effect must explain, relative to that of the integrated voltages."""
 _CLOSE = 0.05
-"""Share of the best saving by which another effect may fall behind and still explain the residuals as well."""
+"""Relative difference of savings below which two effects explain the residuals equally well."""
 _MOST_BY_PENALTY = 0.3
-"""Share of an effect by which ten times the penalty may change it."""
+"""Largest relative change of an effect when the largest penalty is used."""
 _RESEMBLANCE = 0.05
-"""Share of the squared residuals by which a wrong effect may exceed a true delay."""
+"""Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _MOST_EFFECTS, _REFINEMENTS = 6, 2
 _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
 _LONGEST_LATENCY, _LARGEST_LAG = 0.8, 0.2
-"""Sample periods by which angle or currents may be late (the columns hold within one), share of flux that may lag."""
+"""Longest latency of angle or currents, sample periods (the columns hold below 1); largest lagging share of flux."""
 _POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 
@@ -59,7 +59,7 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class EffectSearch:
-    """Sums with the columns of all effects, a solution with those taken, and why they were.
+    """Sums with the columns of all effects, the solution with the selected ones, and the savings behind the selection.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class EffectSearch:
     delay, sigma_delay : float
         Estimated delay of the voltages and its standard error, samples; NaN when not requested.
     left : mapping of str to float
-        Share of the squared residuals that each effect not taken would save.
+        Share of the squared residuals by which each effect that was not selected would reduce them.
     """
 
     sums: WindowSums
@@ -92,7 +92,7 @@ def search_effects(
     turn: float,
     pole_pairs: int | None = None,
 ) -> EffectSearch:
-    """Take effects into the model one by one, best first.
+    """Add effects to the model one by one, best first.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def search_effects(
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
-    """Linearize the effects about the estimate with them, as Gauss-Newton does."""
+    """Repeat the linearization about the estimate that includes the effects (Gauss-Newton)."""
     for _ in range(_REFINEMENTS if search.solution.spec.effects else 0):
         columns = replace(search.columns, estimate=search.solution.estimate)
         extended, solver = _linearized(sums, columns)
@@ -161,7 +161,7 @@ def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
 
 
 def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:
-    """Return the effects of a solution whose values a drive can have; ``period`` is the sample period, s."""
+    """Return the effects of a solution with physically possible values; ``period`` is the sample period, s."""
     values = {name: float(solution.estimate[model.effect(name).start]) for name in solution.spec.effects}
     return tuple(name for name, value in values.items() if _plausible(name, value, period))
 
@@ -176,7 +176,7 @@ def effect_savings(solver: Solver, solution: FullSolution, names: Sequence[str],
 
 
 def _plausible(name: str, value: float, period: float) -> bool:
-    """Tell whether a drive can have an effect of this value."""
+    """Tell whether the value of an effect is physically possible."""
     if name.endswith("_latency"):
         return abs(value) < _LONGEST_LATENCY * period
     if name.startswith("flux_lag_"):
@@ -185,7 +185,7 @@ def _plausible(name: str, value: float, period: float) -> bool:
 
 
 def _family(name: str) -> str:
-    """Return what effects have in common that are one cause to an engineer."""
+    """Return the common physical cause of variants of an effect."""
     return _FAMILIES.get(name, name.split("_lag_", maxsplit=1)[0])
 
 
@@ -195,10 +195,10 @@ def _linearized(sums: WindowSums, columns: EffectColumns) -> tuple[WindowSums, S
 
 
 def _best(savings: dict[str, float], *, physical: bool) -> str | None:
-    """Return the effect that saves most.
+    """Return the effect that reduces the squared residuals most.
 
-    A delay that drives have is preferred to an effect that saves little more, because columns that resemble it also
-    follow the noise that the controller answers. One that they do not have gives way to an effect nearly as good.
+    A physical delay (half or whole samples) is preferred to an effect that saves little more, because columns that
+    resemble it also fit the controller's response to noise. Any other delay loses to an effect that is nearly as good.
     """
     if not savings:
         return None
@@ -222,7 +222,7 @@ def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float
 
 
 def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
-    """Tell whether the data determine an effect: on a ring of currents, the smoothness of the map may decide."""
+    """Tell whether the data, not the roughness penalty, determine an effect; on a ring of currents the penalty may."""
     smoother = solver.solve(replace(solution.spec, penalty=PENALTIES[-1]))
     own = solver.model.effect(name)
     value, by_smoother = (solver.saving(each, own)[1] for each in (solution, smoother))
@@ -231,7 +231,7 @@ def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
 
 
 def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
-    """Tell whether another variant predicts data left out better, in all folds but one."""
+    """Tell whether another variant predicts held-out data better, in all folds but one."""
     error, by_other = (solver.left_out(each)[:, 0] for each in (spec, other))
     folds = predictable(error)
     return bool(
@@ -254,7 +254,7 @@ def _columns(
 
 
 def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
-    """Return the number of pole pairs at which an eccentric resolver explains most of the residuals."""
+    """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
     left = columns.model.residuals(windows, columns.estimate)

@@ -1,7 +1,7 @@
-"""What real drives do besides the model, each as a few columns of the same regression.
+"""Effects of real drives that the model lacks, each as a few columns of the same regression.
 
-With psi_s = e^{j theta} f(i) and small effects, each changes the balance over a window to first order, by a known
-vector times an unknown:
+With psi_s = e^{j theta} f(i), a small effect changes the voltage balance of a window, to first order, by a known vector
+times an unknown:
 
 ==================  ==========================================================  =====================================
 effect              unknown                                                     column
@@ -30,13 +30,13 @@ remainder           none: what the columns above, linear in the effects, leave  
                     of the flux at the estimated effects                        e^{-j eps}) - e^{j theta} (f + ...)]
 ==================  ==========================================================  =====================================
 
-[x] is the difference of x at the ends of the window, f' the Jacobian of the map as far as it is known, i the current
-in the rotor frame, and e = u - R i - drop the induced voltage. All columns use earlier samples only, e the voltage held
-before: a controller answers the noise of a sample with voltage and current, which would bias them.
+[x] is the difference of x between the ends of the window, f' the Jacobian of the present estimate of the map, i the
+current in the rotor frame, and e = u - R i - drop the induced voltage. All columns use earlier samples only; e uses the
+voltage held before. The controller responds to the noise of a sample with voltage and current, which would bias them.
 
-Effects of several percent of the current also act in second order. With di, what the effects change of the current,
-and eps, what they change of the angle, both at the estimate, the remainder is the exact change of the flux minus the
-linear one. It has no unknown of its own and makes the repeated linearization converge to the nonlinear model.
+For effects of several percent of the current, the second order matters. Let di and eps be the changes of current and
+angle by the effects, both at the estimate. The remainder is the exact change of the flux minus its linear part. It has
+no unknown of its own and makes the repeated linearization converge to the nonlinear model.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ OF_RECORDINGS = (
 """Effects that depend on the number of a recording or a run, or on the time since the start."""
 
 _SLOWEST = 1.0
-"""Speed below which hysteresis is not told from noise, rad/s."""
+"""Speed below which hysteresis cannot be distinguished from noise, rad/s."""
 
 
 _TINY = float(np.finfo(np.float64).tiny)
@@ -137,7 +137,7 @@ class EffectColumns:
             self._value("magnet_recordings")[2 * k + 1] * own_windows[:, None] for k, own_windows in enumerate(own)
         )
         shift = shift + self._value("magnet_heating")[1] * heat[:, None]
-        late = self._value("current_latency") * windows.speed  # the flux rotated less when these currents flowed
+        late = self._value("current_latency") * windows.speed  # the currents belong to an earlier angle
         error = self._sum(waves).real + self._value("angle_latency") * windows.speed - late
         if shift.any() or error.any():
             ahead = np.exp(1j * error)
@@ -187,7 +187,7 @@ class EffectColumns:
         }
 
     def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
-        """Return the errors (N, 2) of the angle by the resolver, per unit."""
+        """Return the angle errors (N, 2) of the resolver, per unit of each effect."""
         waves = {
             name: [f(order * windows.angle) for f in (np.cos, np.sin)]
             for name, order in (("resolver_first", 1), ("resolver_second", 2))
@@ -197,7 +197,7 @@ class EffectColumns:
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) that the effects take at the measured currents, V.
+        """Return the phase voltages (N, 3) caused by the effects at the measured currents, V.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class EffectColumns:
         return out
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return f(i, theta) and its derivative by theta (N, 2) at currents, A, and angles (N, 2), rad, Wb."""
+        """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
         model, estimate = self.model, self.estimate
         flat, angle = frames.as_pairs(i_dq.ravel()), at.reshape(-1, 1)
         flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))

@@ -27,7 +27,7 @@ BATCH = 0.05
 """Residuals of windows that start within this time are treated as dependent, others as independent, s."""
 
 _SIGNIFICANCE = 5.0
-"""Standard errors by which an effect must differ from zero to be corrected."""
+"""Standard errors by which an effect must differ from zero to be kept."""
 
 _SERIES, _CONVERGED = 16, 1e-3
 _SLOPE_STEP = 0.02
@@ -35,7 +35,7 @@ _STUDENT = 1.21
 """Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
 _KURTOSIS, _FEWEST = 3.0, 6.0
 _NEAR_ZERO = 0.02
-"""Currents relative to i_max below which the steep foot of the inverter's curve amplifies current noise."""
+"""Currents relative to i_max below which the steep inverter curve amplifies current noise."""
 _PASSIVE_POINTS, _STIFFER, _ROUNDS = 41, 10.0, 7
 
 
@@ -48,13 +48,13 @@ class FullFit:
     model : FullModel
     solution : FullSolution
     changes : (size, B) float
-        First-order change of the estimate when each batch's residuals are left out, then the bias by the penalties and
-        the bound on the bias by current noise: ``changes @ changes.T`` is the covariance of the estimate,
-        heteroscedasticity and autocorrelation consistent, plus squared biases and what repeats beyond noise.
+        First-order change of the estimate when each batch's residuals are left out; then the bias by the penalties, the
+        bound on the bias by current noise, and the changes by the lack of fit. ``changes @ changes.T`` is the
+        covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
     misfit : LackOfFit
-        What the model leaves beyond noise.
+        Residuals beyond noise.
     selection : Selection
-        How the model was found.
+        The selected model and its alternatives.
     speeds : (N,) float
         Electrical speeds of windows, rad/s.
     drop_slope : float
@@ -62,8 +62,8 @@ class FullFit:
     turn, duration : float
         Median angle, rad, and duration, s, of a window.
     outlying : float
-        Largest mean square residual of a batch of time over the median of all batches; residuals near zero current,
-        where the inverter amplifies noise, do not count, and those at large inductances, which do so, count less.
+        Largest mean square residual of a batch of time over the median of all batches. Residuals near zero current,
+        where the inverter amplifies noise, are excluded; those at large inductances, which also do, have less weight.
     outlying_share : float
         Rms residual of that batch over the rms of the integrated voltages.
     outlying_time : float
@@ -142,7 +142,7 @@ def sigma(changes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class EarlierFit:
-    """What a fit leaves for one of the same samples and further ones: what it selected and found, without its sums.
+    """Selection and results of a fit, without its sums, for a later fit of the same samples and further ones.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class EarlierFit:
 
     @classmethod
     def of(cls, fit: FullFit) -> EarlierFit | None:
-        """Take from a fit what a later one needs; None where it rests on other sums, by free maps or short windows."""
+        """Return the earlier fit of a fit; None if that used other sums (free maps or short windows)."""
         if np.isfinite(fit.crossings) or not fit.spec.reciprocal:
             return None
         of_fit = {name: getattr(fit, name) for name in _KEPT_OF_FIT}
@@ -194,9 +194,9 @@ _KEPT_OF_FIT = (
 
 
 def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit:
-    """Solve the variant that an earlier fit selected on sums over its samples and further ones.
+    """Solve the variant selected by an earlier fit, on sums over its samples and further ones.
 
-    Standard errors, lack of fit and outliers stay those of the earlier fit: only they need the windows themselves.
+    Standard errors, lack of fit and outliers are those of the earlier fit, because they require the windows themselves.
     """
     if earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
@@ -229,7 +229,7 @@ def fit_full(
     variance : float
         Of white noise in i_d and i_q each, A^2.
     earlier : EarlierFit, optional
-        Fit of most of these samples, whose selection is taken over, see :func:`fit_again`.
+        Fit of most of these samples, whose selection is reused, see :func:`fit_again`.
     """
     noise = CurrentNoise.met(variance, sums.kept())
     if earlier is not None and not settings.passive_maps:
@@ -275,7 +275,7 @@ def fit_full(
 
 
 def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:
-    """Return the effect that differs least from zero in standard errors, unless all do so significantly."""
+    """Return the least significant effect, or None if all effects are significant."""
     ratios = {}
     for name in solution.spec.effects:
         own = model.effect(name)
@@ -360,8 +360,8 @@ def passive_points(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> Boo
 def enforce_passivity(solver: Solver, solution: FullSolution) -> FullSolution:
     """Increase the roughness penalty tenfold until the inductance matrix is positive definite on the whole disc.
 
-    A solution that is passive already is returned unchanged. After a bounded number of rounds it is returned passive
-    or not; the review warns.
+    A passive solution is returned unchanged. After a bounded number of rounds, the solution is returned even if it is
+    not passive; the review then warns.
     """
     model = solver.model
     axes = [np.linspace(low, high, _PASSIVE_POINTS) for low, high in zip(model.low, model.high, strict=True)]

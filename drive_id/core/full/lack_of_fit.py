@@ -1,9 +1,9 @@
-"""What the model leaves beyond noise: how much, where, and what it adds to the standard errors.
+"""Lack of fit: residuals beyond noise, their location, and their contribution to the standard errors.
 
-Noise in the currents explains residuals of a known size. What repeats beyond it in the same region of the current
-plane, or at the same rotor position, is no noise: it does not average out over passes of the trajectory, as batches of
-time take it to do. Summing the scores over such groups, as over batches of time, gives its share of the covariance
-(clustering in several ways, Cameron, Gelbach and Miller 2011).
+Current noise explains residuals of a known size. Residuals that recur beyond it in the same region of the current plane
+or at the same rotor position do not average out over passes of the trajectory, as the covariance by batches of time
+assumes. Summing the scores over such groups as well gives their contribution to the covariance (multiway clustering,
+Cameron, Gelbach and Miller 2011).
 
 Candidate causes are compared by score tests: the share of the squared residuals that the columns of each would save.
 """
@@ -27,13 +27,13 @@ from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 LEAST_TOLD = 1.3
-"""Ratio of the residuals to noise above which the reader is told."""
+"""Ratio of the residuals to noise above which a warning is given."""
 
 _CELLS, _POSITIONS = 12, 48
 _PARTS = 4
-"""Parts of the windows that are summed at once, in threads."""
+"""Parts of the windows that are summed in parallel threads."""
 _FEWEST = 8
-"""Windows in a group below which it says nothing."""
+"""Fewest windows of a group that is evaluated."""
 _SIGNIFICANCE = 4.0
 _RIPPLES, _MAINS = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0), 5e-3
 """Ripples of rectified mains, Hz, and their relative tolerance."""
@@ -43,12 +43,12 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """What the model leaves beyond noise.
+    """Residuals beyond noise.
 
     Parameters
     ----------
     ratio : float
-        Rms of the residuals over that which noise in the currents explains.
+        Rms of the residuals over the rms that current noise explains.
     i_dq : (2,) float
         Centre of the region of the current plane with the largest residuals, A.
     worst : float
@@ -56,12 +56,12 @@ class LackOfFit:
     low : float
         The same ratio below a fifth of i_max.
     by_current, by_position : float
-        Mean square of what repeats in a region, or at a rotor position, over that of white residuals; 1 for white ones.
+        Mean square of the misfit that recurs in a region, or at a rotor position, relative to white residuals.
     changes : (size, G) float
         Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
     causes : mapping of str to float
-        Share of the squared residuals that each possible cause would explain, see :func:`tested_causes`; empty where
-        they were not asked for.
+        Share of the squared residuals that each possible cause would explain, see :func:`tested_causes`; empty if not
+        tested.
     """
 
     ratio: float
@@ -143,8 +143,8 @@ def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effe
 def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> tuple[float, float]:
     """Return the frequency of the DC link's ripple that explains most, Hz, and its share of the squared residuals.
 
-    The voltages are short of ``r cos(2 pi f t - phi)`` of themselves, with a phase of its own in each run. Their mean
-    in the rotor frame is taken for constant over a window.
+    The voltages are reduced by the fraction ``r cos(2 pi f t - phi)``, with a separate phase in each run. Their mean in
+    the rotor frame is assumed constant over a window.
     """
     windows = Windows.joined(list(kept))
     windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))

@@ -43,7 +43,7 @@ COPPER = 3.93e-3
 """Temperature coefficient of the winding's resistance at 20 degrees Celsius, 1/K."""
 
 MOST_RUNS, MOST_RECORDINGS = 4, 8
-"""Runs whose mechanical angle is followed, and recordings with a temperature of their own."""
+"""Most runs with separate mechanical angles, and most recordings with separate temperatures."""
 
 
 def _layout(widths: dict[str, int]) -> dict[str, slice]:
@@ -74,8 +74,8 @@ EFFECTS = _layout(
         "remainder": 1,
     }
 )
-"""Effects beside the model that a fit tries, and their columns relative to the first one; last, what is left of them
-in second order, which has no unknown."""
+"""Candidate effects and their columns relative to the first one; last, their second-order remainder, which has no
+unknown."""
 
 EFFECT_COLUMNS = max(columns.stop for columns in EFFECTS.values())
 
@@ -83,8 +83,8 @@ PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Candidate weights of the map's roughness, relative to the mean diagonal of Z'Z over the map."""
 
 _HARMONIC_RIDGE = 0.1
-"""Relative to the mean diagonal of Z'Z over the map; over a harmonic it is many times larger. Where the trajectory
-repeats in step with the rotor, so that harmonics and map cannot be separated, the map gets the flux."""
+"""Relative to the mean diagonal of Z'Z over the map; over a harmonic it is many times larger. If the trajectory is
+synchronous with the rotor, so that harmonics and map cannot be separated, the flux is assigned to the map."""
 
 _DROP_RIDGE = 1e-7
 _EFFECT_RIDGE = 1e-9
@@ -104,7 +104,7 @@ class Space(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Columns of flux map and harmonics, which follow those of all else.
+    """Columns of flux map and harmonics, which follow all other columns.
 
     Parameters
     ----------
@@ -208,12 +208,12 @@ class FullModel:
 
     @property
     def lags(self) -> slice:
-        """Columns of what a compensation by the currents one sample earlier leaves of the drop."""
+        """Columns of the drop that remains after compensation with the currents one sample earlier."""
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
 
     @property
     def crossing(self) -> int:
-        """Column of the time by which the drop's step comes early."""
+        """Column of the time by which the step of the drop is early."""
         return int(self.lags.stop)
 
     @property
@@ -228,7 +228,7 @@ class FullModel:
 
     @cached_property
     def columns(self) -> Layout:
-        """Columns of maps that are free."""
+        """Columns of free maps."""
         return Layout(self.effects.stop, self.flux, self.harmonic, self.sensor, self.all_orders)
 
     @cached_property
@@ -299,9 +299,9 @@ class FullModel:
         return _weighted(windows, out)
 
     def met(self, windows: Windows) -> tuple[FloatArray, IntArray]:
-        """Return the columns of the sums that N windows meet, (N, 2, K), and which ones they are, (K,), increasing.
+        """Return the nonzero columns of N windows in the sums, (N, 2, K), and their indices (K,), increasing.
 
-        Neighbours in time meet few of the basis functions.
+        Neighbouring windows share few nonzero basis functions.
         """
         layout = self.summed
         beside = np.zeros((len(windows), 2, layout.start))
@@ -521,9 +521,9 @@ class ModelSpec:
     magnet : bool
         With a magnet flux that changes with temperature.
     lag : bool
-        With the remainder of a compensation by the currents one sample earlier.
+        With the remainder of a compensation that uses the currents one sample earlier.
     crossing : bool
-        With a time by which the drop's steps come early.
+        With a time by which the steps of the drop are early.
     effects : tuple of str
         Names in ``EFFECTS`` that are fitted.
     """
@@ -567,7 +567,7 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     Raises
     ------
     ValueError
-        For maps that are free, where the columns of the sums are reciprocal.
+        If the maps are free and the columns of the sums are reciprocal.
     """
     if model.reciprocal and not spec.reciprocal:
         raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")

@@ -28,19 +28,19 @@ HIGHEST_ORDER = 48
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
 _LEAST_SAVED = 3e-4
-"""Of the voltage, rms. For a reciprocal machine the misfit of splines and inverter curves is at most half of it, and
-free maps absorb that. A machine for which free maps save no more loses 0.03 % of its flux when taken as reciprocal."""
+"""Relative to the rms voltage. For a reciprocal machine, the misfit of splines and inverter curves, which free maps
+absorb, is at most half of it. If free maps save no more, reciprocal maps cost at most 0.03 % of the flux."""
 _LEAST_COMPENSATED, _CURVE_POINTS = 0.2, 201
 _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _LEAST_BY_CROSSING = 1e-3
-"""Share of the squared residuals that early steps must save beside a latency of the currents."""
+"""Share of the squared residuals that early steps must save if the model has a latency of the currents."""
 _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
-"""K between recordings from which on the magnet's temperature coefficient is estimated."""
+"""Least range of magnet temperature for which the magnet's temperature coefficient is estimated, K."""
 _SEARCHES = 2
 _OFFSET, _BY_OFFSET = 1, 5.0
-"""Harmonic that an offset of the current sensors causes, and the excess over noise that it may cause."""
+"""Harmonic that a current offset causes, and the largest excess over noise that it may cause."""
 _MOST_WINDOWS = 1500
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
@@ -48,7 +48,7 @@ _ABOVE_OTHERS = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The selected variant, fitted, and how it was found.
+    """The selected variant, its fit, and the quantities behind the selection.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ class Selection:
     delay, sigma_delay : float
         Estimated delay of the voltages and its standard error, samples; NaN when not requested.
     advantage : float
-        Share by which free maps reduce the squared error on data left out; negative when they increase it.
+        Share by which free maps reduce the squared error on held-out data; negative if they increase it.
     search : EffectSearch
-        What real drives do besides the model, as far as it was found.
+        The selected effects of real drives.
     crossings : float
         Excess of the residuals of windows with a zero crossing, see
         :class:`~drive_id.core.full.zero_crossings.BetweenCrossings`; NaN where the fit includes them.
@@ -129,10 +129,10 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
 
 
 def _offset_shows(between: BetweenCrossings, noise: CurrentNoise) -> bool:
-    """Tell whether an offset of the current sensors causes the excess, by moving the corner of the drop.
+    """Tell whether a current offset, which shifts the step of the drop, causes the excess at zero crossings.
 
-    Short windows hardly see an offset, so they are not used where they show one and the excess is not beyond what
-    offsets cause.
+    Short windows hardly determine an offset. They are therefore not used if there is an offset and the excess is no
+    larger than offsets cause.
     """
     if between.excess >= _BY_OFFSET:
         return False
@@ -146,7 +146,7 @@ def _select(
     model, orders, i_dq = sums.model, start.spec.orders, noise.windows.i_dq[:, 0]
     first = _first_candidate(sums, start, noise, settings, turn)
     search, solution, spec, advantage = first.search, first.solution, first.solution.spec, np.nan
-    if settings.maps == "auto" and abs(spec.delay) < MOST_DELAY:  # signals further apart look like anything
+    if settings.maps == "auto" and abs(spec.delay) < MOST_DELAY:  # a larger delay can mimic any misfit
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
         freed = search.sums.freed(spec.orders)
         solver = Solver.over(freed)
@@ -194,7 +194,7 @@ def _first_candidate(
 
 
 def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
-    """Solve, with the remainder of an inverter compensation where one is detected."""
+    """Solve; include the remainder of an inverter compensation if one is detected."""
     solution = solver.solve(spec)
     if solver.saving(solution, solver.model.lags)[0] > _CLEAR_GAIN:
         lagged = solver.solve(replace(spec, lag=True))
@@ -206,7 +206,7 @@ def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
 def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0) -> FullSolution:
     """Fit the time by which the drop's steps come early, if it saves more than the share ``least`` of the squares.
 
-    One that came late would be none of the inverter's.
+    A late step is not caused by the inverter.
     """
     saving, value = solver.saving(solution, slice(solver.model.crossing, solver.model.crossing + 1))
     if value[0] <= 0 or saving < least:
@@ -215,7 +215,7 @@ def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
-    """Return the effects that these data may show."""
+    """Return the effects that can be estimated from these data."""
     kept = sums.kept()
     runs, recordings = (1 + max(int(getattr(windows, name).max()) for windows in kept) for name in ("run", "recording"))
     known = {
@@ -263,8 +263,8 @@ def _advantage_beyond_noise(
 ) -> float:
     """Return by which share another variant reduces the squared error on data left out, apart from its gain on noise.
 
-    Free maps may also follow noise, flat across a thin trajectory, where reciprocal ones must not. The gain on noise
-    doubles with the noise; the gain on a model error does not.
+    Across a thin trajectory, free maps can also fit noise, which reciprocal maps cannot. The gain from noise doubles
+    with the noise; the gain from a model error does not.
     """
     solution = solver.solve(spec)
     products = noise_products(solver, solution, noise, solution.sum_of_squares)
@@ -278,8 +278,8 @@ def _advantage_beyond_noise(
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:
     """Return the harmonics whose amplitudes differ from zero by more than the noise explains.
 
-    The mean square of the estimated amplitudes over their variances is 1 for an absent harmonic. Without any noise, an
-    inverter curve that the shapes do not fit exactly looks like a harmonic of less than 1e-4 of the flux.
+    The mean square of the estimated amplitudes over their variances is 1 for an absent harmonic. Without noise, the
+    misfit of the inverter curve appears as a harmonic of less than 1e-4 of the flux.
     """
     significant, largest = [], float(np.abs(model.flux.rows(i_dq).dot(solution.estimate[model.map])).max())
     for order in solution.spec.orders:

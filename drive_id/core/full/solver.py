@@ -1,11 +1,11 @@
 """Penalized least squares on accumulated cross products, cross-validation over folds, correction for current noise.
 
-Noise n of variance sigma^2 in the currents stands in the regressors and flattens the map (regression dilution): it
-leaves residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more
-gives the estimate at twice the noise; the step between the two is what the noise has cost already. This is
-simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation. The variance comes
-from fourth differences of the currents, because the residuals hold more than this noise. Noise within the integrals of
-the current and of the inverter's shapes attenuates R and the curve, too, but by too little to be seen.
+Noise n of variance sigma^2 in the currents enters the regressors and flattens the map (regression dilution): it causes
+residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more gives the
+estimate at twice the noise; the difference between the two estimates is the bias by the noise. This is
+simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation. The variance is
+estimated from fourth differences of the currents, because the residuals contain more than this noise. Noise within the
+integrals of the current and of the inverter's shapes also attenuates R and the curve, but by a negligible amount.
 """
 
 from __future__ import annotations
@@ -336,21 +336,21 @@ def with_products(matrix: FloatArray, products: FloatArray | None, model: FullMo
 def predictable(errors: FloatArray) -> BoolArray:
     """Tell (F,) which folds the others can predict, by their squared errors (F,).
 
-    A region that only one fold visits, such as the ramp from zero to the trajectory, would outweigh all else.
+    The errors in a region that only one fold visits, such as the ramp from zero to the trajectory, would dominate.
     """
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
 
 
 @dataclass(frozen=True, eq=False)
 class CurrentNoise:
-    """White noise of the measured currents, as far as the regression feels it.
+    """White noise of the measured currents and its effect on the regression.
 
     Parameters
     ----------
     variance : float
         Of i_d and i_q each, A^2.
     windows : Windows
-        Some of all, evenly over time, at whose ends the currents are met.
+        A subset, evenly over time, whose ends give the currents.
     """
 
     variance: float
@@ -409,7 +409,7 @@ def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNo
     Returns
     -------
     FullSolution, (size,) float
-        The corrected estimate, and a bound on the bias that is left: the attenuation of the correction itself. It is
+        The corrected estimate, and a bound on the remaining bias: the attenuation of the correction itself. It is
         nearly as large as the correction where only noise moves the currents in some direction, as across a ring.
     """
     products = noise_products(solver, solution, noise, solution.sum_of_squares)

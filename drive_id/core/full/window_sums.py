@@ -24,12 +24,12 @@ FOLDS = 5
 SEGMENT = 0.25
 """Duration of data that go to the same fold, s."""
 MOST_KEPT = 24_000
-"""Windows that are kept, in whole segments evenly over time, to examine the residuals."""
+"""Number of stored windows, in whole segments evenly over time, for the analysis of residuals."""
 
 _CHUNK = 128
-"""Windows whose products are formed at once: fewer windows touch fewer columns."""
+"""Windows per product: fewer windows have fewer nonzero columns."""
 _DUE = 4 * FOLDS
-"""Segments that may wait until the products of several folds are formed at once, in threads."""
+"""Segments that are collected before the products of several folds are formed in parallel threads."""
 
 
 class WindowSums:
@@ -44,7 +44,7 @@ class WindowSums:
     Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.
 
     The columns are ``model.summed``. Sums over reciprocal columns take 41 % of the memory of those over free ones;
-    :meth:`freed` forms the latter of the kept windows.
+    :meth:`freed` forms the latter from the kept windows.
     """
 
     def __init__(self, model: FullModel) -> None:
@@ -53,7 +53,7 @@ class WindowSums:
         self.outside = 0
         self._cutter = WindowCutter(model.shapes, short=True)
         self._folds: list[FloatArray] = []
-        self._shared: set[int] = set()  # folds that a copy holds, too
+        self._shared: set[int] = set()  # folds shared with a copy
         self._squares = np.zeros(FOLDS)  # of the columns of a free map, where those of the sums are reciprocal
         self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
@@ -84,7 +84,7 @@ class WindowSums:
         self._form_products()
 
     def finished(self) -> WindowSums:
-        """Return a copy that includes the samples still waiting for more; this one goes on without them."""
+        """Return a copy that includes the samples not yet in a window; the original can still be extended."""
         other = self.copy()
         for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
             other._take(windows)  # noqa: SLF001

@@ -31,7 +31,7 @@ LONGEST_WINDOW = 0.1
 STRIDE = 0.8e-3
 """Mean distance between the starts of windows, s."""
 SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
-"""Samples beside both ends at which the voltage is kept, so that it can be shifted in time later."""
+"""Offsets from both ends, samples, at which the voltage is kept so that it can be shifted in time later."""
 MOST_DELAY = float(-SHIFTS[0])
 """Largest delay of the voltage in either direction, samples."""
 
@@ -43,12 +43,12 @@ _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""
 _BESIDE, _CUBIC = np.array([-2, -1, 1, 2]), np.array([-1, 4, 4, -1]) / 6
-"""Samples beside the end of a window, and the weights of the cubic through them at the end."""
+"""Offsets of the samples next to the end of a window, and the weights of the cubic through them."""
 _ROUNDING = 1e-9  # s
 _FEWEST = 4096
-"""Samples to collect before windows are cut, so that overlaps cost little."""
+"""Samples collected before windows are cut, so that overlaps cost little."""
 _FINEST = 1e-4
-"""Grid of the ends of windows where samples are closer, s."""
+"""Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
 _SPEED_SPAN = 5e-3
 _GOLDEN = 0.6180339887498949
@@ -82,8 +82,8 @@ class Windows:
     crossing : (N,) complex
         Sum over the zero crossings of the phase currents, see :func:`crossings`, s.
     heating, magnet_heating : (N,) float
-        Temperature of winding and magnet above the reference temperature of resistance and flux map, K: as recorded,
-        else as set for the recording; the magnet's else that of the winding.
+        Temperature of winding and magnet above the reference temperature of resistance and flux map, K. The winding:
+        as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
     drop_scale : (N,) float
         DC-link voltage over the reference voltage of the inverter's curve.
     period : (N,) float
@@ -91,11 +91,11 @@ class Windows:
     held : (N, 2) complex
         Voltage u_s held before [start, end], V.
     slope : (N, 2) complex
-        d i_dq / dt before [start, end], A/s. It is taken from earlier samples only: a controller answers the noise of a
+        d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
         sample later, so that noise and slope are independent.
     lagging : (N, 2, len(LAGS) + 1) complex
-        i_dq at [start, end], interpolated between the samples beside, which do not have the noise of the sample itself,
-        minus the same after first-order lags of LAGS seconds; last, the interpolated current itself, A.
+        i_dq at [start, end], interpolated between neighbouring samples to exclude the noise of the sample itself, minus
+        the same after first-order lags of LAGS seconds; last, the interpolated current itself, A.
     speed : (N, 2) float
         Electrical speed at [start, end], rad/s.
     turned : (N, 2) float
@@ -178,7 +178,7 @@ class Windows:
 
 _ADDED = ("effects", "weight")
 MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
-"""Arrays of windows that come from samples alone."""
+"""Arrays of windows that are computed from samples alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +273,7 @@ class WindowCutter:
     def adjacent(self, samples: Samples, length: int) -> Iterator[tuple[int, Windows]]:
         """Yield for each run the sample where the first of its adjacent windows of ``length`` samples starts, and them.
 
-        The first few and the last few samples of a run are in none of them.
+        The first few and the last few samples of a run are not included.
         """
         self._period = samples.sample_period
         for run in samples.runs():
@@ -287,7 +287,7 @@ class WindowCutter:
                 )
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
-        """Return the new samples of a run with what adds up over them."""
+        """Return the new samples of a run with the quantities integrated over them."""
         angle, turned = samples.angle[run], 0.0
         if continues:
             turned = self._turned
@@ -362,7 +362,7 @@ class WindowCutter:
         stride = max(1.0, STRIDE / self._period / grain)
         number = self._number + np.arange(int(len(stretch) / grain / stride) + 2)
         place = np.floor((number + number * _GOLDEN % 1.0) * stride).astype(np.int64)
-        begin = grain * (place - (2 * _PAST[0] // grain)) - self._origin  # not at once: the lags settle first
+        begin = grain * (place - (2 * _PAST[0] // grain)) - self._origin  # only after the lags have settled
         span = max(1, round(_SPEED_SPAN / self._period))
         travelled = np.concatenate([[0.0], np.cumsum(np.abs(stretch.speed))])
         first = np.clip(begin, 0, len(stretch) - 1)
@@ -448,9 +448,9 @@ class WindowCutter:
 def crossings(i_abc: FloatArray, period: float) -> ComplexArray:
     """Return the vectors (N,) of the zero crossings in the sample before each, positive for rising currents, s.
 
-    Where the drop steps from -D to D at a current that crosses zero a time t T earlier than the line between two
-    samples does, its integral grows by ``2 D t T``. The current bends at the step and the shapes round its corner, so
-    that t is a few hundredths, much the same at all crossings.
+    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
+    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
+    so t is a few hundredths and about the same at all crossings.
     """
     out = np.zeros(len(i_abc), np.complex128)
     for phase, shift in enumerate(frames.PHASE_SHIFTS):

@@ -1,9 +1,9 @@
-"""Weights on windows near zero crossings of the phase currents, where no curve over the current gives the drop.
+"""Weights on windows near zero crossings of the phase currents, where the drop is not a function of the current.
 
-With a hard dead time the drop depends on the currents at the edges of the switches, their ripple included, and a phase
-whose current reaches zero within the dead time stays there. Between crossings the drop is constant whatever the
-inverter does. Where the residuals of windows with a crossing exceed those of short windows between crossings, the fit
-is repeated over the short ones. Their weights fall with the excess over noise, by the distance from zero.
+With a hard dead time, the drop depends on the currents at the switching instants, including their ripple, and a phase
+whose current reaches zero within the dead time stays at zero. Away from the crossings the drop is constant for any dead
+time. If the residuals of short windows with a crossing clearly exceed those of short windows without one, the fit is
+repeated over the short windows. Their weights depend on the clearance from zero and fall with the excess over noise.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from drive_id.types import FloatArray, IntArray
 _EDGES = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.08])
 """Lower edges of the classes of clearance, relative to i_max."""
 _CLEAR = 5
-"""First class that a first fit relies on."""
+"""First class with full weight in the first fit."""
 _FIRST = 1e-3
 _POWER = 4.0
-"""Of the excess: the misfit of a crossing is the same in each pass and does not average out like noise."""
+"""Exponent of the excess: the misfit at a crossing is the same in each pass and does not average out like noise."""
 _LEAST_EXCESS, _ABOVE_CLEAR = 1.3, 1.15
 _LEAST_VOLTAGE = 3e-4
-"""Rms of the excess relative to that of the integrated voltages."""
+"""Least rms of the excess, relative to that of the integrated voltages."""
 _ROUNDS = 2
 _USUAL = 0.95
 _MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
-"""Share of the windows that counts, and the mean of so many of the smallest squares of complex noise of unit mean."""
+"""Share of the windows that is used, and the mean of this share of smallest squares of unit complex noise."""
 _FEWEST, _MOST = 32, 1500
 
 
@@ -57,7 +57,7 @@ class BetweenCrossings:
 def between_crossings(
     sums: WindowSums, solver: Solver, solution: FullSolution, noise: CurrentNoise
 ) -> BetweenCrossings | None:
-    """Return the weighted sums over short windows where the drop near zero crossings spoils a fit, else None.
+    """Return weighted sums over short windows if the drop near zero crossings biases the fit, else None.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def between_crossings(
 
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
-    """Tell whether short windows with a crossing leave more than noise and more than those clear of crossings do."""
+    """Tell whether residuals of short windows with a crossing exceed noise and those of windows clear of crossings."""
     some = short.part(slice(None, None, -(-len(short) // _MOST)))
     number = _classes(some, solver.model.i_max)
     squares, expected = _squares(solver.model, solution, some, noise)
@@ -98,7 +98,7 @@ def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: Curr
 
 
 def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise) -> FloatArray:
-    """Return the rms of the residuals over noise in each class; in one without windows that of the next one."""
+    """Return the ratio of the rms residual to noise in each class, or of the next class if one has no windows."""
     number = _classes(windows, model.i_max)
     squares, expected = _squares(model, solution, windows, noise)
     out = np.ones(len(_EDGES))
@@ -112,14 +112,14 @@ def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: C
 def _squares(
     model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the squared residuals (N,) and those that noise explains, (Vs)^2."""
+    """Return the squared residuals (N,) and their expectation from current noise, (Vs)^2."""
     left = model.residuals(windows, solution.estimate)
     slopes = jacobian(model.flux, solution.estimate[model.map], windows.i_dq.reshape(-1, 2))
     return np.square(left).sum(axis=1), noise.variance * np.square(slopes).reshape(len(windows), -1).sum(axis=1)
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:
-    """Return the squared residuals over those of noise, without the largest, which a short disturbance may cause."""
+    """Return the squared residuals relative to noise, without the largest, which a short disturbance may cause."""
     shares = np.sort(squares / np.maximum(expected, np.finfo(np.float64).tiny))
     return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / _MEAN)
 

@@ -1,7 +1,7 @@
-"""How kernels become machine code: with numba, once on a computer, and not silently.
+"""Compilation of kernels with numba, with machine code cached on disk and a message while compiling.
 
-numba keeps the machine code beside the package or, where that is read-only, in the user's cache directory. It compiles
-anew after a change of a kernel's file, and for another CPU.
+numba caches the machine code beside the package or, if that folder is read-only, in the user's cache directory. It
+compiles again after a change of a kernel's file, and for another CPU.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
     made = numba.njit(nogil=True, error_model="numpy")(function)
     try:
         made.enable_caching()
-    except RuntimeError:  # no folder for it can be written
+    except RuntimeError:  # no folder for the cache is writable
         _announcement.kept = False
     if signature is not None:
         made.compile(argument_types(signature))
@@ -41,19 +41,19 @@ def argument_types(signature: str) -> tuple[Any, ...]:
 
 
 class _Announcement(event.Listener):
-    """Tells once why the process is slow; numba reports what it compiles, not what it loads from its cache."""
+    """Logs one message when numba first compiles a kernel; loading from the cache raises no event."""
 
     kept = True
-    """Whether the machine code can be kept."""
+    """Whether the machine code can be cached."""
 
     def on_start(self, event_: event.Event) -> None:
-        if event_.data["dispatcher"].py_func.__module__.startswith("drive_id."):  # not a kernel of the user's
+        if event_.data["dispatcher"].py_func.__module__.startswith("drive_id."):  # not the user's own numba functions
             event.unregister("numba:compile", self)
             often = "once" if self.kept else "at each start (set NUMBA_CACHE_DIR to a folder that can be written)"
             logging.getLogger("drive_id").warning("drive_id: compiling for this computer, %s: about 10 s.", often)
 
     def on_end(self, event_: event.Event) -> None:
-        """Do nothing; numba asks for this method."""
+        """Do nothing; numba requires this method."""
 
 
 _announcement = _Announcement()

@@ -48,14 +48,14 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes the kernel for where another one calls it."""
+        """Type that numba gives the kernel when another kernel calls it."""
         return self.dispatcher()._numba_type_  # numba's protocol
 
 
 def compiled(signature: str | None = None) -> Callable[[Function], Function]:
     """Return the decorator that makes a function a :class:`Kernel`; the GIL is released while it runs.
 
-    Without fast-math, so that results do not depend on the compiler's order of summation.
+    Fast-math is off, so that results do not depend on the compiler's order of summation.
     """
 
     def made(function: Function) -> Function:

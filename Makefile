@@ -11,8 +11,8 @@ DISTRO ?= jazzy
 VENV := .venv$(if $(filter-out jazzy,$(DISTRO)),-$(DISTRO))
 endif
 BIN := $(CURDIR)/$(VENV)/bin
-# Workers among which the tests are divided: one for each core, and two that mostly wait for nodes.
-JOBS ?= $(shell echo $$(($$(nproc) + 2)))
+# Workers among which the tests are divided: one for each core, and one while others wait for nodes.
+JOBS ?= $(shell echo $$(($$(nproc) + 1)))
 
 # Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
 # run (hence a domain of its own) and not to a robot in the same network.

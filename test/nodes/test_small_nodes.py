@@ -84,7 +84,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     process = ros.start(
         "timed_publisher",
         files=[CONFIG / "trajectory_publisher.yaml"],
-        parameters={"trajectory": trajectory},
+        parameters={"trajectory": trajectory, "lead_time": 2.0},  # other tests may hold the process up
         namespace=namespace,
     )
     heard = {}

@@ -255,8 +255,7 @@ def _columns(
 
 def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
     """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
-    windows = Windows.joined(list(kept))
-    windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
+    windows = Windows.joined(list(kept)).thinned(_MOST_WINDOWS)
     left = columns.model.residuals(windows, columns.estimate)
     both = np.concatenate([left[:, 0], left[:, 1]])
     shares = {}

@@ -16,7 +16,7 @@ from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, LackOfFit, lack_of_fit, tested_causes
 from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
@@ -306,8 +306,7 @@ def batch_changes(sums: WindowSums, solution: FullSolution) -> tuple[FloatArray,
     def batches_of(segment: Windows) -> list[tuple[FloatArray, float, float, float]]:
         rows = model.design_times(segment, through, solution.spec.orders)
         away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
-        inductances = jacobian(model.flux, solution.estimate[model.map], segment.i_dq.reshape(-1, 2))
-        squares = segment.weights * np.square(inductances).reshape(len(segment), -1).sum(axis=1)
+        squares = squared_inductances(model, solution.estimate, segment)
         return _batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0))
 
     batches = [batch for several in in_threads(batches_of, kept) for batch in several]

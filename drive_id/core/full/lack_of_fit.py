@@ -19,10 +19,9 @@ from scipy import sparse
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
-from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -78,7 +77,7 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
     """Compare the residuals with noise, by region of the current plane and by rotor position."""
     model, kept = sums.model, sums.kept()
     through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
-    unknowns, gamma = solution.basis.shape[1], solution.estimate[sums.model.map]
+    unknowns = solution.basis.shape[1]
 
     def grouped(segments: Sequence[Windows]) -> list[FloatArray]:
         """Return scores and facts, by cell and by rotor position."""
@@ -88,8 +87,7 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
             error = rows[..., -1]
             turn = np.exp(-1j * segment.angle.mean(axis=1))
             turned = (error[:, 0] + 1j * error[:, 1]) * turn
-            inductances = jacobian(model.flux, gamma, segment.i_dq.reshape(-1, 2)).reshape(len(segment), -1)
-            expected = segment.weights * noise.variance * np.square(inductances).sum(axis=1)
+            expected = noise.variance * squared_inductances(model, solution.estimate, segment)
             scores = np.einsum("nak,na->nk", rows[..., :-1], error)
             facts = np.stack([np.ones(len(segment)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
             groups = _groups(segment, model.i_max)
@@ -146,8 +144,7 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
     The voltages are reduced by the fraction ``r cos(2 pi f t - phi)``, with a separate phase in each run. Their mean in
     the rotor frame is assumed constant over a window.
     """
-    windows = Windows.joined(list(kept))
-    windows = windows.part(np.arange(0, len(windows), -(-len(windows) // _MOST_WINDOWS)))
+    windows = Windows.joined(list(kept)).thinned(_MOST_WINDOWS)
     left, weights = model.residuals(windows, estimate), np.sqrt(windows.weights)
     error, duration = left[:, 0] + 1j * left[:, 1], windows.duration
     u_dq = weights * np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)

@@ -30,6 +30,7 @@ from drive_id.core.full.model import (
     sum_basis,
 )
 from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import congruent, factorize, increased, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -364,8 +365,16 @@ class CurrentNoise:
     @classmethod
     def met(cls, variance: float, kept: Sequence[Windows]) -> CurrentNoise:
         """Thin out the windows to some 2000: enough for a mean."""
-        windows = Windows.joined(list(kept))
-        return cls(variance, windows.part(slice(None, None, -(-len(windows) // _THINNED))))
+        return cls(variance, Windows.joined(list(kept)).thinned(_THINNED))
+
+
+def squared_inductances(model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:
+    """Return the weighted sum (N,) of the squared incremental inductances at both ends of windows, H^2.
+
+    Times the variance of current noise it is the squared residual that the noise explains.
+    """
+    inductances = jacobian(model.flux, estimate[model.map], windows.i_dq.reshape(-1, 2))
+    return np.asarray(windows.weights * np.square(inductances).reshape(len(windows), -1).sum(axis=1))
 
 
 def noise_products(

@@ -165,6 +165,10 @@ class Windows:
         known = [name for name in (*MEASURED, *_ADDED) if all(getattr(part, name) is not None for part in parts)]
         return Windows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in known})
 
+    def thinned(self, most: int) -> Windows:
+        """Return every k-th of the windows, at most ``most``."""
+        return self.part(slice(None, None, -(-len(self) // most)))
+
     @property
     def whole(self) -> Windows:
         """Those that are not short."""

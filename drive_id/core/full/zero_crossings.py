@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
-from drive_id.core.maps.flux_models import jacobian
 from drive_id.types import FloatArray, IntArray
 
 _EDGES = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.08])
@@ -85,7 +84,7 @@ def between_crossings(
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
     """Tell whether residuals of short windows with a crossing exceed noise and those of windows clear of crossings."""
-    some = short.part(slice(None, None, -(-len(short) // _MOST)))
+    some = short.thinned(_MOST)
     number = _classes(some, solver.model.i_max)
     squares, expected = _squares(solver.model, solution, some, noise)
     crossing, clear = number == 0, number >= _CLEAR
@@ -114,8 +113,7 @@ def _squares(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the squared residuals (N,) and their expectation from current noise, (Vs)^2."""
     left = model.residuals(windows, solution.estimate)
-    slopes = jacobian(model.flux, solution.estimate[model.map], windows.i_dq.reshape(-1, 2))
-    return np.square(left).sum(axis=1), noise.variance * np.square(slopes).reshape(len(windows), -1).sum(axis=1)
+    return np.square(left).sum(axis=1), noise.variance * squared_inductances(model, solution.estimate, windows)
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:

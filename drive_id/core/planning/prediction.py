@@ -151,7 +151,7 @@ def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -
     """Return Z'Z of samples, extrapolated from at most ``most_windows`` of their windows."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
-    chosen = windows.part(slice(None, None, -(-len(windows) // most_windows)))
+    chosen = windows.thinned(most_windows)
     rows = model.design(chosen).reshape(-1, model.size)
     information = FisherInformation(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
     return information.lasting(len(windows) / len(chosen))

@@ -12,6 +12,8 @@ NAME = "drive_id"
 
 # For "drive-id fit --dask": a cluster is not everyone's.
 FLEET = ["distributed>=2024.1"]
+# For logs that are not bags: CSV and Parquet, MDF4, TDMS, HDF5 and MATLAB 7.3.
+CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -71,11 +73,13 @@ setup(
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[
+        "jinja2>=3.1",
         "lz4>=4",
         "matplotlib>=3.6",
         "mcap>=1.6",
         "numba>=0.58",
         "numpy>=1.26",
+        "plotly>=6",
         "PyYAML>=6",
         "rich>=13",
         "rosbags>=0.11",
@@ -85,7 +89,11 @@ setup(
         "zstandard>=0.22",
     ],
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
-    extras_require={"fleet": FLEET, "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *FLEET]},
+    extras_require={
+        "containers": CONTAINERS,
+        "fleet": FLEET,
+        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
+    },
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,
 )

@@ -89,13 +89,18 @@ ROOMS = {
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
-    "drive_id.report": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "rich", "matplotlib"}),
+    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.report": Room.of(
+        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting"},
+        {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
+    ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
     "drive_id.nodes": Room.of(
         NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.live"}, {"numpy", "yaml", *ROS}
     ),
     "drive_id.cli": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"typer", "rich", "yaml"}
+        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.report"},
+        {"typer", "rich", "yaml"},
     ),
 }
 

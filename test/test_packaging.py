@@ -23,11 +23,13 @@ SOURCES = sorted((ROOT / "drive_id").rglob("*.py"))
 
 # Where an import comes from: the name on the Python package index and the rosdep key.
 LIBRARIES = {
+    "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", "mcap-ros2-support"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", "mcap-ros2-support"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
+    "plotly": ("plotly", "python3-plotly"),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
@@ -36,7 +38,15 @@ LIBRARIES = {
     "yaml": ("PyYAML", "python3-yaml"),
     "zstandard": ("zstandard", "mcap-ros2-support"),
 }
-OPTIONAL = {"dask": "fleet", "distributed": "fleet"}
+OPTIONAL = {
+    "asammdf": "containers",
+    "dask": "fleet",
+    "distributed": "fleet",
+    "h5py": "containers",
+    "nptdms": "containers",
+    "pandas": "containers",
+    "pyarrow": "containers",
+}
 """An import on demand: the extra that brings it."""
 
 ROS_PACKAGE = re.compile(

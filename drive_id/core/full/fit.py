@@ -49,8 +49,9 @@ class FullFit:
     solution : FullSolution
     changes : (size, B) float
         First-order change of the estimate when each batch's residuals are left out; then the bias by the penalties, the
-        bound on the bias by current noise, and the changes by the lack of fit. ``changes @ changes.T`` is the
-        covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
+        bound on the bias by current noise, the changes by the lack of fit, and last, if the inverter's curve is wide,
+        the change with its shapes. ``changes @ changes.T`` is the covariance of the estimate, consistent for
+        heteroscedastic and autocorrelated residuals, biases included.
     misfit : LackOfFit
         Residuals beyond noise.
     selection : Selection
@@ -97,6 +98,11 @@ class FullFit:
     def crossings(self) -> float:
         """Excess of the residuals near zero crossings, see :class:`~drive_id.core.full.selection.Selection`."""
         return self.selection.crossings
+
+    @property
+    def shared_resistance(self) -> float:
+        """Change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
+        return float(abs(self.changes[RESISTANCE, -1])) if self.spec.wide else 0.0
 
     def met(self, effect: str, column: int) -> bool:
         """Tell whether the data have any of a column of an effect."""
@@ -244,6 +250,8 @@ def fit_full(
         batches, energy, times = batch_changes(sums, solution)
         misfit = lack_of_fit(sums, solution, noise)
         changes = np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes])
+        if solution.spec.wide:
+            changes = np.column_stack([changes, _among_curves(solver, solution)])
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
             break
@@ -272,6 +280,12 @@ def fit_full(
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
         outlying_time=float(times[energy.argmax()]),
     )
+
+
+def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
+    """Return the change (size,) of the estimate from one wide shape of the inverter's curve to two."""
+    one, two = (solver.solve(replace(solution.spec, wide=wide)).estimate for wide in (1, 2))
+    return np.asarray(two - one)
 
 
 def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:

@@ -130,7 +130,7 @@ def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effe
     model, kept = sums.model, sums.kept()
     period = float(kept[0].period[0])
     causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
-    causes["devices"] = solver.saving(solution, model.drops)[0]
+    causes["devices"] = solver.saving(solution, model.usual_drops)[0]
     shares = explained_shares(model, solution.estimate, kept, HIGHEST_ORDER)
     causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
     frequency, share = ripple(model, solution.estimate, kept)

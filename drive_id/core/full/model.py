@@ -207,6 +207,11 @@ class FullModel:
         return slice(MAGNET + 1, MAGNET + 1 + 3 * len(self.shapes.scales))
 
     @property
+    def usual_drops(self) -> slice:
+        """Columns of the usual shapes of the inverter's drop."""
+        return slice(self.drops.start, self.drops.start + 3 * self.shapes.usual)
+
+    @property
     def lags(self) -> slice:
         """Columns of the drop that remains after compensation with the currents one sample earlier."""
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
@@ -512,6 +517,8 @@ class ModelSpec:
         One inverter curve per phase.
     inverter : bool
         With an inverter curve at all.
+    wide : int
+        Number of shapes of the inverter's curve beyond the usual ones.
     constant : bool
         With a constant voltage in the stator frame.
     penalty : float
@@ -532,6 +539,7 @@ class ModelSpec:
     orders: tuple[int, ...]
     per_phase: bool = False
     inverter: bool = True
+    wide: int = 0
     constant: bool = True
     penalty: float = PENALTIES[0]
     delay: float = 0.0
@@ -590,7 +598,7 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     if spec.magnet:
         place(np.ones((1, 1)), MAGNET)
     if spec.inverter:
-        shapes = len(model.shapes.scales)
+        shapes = model.shapes.usual + spec.wide
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         place(drops, model.drops.start)
         if spec.crossing:

@@ -14,6 +14,7 @@ from drive_id.core.full.model import (
     MOST_RECORDINGS,
     MOST_RUNS,
     PENALTIES,
+    RESISTANCE,
     SENSOR_ORDERS,
     FullModel,
     ModelSpec,
@@ -35,6 +36,8 @@ _ORDER_SIGNIFICANCE = 2.0
 _LEAST_HARMONIC = 1e-4
 _LEAST_BY_CROSSING = 1e-3
 """Share of the squared residuals that early steps must save if the model has a latency of the currents."""
+_BY_WIDTH = 6.0
+"""Standard errors, for white residuals, by which R must change with a wider inverter curve."""
 _COINCIDENCE = 0.1
 _LEAST_HEATING = 5.0
 """Least range of magnet temperature for which the magnet's temperature coefficient is estimated, K."""
@@ -189,6 +192,10 @@ def _first_candidate(
         final = solver.solve(spec)
         plausible = plausible_effects(final, solver.model, noise.period)
         if plausible == spec.effects:
+            wide = _with_wide_curve(solver, final)
+            if wide is not final:
+                spec, error = solver.best_penalty(wide.spec)
+                final = solver.solve(spec)
             return _Candidate(final, error, replace(search, solution=final))
         search = replace(search, solution=solver.solve(replace(solution.spec, effects=plausible)))
 
@@ -212,6 +219,26 @@ def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0
     if value[0] <= 0 or saving < least:
         return solution
     return solver.solve(replace(solution.spec, crossing=True))
+
+
+def _with_wide_curve(solver: Solver, solution: FullSolution) -> FullSolution:
+    """Add wide shapes to the inverter's curve, as long as each changes R by more than noise does.
+
+    R takes a part of a drop that still bends at large currents. Which part depends on the shapes.
+    """
+    for wide in (1, 2) if solution.spec.inverter else ():
+        wider = solver.solve(replace(solution.spec, wide=wide))
+        noise = np.sqrt(abs(_variance_of_resistance(wider) - _variance_of_resistance(solution)))
+        if abs(wider.resistance - solution.resistance) < _BY_WIDTH * noise:
+            break
+        solution = wider
+    return solution
+
+
+def _variance_of_resistance(solution: FullSolution) -> float:
+    """Return the variance of R for white residuals, ohm^2."""
+    row = solution.basis[[RESISTANCE]].toarray()[0]
+    return float(solution.residual_rms**2 * (row @ solution.white_covariance @ row))
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:

@@ -57,13 +57,21 @@ class CapacitiveShapes:
 
     @classmethod
     def up_to(cls, i_max: float) -> CapacitiveShapes:
-        """Return eight curves with scales from i_max / 800 to about i_max / 6, A, each twice the previous."""
-        return cls(i_max / 800 * 2.0 ** np.arange(8, dtype=np.float64))
+        """Return ten curves with scales from i_max / 800 to about 0.6 i_max, A, each twice the previous.
+
+        The last two bend so far out that R can hardly be separated from them, see :attr:`usual`.
+        """
+        return cls(i_max / 800 * 2.0 ** np.arange(10, dtype=np.float64))
+
+    @property
+    def usual(self) -> int:
+        """Number of curves, from the first, that the drop of most inverters needs: up to about i_max / 6."""
+        return len(self.scales) - 2
 
     @property
     def coarse(self) -> CapacitiveShapes:
-        """Every second curve: enough for effects that are small beside the drop."""
-        return CapacitiveShapes(self.scales[::2])
+        """Every second of the usual curves: enough for effects that are small beside the drop."""
+        return CapacitiveShapes(self.scales[: self.usual : 2])
 
     def __call__(self, i: FloatArray) -> FloatArray:
         """Return the curves (..., S) at phase currents (...), A."""

@@ -33,6 +33,8 @@ _LEAST_TURN = 0.75
 """Share of a window's angle."""
 _FEW_POINTS = 0.005
 _LARGE_SIGMA = 0.01
+_LARGE_SHARE = 0.01
+"""Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
 _SPEEDS_APART = 0.1
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy=", or set passive_maps")
@@ -261,6 +263,8 @@ def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray
                 f"The flux has a standard error above {100 * _LARGE_SIGMA:.0f} % at {uncertain.sum()} of "
                 f"{chosen.sum()} points, on average at i_d = {d:.3g} A, i_q = {q:.3g} A: record longer, or more there."
             )
+    if fit.shared_resistance >= _large_share(fit):
+        warnings.append(f"{_on_wide_curve(fit)} If R alone matters, measure it with direct current.")
     return tuple(warnings)
 
 
@@ -308,6 +312,7 @@ def _statements(
         "A common gain error of all currents or all voltages scales the result and cannot be detected in these data.",
         *([_COMPENSATION] if fit.spec.lag else []),
         *([_on_crossings(fit)] if fit.crossings > 1 else []),
+        *([_on_wide_curve(fit)] if 0 < fit.shared_resistance < _large_share(fit) else []),
         *dict.fromkeys(c.sentence for c in calibrations),
         _on_harmonics(fit),
         _on_region(evidence, inside),
@@ -320,6 +325,18 @@ def _on_crossings(fit: FullFit) -> str:
         f"Near zero crossings of the phase currents the residuals are {fit.crossings:.2g} times as large as current "
         "noise explains, as with a dead time that is not short against the ripple: the map rests on what lies between "
         "the crossings, and the inverter curve near zero current is a mean."
+    )
+
+
+def _large_share(fit: FullFit) -> float:
+    return _LARGE_SHARE * abs(fit.solution.resistance)
+
+
+def _on_wide_curve(fit: FullFit) -> str:
+    return (
+        "The inverter's drop still bends at large currents, where it resembles a resistance: depending on the shape of "
+        f"its curve, {1e3 * fit.shared_resistance:.2g} mOhm belong to R or to the drop; their sum is not affected, and "
+        "the standard errors include this."
     )
 
 

@@ -31,7 +31,7 @@ from drive_id.settings import from_mapping
 from drive_id.types import SCALARS, Samples
 
 FORMAT = "drive_id/information"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
 _OPTIONAL = ("i_dq_reference", *SCALARS)
 _DAMAGE = (

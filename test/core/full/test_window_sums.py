@@ -265,7 +265,7 @@ def test_windows_beyond_the_range_are_counted_and_left_out(samples):
 
 def test_a_basis_selects_the_unknowns(free):
     model = free
-    everything = ModelSpec(reciprocal=False, orders=model.all_orders, per_phase=True, crossing=True)
+    everything = ModelSpec(reciprocal=False, orders=model.all_orders, per_phase=True, wide=2, crossing=True)
     columns = np.flatnonzero(np.asarray(abs(basis(model, everything)).sum(axis=1)))
     assert set(range(model.size)) - set(columns) == {
         VOLTAGE, *range(SHIFT.start, SHIFT.stop), MAGNET, *range(model.lags.start, model.lags.stop),
@@ -274,5 +274,5 @@ def test_a_basis_selects_the_unknowns(free):
     effects = basis(model, ModelSpec(reciprocal=True, orders=(), effects=("iron_loss", "eccentricity")))
     assert effects.shape[1] == basis(model, ModelSpec(reciprocal=True, orders=())).shape[1] + 9
     one = basis(model, ModelSpec(reciprocal=True, orders=()))
-    assert one.shape[1] == 1 + 2 + len(model.shapes.scales) + model.flux.gradient.shape[1] - 1
+    assert one.shape[1] == 1 + 2 + model.shapes.usual + model.flux.gradient.shape[1] - 1
     assert dataclasses.replace(everything, orders=()).orders == ()

@@ -210,7 +210,8 @@ def test_a_newer_version_is_named(encoded):
     with pytest.raises(InformationError) as caught:
         decode_information(changed(encoded, header=renew), "x.info")
     assert str(caught.value) == (
-        f"x.info was written by drive_id 9.9 in version {FORMAT_VERSION + 1} of the format, and this drive_id, {drive_id.__version__}, "
+        f"x.info was written by drive_id 9.9 in version {FORMAT_VERSION + 1} of the format, and this drive_id, "
+        f"{drive_id.__version__}, "
         f"knows it up to version {FORMAT_VERSION}: update it."
     )
 

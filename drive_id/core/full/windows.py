@@ -384,7 +384,7 @@ class WindowCutter:
         current = np.abs(frames.space_vector(stretch.i_abc))
         current = np.maximum(current[begin], current[sooner])
         scales = self._shapes.scales
-        useful = (_clearance(stretch.i_abc, begin, sooner) > scales[1]) | (current < scales[-1])
+        useful = (_clearance(stretch.i_abc, begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
         useful |= (self._origin + begin) // grain % _SOME == 0
         return np.append(begin, begin[useful]), np.append(end, sooner[useful])
 

@@ -21,6 +21,7 @@ EXECUTABLES = [
     "trajectory_publisher = drive_id.nodes.trajectory_publisher:main",
     "recorder = drive_id.nodes.recorder:main",
     "identification = drive_id.nodes.identification:main",
+    "characterize = drive_id.ros.characterize:main",
     "bench_simulator = drive_id.nodes.bench_simulator:main",
 ]
 

@@ -37,6 +37,12 @@ class ResultError(DriveIdError):
     code = "result"
 
 
+class ExperimentError(DriveIdError):
+    """A node refuses, does not answer in time, or does not fit the others."""
+
+    code = "experiment"
+
+
 class ClusterError(DriveIdError):
     """The Dask cluster cannot be reached, or was lost."""
 

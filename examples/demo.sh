@@ -1,9 +1,8 @@
 #!/usr/bin/env bash
 # The whole suite, live: a simulated bench, the trajectory publisher, the recorder and the identification node as separate
-# processes, driven through their services by examples/supervisor.py. Everything is left in out/demo.
+# processes, driven through their services by "characterize". Everything is left in out/demo.
 set -euom pipefail # m: processes in groups of their own, so that Ctrl-C reaches this script, which ends them in order
 output=$(realpath -m "${1:-out/demo}")
-here=$(dirname "$(realpath "$0")")
 export PYTHONUNBUFFERED=1 ROS_LOG_DIR="$output/log/ros"
 
 rm -rf "$output"
@@ -28,12 +27,12 @@ stop_all() {
     return "$status"
 }
 end() { # of this script, also by Ctrl-C
-    if [ -n "$supervisor" ] && kill -INT "$supervisor" 2>/dev/null; then
-        wait "$supervisor" || true # it brings the bench to rest
+    if [ -n "$client" ] && kill -INT "$client" 2>/dev/null; then
+        wait "$client" || true # it brings the bench to rest
     fi
     [ ${#node[@]} -eq 0 ] || stop_all || true
 }
-supervisor=
+client=
 trap end EXIT
 trap 'exit 130' INT TERM
 
@@ -44,17 +43,17 @@ start recorder "data_directory:='$output'"
 start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true
 start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0
 
-python "$here/supervisor.py" --recording bag --truth "$output/truth.npz" --output "$output" &
-supervisor=$!
+python -m drive_id.ros.characterize --compare --recording bag --truth "$output/truth.npz" --output "$output" &
+client=$!
 status=0
-wait -n || status=$? # whoever ends first; it must be the supervisor
-if kill -0 "$supervisor" 2>/dev/null; then
+wait -n || status=$? # whoever ends first; it must be the client
+if kill -0 "$client" 2>/dev/null; then
     echo "demo: a node has died during the experiment." >&2
-    kill -INT "$supervisor" 2>/dev/null || true
-    wait "$supervisor" || true
+    kill -INT "$client" 2>/dev/null || true
+    wait "$client" || true
     status=1
 fi
-supervisor=
+client=
 [ "$status" -eq 0 ] || for log in "$output"/log/*.log; do
     echo "--- $log" >&2
     tail -n 20 "$log" >&2

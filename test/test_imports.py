@@ -98,6 +98,10 @@ ROOMS = {
     "drive_id.nodes": Room.of(
         NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.live"}, {"numpy", "yaml", *ROS}
     ),
+    "drive_id.ros": Room.of(
+        NOUNS | below("core", "validation") | below("files", "machines") | {"drive_id.fitting", "drive_id.nodes"},
+        {"numpy", "rich", *ROS},
+    ),
     "drive_id.cli": Room.of(
         NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.report"},
         {"typer", "rich", "yaml"},

@@ -129,7 +129,6 @@ def test_the_demonstration_fails_loudly_when_a_node_cannot_start(tmp_path):
     text = (ROOT / "examples" / "demo.sh").read_text(encoding="utf-8")
     assert "machine:=ipm" in text
     copy.write_text(text.replace("machine:=ipm", "machine:=none_of_ours"), encoding="utf-8")
-    shutil.copy(ROOT / "examples" / "supervisor.py", tmp_path)
     environment = dict(os.environ) | {
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "ROS_DOMAIN_ID": str(1 + (os.getpid() + 50) % 101),

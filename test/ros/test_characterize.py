@@ -1,19 +1,18 @@
-"""The example of a supervisor: it says what it waits for, and refuses before anything is started."""
+"""``characterize``: it says what it waits for, and refuses before anything is started."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 from ros_bench import DEADLINE, own_domain, require_ros
 
-SUPERVISOR = Path(__file__).parent.parent.parent / "examples" / "supervisor.py"
+MODULE = "drive_id.ros.characterize"
 
 
 @pytest.fixture(scope="module")
@@ -26,18 +25,15 @@ def environment():
 
 
 @pytest.fixture(scope="module")
-def supervisor():
+def characterize():
     """The module."""
     require_ros()
-    specification = importlib.util.spec_from_file_location("supervisor", SUPERVISOR)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
+    return importlib.import_module(MODULE)
 
 
 def run(environment, *arguments):
     return subprocess.run(
-        [sys.executable, str(SUPERVISOR), *arguments],
+        [sys.executable, "-m", MODULE, *arguments],
         env=dict(os.environ) | environment, capture_output=True, text=True, timeout=DEADLINE, check=False,
     )  # fmt: skip
 
@@ -48,28 +44,30 @@ def test_an_output_that_cannot_be_made_is_refused_at_once(environment, tmp_path)
     done = run(environment, "--output", str(tmp_path / "file" / "out"))
     assert done.returncode == 1
     assert done.stdout == ""  # nothing was waited for
-    assert done.stderr.startswith("supervisor: ")
+    assert done.stderr.startswith("characterize: ")
     assert len(done.stderr.splitlines()) == 1
     assert "cannot be made a folder (Not a directory): give another --output." in done.stderr
 
 
 def test_an_output_that_holds_results_is_refused_at_once(environment, tmp_path):
-    (tmp_path / "live_full").mkdir()
+    (tmp_path / "recording").mkdir()
     done = run(environment, "--output", str(tmp_path))
     assert done.returncode == 1
     assert done.stderr == (
-        f"supervisor: {tmp_path / 'live_full'} exists already: remove it, or give another --output.\n"
+        f"characterize: {tmp_path / 'recording'} exists already: remove it, or give another --output.\n"
     )
 
 
-def test_a_missing_output_is_made(supervisor, tmp_path):
-    supervisor.prepare_output(tmp_path / "new" / "out")
+def test_a_missing_output_is_made(characterize, tmp_path):
+    characterize.prepare_output(tmp_path / "new" / "out", {})
     assert (tmp_path / "new" / "out").is_dir()
 
 
-def test_a_missing_truth_is_one_sentence(supervisor, tmp_path):
-    with pytest.raises(supervisor.ExperimentError, match=r"cannot be read \(No such file or directory\): give another"):
-        supervisor.read_truth(tmp_path / "truth.npz")
+def test_a_missing_truth_is_one_sentence(characterize, tmp_path):
+    with pytest.raises(
+        characterize.ExperimentError, match=r"cannot be read \(No such file or directory\): give another"
+    ):
+        characterize.read_truth(tmp_path / "truth.npz")
 
 
 def test_it_says_what_it_waits_for(environment):
@@ -79,17 +77,17 @@ def test_it_says_what_it_waits_for(environment):
         "waiting for identification and recorder and trajectory_publisher (the first start compiles the numerical "
     )
     assert done.stdout.startswith(f"1. The nodes are started.\n     5 s  {waiting}")
-    assert done.stderr.startswith(f"supervisor: After 6 s, still {waiting}")
+    assert done.stderr.startswith(f"characterize: After 6 s, still {waiting}")
     assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("columns", ["40", "200"])
-def test_the_table_does_not_depend_on_the_terminal(supervisor, monkeypatch, capsys, columns):
+def test_the_table_does_not_depend_on_the_terminal(characterize, monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", columns)
     flux_map = SimpleNamespace(resistance=0.01, voltage_error=3.98, method="full")
     report = SimpleNamespace(mad_d=0.1, mad_q=0.2, coverage=1.0, samples_used=100, samples_read=200)
-    results = {title: SimpleNamespace(flux_map=flux_map, report=report) for title in supervisor.REQUESTS}
-    Console(width=supervisor._WIDTH).print(supervisor.comparison(results, None))
+    results = {title: SimpleNamespace(flux_map=flux_map, report=report) for title in characterize.COMPARED}
+    Console(width=characterize._WIDTH).print(characterize.comparison(results, None))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].strip() == "The drive, identified through the services"
     assert len({len(line) for line in lines[1:]}) == 1

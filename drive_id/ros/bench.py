@@ -1,0 +1,357 @@
+"""The nodes of one drive, seen by a client: ready, sane, and called through their services."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from drive_id.errors import ExperimentError
+from drive_id.fitting.result import Identification, load
+from drive_id.nodes.middleware import without_type_lookup
+
+PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
+MEASURED = ("phase_currents", "phase_voltages", "resolver")
+SERVICES = {
+    f"{RECORDER}/start": StartRecording,
+    f"{RECORDER}/stop": StopRecording,
+    f"{PUBLISHER}/start": Trigger,
+    f"{PUBLISHER}/stop": Trigger,
+    f"{IDENTIFICATION}/reset": Trigger,
+    f"{IDENTIFICATION}/identify": Identify,
+    **{f"{node}/get_parameters": GetParameters for node in NODES},
+}
+_IDLE, _TRIPPED = "idle", "tripped"
+_LATEST_START = 5.0
+"""Time after the start within which the publisher reports a trajectory, s."""
+_STOPPING = 5.0
+"""Longest wait for each node when a bench is brought to rest, s."""
+_SPIN, _TOLD = 0.05, 1.0
+"""Longest pause between looks at a condition, and time between reports of progress, s."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What is under way.
+
+    Parameters
+    ----------
+    sentence : str
+        As a node reports it.
+    waited : float
+        Time since the step began, s.
+    elapsed, duration : float
+        Of the trajectory, s; 0 where none runs.
+    coverage : float
+        Share of the current disc that the identification node has data of, 0 to 1.
+    """
+
+    sentence: str
+    waited: float
+    elapsed: float = 0.0
+    duration: float = 0.0
+    coverage: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished recording.
+
+    Parameters
+    ----------
+    uri : str
+        Path of the bag on the recorder's machine.
+    samples, dropped : int
+        Samples of the phase currents in the bag, and samples lost.
+    duration : float
+        s.
+    message : str
+        The recorder's sentence.
+    """
+
+    uri: str
+    samples: int
+    dropped: int
+    duration: float
+    message: str
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The reply of the identification node.
+
+    Parameters
+    ----------
+    flux_map : drive_id_msgs.msg.FluxMap
+    report : drive_id_msgs.msg.FitReport
+    output : str
+        Result folder on the machine of the node.
+    message : str
+        The node's sentence.
+    """
+
+    flux_map: Any
+    report: Any
+    output: str
+    message: str
+
+    def load(self) -> Identification:
+        """Load the result folder, which must be reachable from here.
+
+        Raises
+        ------
+        ResultError
+            If it is not.
+        """
+        return load(Path(self.output))
+
+
+class Bench:
+    """Calls the nodes of one drive one after the other, each call with a deadline.
+
+    It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. Used in a ``with`` block, it stops
+    trajectory and recording if the block ends by an exception.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the drive's nodes.
+    timeout : float
+        For each step, s; for a trajectory, in addition to its duration.
+    tell : callable, optional
+        Called with :class:`Progress` about once a second while something is waited for.
+    arguments : sequence of str
+        ROS arguments, such as ``["--ros-args", "-r", "__ns:=/drive_1"]``.
+    """
+
+    def __init__(
+        self,
+        namespace: str = "",
+        *,
+        timeout: float = 60.0,
+        tell: Callable[[Progress], None] | None = None,
+        arguments: Sequence[str] = (),
+    ) -> None:
+        self.timeout = timeout
+        self._tell = tell
+        self._begun = False
+        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._states: list[str] = []
+        self._context = Context()
+        with without_type_lookup():
+            self._context.init(args=list(arguments))
+            self._node = Node("bench_client", namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._names = {self._node.resolve_service_name(node): node for node in NODES}
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._services = {name: self._node.create_client(kind, name) for name, kind in SERVICES.items()}
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is not None:
+                self.stop()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Leave the ROS graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait_until_ready(self, timeout: float = 300.0) -> None:
+        """Wait until all nodes report and the drive publishes; then check that they fit together.
+
+        Parameters
+        ----------
+        timeout : float
+            s. The first start after an installation compiles numerical kernels.
+
+        Raises
+        ------
+        ExperimentError
+            When a node is missing, the drive is silent, several drives publish, or the nodes disagree on ``i_max`` or
+            on ``use_sim_time``.
+        """
+
+        def waiting() -> str:
+            missing = {name.partition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
+            missing |= set(NODES) - set(self._statuses)
+            if missing:
+                names = " and ".join(sorted(missing))
+                return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
+            status = self._statuses[PUBLISHER]
+            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
+
+        self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout)
+        self._check()
+
+    def run_experiment(self, name: str = "") -> Recording:
+        """Record one trajectory: start the recorder, run the trajectory to its end, stop the recorder.
+
+        The live samples of the identification node are those of this trajectory, too.
+
+        Parameters
+        ----------
+        name : str
+            Of the recording; default: date and time.
+
+        Raises
+        ------
+        ExperimentError
+            When a node refuses, does not answer, or the trajectory is stopped before its end.
+        """
+        self._begun = True
+        started = self._required(f"{RECORDER}/start", name=name)
+        self._required(f"{IDENTIFICATION}/reset")
+        self._run_trajectory()
+        stopped = self._required(f"{RECORDER}/stop")
+        self._begun = False
+        return Recording(started.uri, stopped.samples, stopped.dropped, stopped.duration, stopped.message)
+
+    def identify(self, bags: Sequence[str] = (), method: str = "") -> Identified:
+        """Identify the drive.
+
+        Parameters
+        ----------
+        bags : sequence of str
+            Recordings, on the machine of the identification node; none: its live samples.
+        method : str
+            ``psm``, ``joint`` or ``full``; default: as the node is configured.
+
+        Raises
+        ------
+        ExperimentError
+            When the node refuses or does not answer; its sentence tells why.
+        """
+        reply = self._required(f"{IDENTIFICATION}/identify", bags=list(bags), method=method)
+        return Identified(reply.flux_map, reply.report, reply.output, reply.message)
+
+    def stop(self) -> list[str]:
+        """Bring the drive to zero current and close a recording that this client began; return what the nodes said."""
+        if not self._begun:
+            return []
+        self._begun = False
+        self.timeout = min(self.timeout, _STOPPING)
+        return [self._stopped(node) for node in (PUBLISHER, RECORDER)]
+
+    def _stopped(self, node: str) -> str:
+        try:
+            return f"{node}/stop: {self._called(f'{node}/stop').message}"
+        except ExperimentError as error:
+            return str(error)
+
+    def _run_trajectory(self) -> None:
+        self._states.clear()
+        self._required(f"{PUBLISHER}/start")
+        started = time.monotonic()
+
+        def ended() -> bool:
+            if _TRIPPED in self._states:
+                raise ExperimentError(f"The trajectory was stopped: {self._said(PUBLISHER)}")
+            was_active = any(state != _IDLE for state in self._states) or time.monotonic() > started + _LATEST_START
+            return bool(was_active and self._states and self._states[-1] == _IDLE)
+
+        remaining = max(self._value(PUBLISHER, "duration [s]"), 0.0)
+        timeout = self.timeout + remaining
+        self._wait(ended, lambda: "the trajectory does not end", lambda: self._said(PUBLISHER), timeout)
+
+    def _check(self) -> None:
+        """Compare parameters of the nodes, and count who publishes the drive's signals."""
+        for topic in MEASURED:
+            count = self._node.count_publishers(topic)
+            if count > 1:
+                raise ExperimentError(
+                    f"{count} nodes publish {self._node.resolve_topic_name(topic)}: leave one drive in each namespace."
+                )
+        i_max = {node: self._parameter(node, "i_max") for node in (PUBLISHER, IDENTIFICATION)}
+        if i_max[IDENTIFICATION] and i_max[IDENTIFICATION] < i_max[PUBLISHER]:
+            raise ExperimentError(
+                f"{PUBLISHER} drives up to {i_max[PUBLISHER]:g} A and {IDENTIFICATION} maps up to "
+                f"{i_max[IDENTIFICATION]:g} A: give both the same i_max."
+            )
+        clocks = {node: bool(self._parameter(node, "use_sim_time")) for node in NODES}
+        if len(set(clocks.values())) > 1:
+            simulated = " and ".join(node for node, own in clocks.items() if own)
+            raise ExperimentError(f"Only {simulated} follows /clock: give all nodes the same use_sim_time.")
+
+    def _parameter(self, node: str, name: str) -> float:
+        """Return a parameter of a node that is a number or true, 0 if it is neither."""
+        value = self._called(f"{node}/get_parameters", names=[name]).values[0]
+        if value.type == ParameterType.PARAMETER_DOUBLE:
+            return float(value.double_value)
+        return float(value.bool_value) if value.type == ParameterType.PARAMETER_BOOL else 0.0
+
+    def _called(self, name: str, /, **fields: Any) -> Any:
+        """Call a service and return its response, which itself tells of success."""
+        future = self._services[name].call_async(SERVICES[name].Request(**fields))
+        node = name.partition("/")[0]
+        self._wait(future.done, lambda: f"service {name} does not answer", lambda: f"{node}: {self._said(node)}")
+        return future.result()
+
+    def _required(self, name: str, /, **fields: Any) -> Any:
+        response = self._called(name, **fields)
+        if not response.success:
+            raise ExperimentError(f"{name}: {response.message}")
+        return response
+
+    def _wait(
+        self,
+        condition: Callable[[], bool],
+        complaint: Callable[[], str],
+        doing: Callable[[], str],
+        timeout: float | None = None,
+    ) -> None:
+        timeout = timeout or self.timeout
+        begin = told = time.monotonic()
+        while not condition():
+            now = time.monotonic()
+            if now > begin + timeout:
+                raise ExperimentError(f"After {timeout:g} s, {complaint()}.")
+            if self._tell is not None and now > told + _TOLD:
+                told = now
+                self._tell(self._progress(doing(), now - begin))
+            self._executor.spin_once(timeout_sec=_SPIN)
+
+    def _progress(self, sentence: str, waited: float) -> Progress:
+        elapsed, duration = (self._value(PUBLISHER, f"{key} [s]") for key in ("elapsed", "duration"))
+        return Progress(sentence, waited, elapsed, duration, self._value(IDENTIFICATION, "coverage"))
+
+    def _value(self, node: str, key: str) -> float:
+        """Return a number that a node reports, 0 if it does not."""
+        status = self._statuses.get(node)
+        values = {entry.key: entry.value for entry in status.values} if status is not None else {}
+        with contextlib.suppress(ValueError):
+            return float(values.get(key, ""))
+        return 0.0
+
+    def _said(self, node: str) -> str:
+        return str(self._statuses[node].message) if node in self._statuses else "nothing has been heard of it yet"
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node = self._names.get(status.name)
+            if node is None:
+                continue
+            self._statuses[node] = status
+            if node == PUBLISHER:
+                self._states.append({entry.key: entry.value for entry in status.values}.get("state", ""))

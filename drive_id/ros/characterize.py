@@ -1,0 +1,214 @@
+"""``characterize``: run one experiment with the nodes of a drive, identify it, and print the results.
+
+Requires the nodes ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (or ``bench_simulator``)
+that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows ``current_reference``::
+
+    wait until all nodes are ready and the drive publishes; check that they fit together
+    recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
+    identification/identify from the recording
+
+All names are relative: ``--ros-args -r __ns:=/drive_1`` selects the nodes of a namespace. Whatever goes wrong, the
+drive is left at zero current, and one sentence says what it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from rclpy.exceptions import ROSInterruptException
+from rclpy.utilities import remove_ros_args
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+
+from drive_id.errors import DriveIdError, ExperimentError
+from drive_id.files.machines.ground_truth import decode_truth
+from drive_id.ros.bench import Bench, Identified, Progress
+from drive_id.ros.comparison import comparison
+from drive_id.types import GroundTruth
+
+REQUESTS = {"recording": (True, "")}
+COMPARED = {  # title of the column: whether from the recording, method
+    "live, joint": (False, "joint"),  # at once: its sums are accumulated already
+    "live, full": (False, "full"),
+    "recording, full": (True, "full"),
+    "recording, psm": (True, "psm"),
+}
+_HEARTBEAT = 5.0
+"""Time between reports where the output is no terminal, s."""
+_CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+_WIDTH = 200  # characters: more than the table ever takes, so that it looks the same on every terminal
+
+
+def say(sentence: str) -> None:
+    """Print a sentence as one line."""
+    _CONSOLE.print(sentence)
+
+
+@contextmanager
+def telling(console: Console) -> Iterator[Callable[[Progress], None]]:
+    """Yield a function that shows progress: a bar on a terminal, elsewhere a line every few seconds."""
+    if not console.is_terminal:
+        told = [0.0]
+
+        def print_line(now: Progress) -> None:
+            if now.waited < told[0]:
+                told[0] = 0.0
+            if now.waited > told[0] + _HEARTBEAT:
+                told[0] = now.waited
+                say(f"   {now.waited:3.0f} s  {now.sentence}")
+
+        yield print_line
+        return
+    columns = (
+        BarColumn(30),
+        TextColumn("{task.fields[covered]}"),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Bar(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None, covered="")
+
+        def show(now: Progress) -> None:
+            runs = 0 < now.elapsed < now.duration
+            bar.update(
+                task,
+                description=now.sentence,
+                total=now.duration if runs else None,
+                completed=now.elapsed if runs else 0,
+                covered=f"{100 * now.coverage:3.0f} % of the disc" if runs else "",
+            )
+
+        yield show
+
+
+def plain_folder(output: Path, title: str) -> Path:
+    """Return the folder, by a plain name, of the result with this title."""
+    return output / title.replace(", ", "_")
+
+
+def read_truth(path: Path) -> GroundTruth:
+    """Read what bench_simulator wrote when it was started."""
+    try:
+        return decode_truth(path.read_bytes(), str(path))
+    except OSError as error:
+        reason = error.strerror or error
+        raise ExperimentError(f"The truth in {path} cannot be read ({reason}): give another --truth.") from error
+
+
+def prepare_output(output: Path, titles: Mapping[str, object]) -> None:
+    """Create the folder for the results; refuse one that holds some, before anything is started."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ExperimentError(f"{output} cannot be made a folder ({reason}): give another --output.") from error
+    for folder in (plain_folder(output, title) for title in titles):
+        if folder.exists():
+            raise ExperimentError(f"{folder} exists already: remove it, or give another --output.")
+
+
+def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: Path) -> None:
+    """Write the table, move the results to their plain names, and print what the fits state."""
+    with (output / "table.txt").open("w", encoding="utf-8") as file:
+        Console(file=file, width=_WIDTH).print(comparison(results, truth))
+    stated: dict[str, list[str]] = {}
+    for title, result in results.items():
+        folder = plain_folder(output, title)
+        shutil.move(result.output, folder)
+        document = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
+        for sentence in document["statements"]:
+            stated.setdefault(sentence, []).append(title)
+    print_sentences("What the fits state:", stated)
+    say(f"Results: {', '.join(str(plain_folder(output, title)) for title in results)}")
+
+
+def print_sentences(heading: str, titles: Mapping[str, list[str]]) -> None:
+    """Print sentences, each with the titles of the results that it stands in."""
+    if titles:
+        say(heading)
+    for sentence, where in titles.items():
+        say(f"   {'; '.join(where)}: {sentence}")
+
+
+def characterize(bench: Bench, options: argparse.Namespace) -> int:
+    """Run the experiment, print and keep its results, and return the exit code."""
+    requests = COMPARED if options.compare else REQUESTS
+    say("1. The nodes are started.")
+    bench.wait_until_ready(options.start_up)
+    truth = read_truth(options.truth) if options.truth else None
+    say("2. All nodes are ready: the recording is started, then the trajectory.")
+    recording = bench.run_experiment(options.recording)
+    say(f"   {recording.message}")
+    say("3. The drive is identified.")
+    results = {}
+    for title, (recorded, method) in requests.items():
+        begin = time.monotonic()
+        results[title] = bench.identify([recording.uri] if recorded else [], method or options.method)
+        say(f"   {title}: {time.monotonic() - begin:.1f} s")
+    Console(width=_WIDTH).print(comparison(results, truth))
+    warned: dict[str, list[str]] = {}
+    for title, result in results.items():
+        for warning in result.report.warnings:
+            warned.setdefault(warning, []).append(title)
+    print_sentences("Warnings:", warned)
+    if options.output:
+        keep(results, truth, options.output)
+    else:
+        say(f"Results: {', '.join(result.output for result in results.values())}")
+    if recording.dropped:
+        sys.stderr.write(f"characterize: {recording.dropped} samples were lost: see the recorder's diagnostics.\n")
+    return 1 if recording.dropped else 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="characterize", description="Record one trajectory, identify the drive, print the result."
+    )
+    parser.add_argument("--recording", default="", help="name of the recording; default: date and time")
+    parser.add_argument("--method", default="", help="full, joint or psm; default: as the node is configured")
+    parser.add_argument("--compare", action="store_true", help="identify live and recorded, by all methods")
+    parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
+    parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
+    parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s")
+    parser.add_argument("--start-up", type=float, default=300.0, help="time for all nodes to become ready, s")
+    return parser.parse_args(remove_ros_args(sys.argv)[1:])
+
+
+def main() -> None:
+    """Run the experiment and print its table; the exit code is 0 only if everything succeeded."""
+    options = _options()
+    # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(_run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    bench: Bench | None = None
+    try:
+        if options.output:
+            prepare_output(options.output, COMPARED if options.compare else REQUESTS)
+        with telling(_CONSOLE) as tell:
+            bench = Bench(timeout=options.timeout, tell=tell, arguments=sys.argv)
+            return characterize(bench, options)
+    except (DriveIdError, OSError, KeyboardInterrupt, ROSInterruptException) as error:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one is enough, and the drive must come to rest
+        sys.stderr.write(f"characterize: {str(error) or 'interrupted'}\n")
+        for sentence in bench.stop() if bench is not None else []:
+            sys.stderr.write(f"   {sentence}\n")
+        return 1
+    finally:
+        if bench is not None:
+            bench.close()
+
+
+if __name__ == "__main__":
+    main()

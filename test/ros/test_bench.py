@@ -1,0 +1,185 @@
+"""The client against nodes that answer as they are told: real services in this process, no drive."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from types import SimpleNamespace
+
+import pytest
+from ros_bench import own_domain, require_ros
+
+from drive_id.errors import ExperimentError
+
+NODES = ("trajectory_publisher", "recorder", "identification")
+
+
+class Nodes:
+    """The three nodes in a thread, with scripted states of the trajectory and parameters."""
+
+    def __init__(self, domain):
+        from diagnostic_msgs.msg import DiagnosticArray
+        from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rclpy.parameter import Parameter
+        from std_srvs.srv import Trigger
+
+        from drive_id.nodes.middleware import without_type_lookup
+
+        self.calls, self.refused = [], set()
+        self.script, self.state = ["running", "running", "idle"], "idle"
+        self.waiting = False
+        self.context = Context()
+        with without_type_lookup():
+            self.context.init(args=[], domain_id=domain)
+            made = {name: Node(name, namespace="/drive", context=self.context) for name in NODES}
+        self.nodes = made
+        for name, value in (("trajectory_publisher", 100.0), ("identification", 100.0)):
+            made[name].declare_parameter("i_max", value)
+        publisher, recorder, identification = made.values()
+        self.parameter = Parameter
+        publisher.create_service(Trigger, "~/start", self.answer("trajectory_publisher/start"))
+        publisher.create_service(Trigger, "~/stop", self.answer("trajectory_publisher/stop"))
+        recorder.create_service(StartRecording, "~/start", self.answer("recorder/start", uri="/data/bag"))
+        recorder.create_service(
+            StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=0.5)
+        )
+        identification.create_service(Trigger, "~/reset", self.answer("identification/reset"))
+        identification.create_service(Identify, "~/identify", self.answer("identification/identify", output="/out"))
+        self.diagnostics = publisher.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        publisher.create_timer(0.05, self.report)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        for node in made.values():
+            self.executor.add_node(node)
+        self.thread = threading.Thread(target=self.executor.spin, daemon=True)
+        self.thread.start()
+
+    def answer(self, name, **fields):
+        def callback(_, response):
+            self.calls.append(name)
+            response.success, response.message = name not in self.refused, f"{name} says so."
+            for field, value in fields.items():
+                setattr(response, field, value)
+            if name == "trajectory_publisher/start" and response.success:
+                self.playing = iter(self.script)
+            return response
+
+        return callback
+
+    playing = iter(())
+
+    def report(self):
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+        self.state = next(self.playing, self.state)
+        level = DiagnosticStatus.WARN if self.waiting else DiagnosticStatus.OK
+        values = [KeyValue(key="state", value=self.state), KeyValue(key="duration [s]", value="1.5")]
+        self.diagnostics.publish(
+            DiagnosticArray(
+                status=[
+                    DiagnosticStatus(name=f"/drive/{name}", level=level, message=f"{name} reports.", values=values)
+                    for name in NODES
+                ]
+            )
+        )
+
+    def close(self):
+        self.executor.shutdown()
+        self.thread.join()
+        self.context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def domain():
+    require_ros()
+    number, lock = own_domain()
+    yield number
+    lock.close()
+
+
+@pytest.fixture
+def nodes(domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    made = Nodes(domain)
+    yield made
+    made.close()
+
+
+@contextlib.contextmanager
+def client(**options):
+    from drive_id.ros import Bench
+
+    with Bench("/drive", timeout=20.0, **options) as bench:
+        yield bench
+
+
+def run_all(timeout=30.0):
+    with client() as bench:
+        bench.wait_until_ready(timeout)
+        bench.run_experiment()
+
+
+def test_an_experiment_calls_the_services_in_order(nodes):
+    told = []
+    with client(tell=told.append) as bench:
+        bench.wait_until_ready(30.0)
+        recording = bench.run_experiment("bag")
+        result = bench.identify([recording.uri], "joint")
+        assert bench.stop() == []  # nothing of it is under way any more
+    assert nodes.calls == [
+        "recorder/start", "identification/reset", "trajectory_publisher/start", "recorder/stop",
+        "identification/identify",
+    ]  # fmt: skip
+    assert (recording.uri, recording.samples, recording.dropped, recording.duration) == ("/data/bag", 7, 2, 0.5)
+    assert (result.output, result.message) == ("/out", "identification/identify says so.")
+
+
+def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):
+    nodes.script = ["running", "tripped"]
+    with pytest.raises(ExperimentError, match=r"The trajectory was stopped: trajectory_publisher reports\."):
+        run_all()
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+
+
+def test_a_refusal_is_passed_on_and_the_recording_is_closed(nodes):
+    nodes.refused = {"trajectory_publisher/start"}
+    with pytest.raises(ExperimentError, match=r"trajectory_publisher/start: trajectory_publisher/start says so\."):
+        run_all()
+    assert nodes.calls[-1] == "recorder/stop"
+
+
+def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
+    nodes.nodes["identification"].set_parameters([nodes.parameter("i_max", value=60.0)])
+    with (
+        pytest.raises(ExperimentError, match="drives up to 100 A and identification maps up to 60 A"),
+        client() as bench,
+    ):
+        bench.wait_until_ready(30.0)
+    assert nodes.calls == []
+
+
+def test_two_drives_in_one_namespace_are_refused(nodes):
+    from drive_id_msgs.msg import Resolver
+
+    publishers = [node.create_publisher(Resolver, "resolver", 1) for node in list(nodes.nodes.values())[:2]]
+    with pytest.raises(ExperimentError, match="2 nodes publish /drive/resolver: leave one drive"):
+        run_all()
+    assert len(publishers) == 2
+
+
+def test_a_silent_drive_is_told(nodes):
+    nodes.waiting = True
+    with pytest.raises(ExperimentError, match=r"After 2 s, still waiting for the drive: trajectory_publisher reports"):
+        run_all(2.0)
+
+
+def test_progress_counts_the_trajectory(nodes):
+    nodes.script = ["running"] * 40 + ["idle"]
+    told = []
+    with client(tell=told.append) as bench:
+        bench.wait_until_ready(30.0)
+        bench.run_experiment()
+    assert any(SimpleNamespace(**vars(one)).duration == 1.5 for one in told)

@@ -32,7 +32,7 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench lint colcon clean
+.PHONY: help setup demo test bench lint docs colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -57,6 +57,11 @@ lint: setup ## check style, types and the direction of imports
 	@$(RUN) ruff format --check
 	@$(RUN) mypy
 	@$(RUN) python -m pytest -q test/test_imports.py
+
+docs: setup ## build the documentation, tutorials executed, into out/docs
+	@$(RUN) python -m pip install --quiet --disable-pip-version-check --requirement docs/requirements.txt
+	@$(RUN) python -m sphinx -W --keep-going -q -b html docs out/docs
+	@echo "The documentation is in out/docs: open out/docs/index.html."
 
 colcon: setup ## build, install and test both packages the way a ROS 2 workspace does
 	@$(COLCON) build $(BASES)

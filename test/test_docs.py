@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 from pathlib import Path
@@ -42,3 +43,19 @@ def test_named_files_exist(page):
     named = SOURCE.findall(page.read_text(encoding="utf-8"))
     missing = [name for name in named if not any((ROOT / base / name).exists() for base in ("", "drive_id"))]
     assert missing == []
+
+
+def test_explained_warnings_are_those_of_the_code():
+    """Each piece of a sentence between placeholders is in a string of the package."""
+    strings = [
+        node.value
+        for source in (ROOT / "drive_id").rglob("*.py")
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    page = (ROOT / "docs" / "warnings.md").read_text(encoding="utf-8")
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in page.splitlines() if line.startswith("| ")]
+    titles = [re.sub(r" \(`.*\)$", "", row) for row in rows if row != "warning begins"]
+    assert len(titles) > 15
+    pieces = [piece.strip(" ,.") for title in titles for piece in re.split(r"\*\w\*|…|1 %|, or is ", title)]
+    assert [piece for piece in pieces if piece and not any(piece in string for string in strings)] == []

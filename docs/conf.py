@@ -1,0 +1,34 @@
+"""Sphinx: ``make docs`` executes the tutorials and turns warnings into errors."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import drive_id
+
+project = "drive_id"
+author = "drive_id maintainers"
+copyright = "drive_id maintainers"  # noqa: A001  # Sphinx's name
+version = release = drive_id.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "requirements.txt"]
+html_theme = "furo"
+html_title = f"drive_id {version}"
+html_show_sourcelink = False
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+autodoc_mock_imports = ["rclpy", "diagnostic_msgs", "drive_id_msgs", "rcl_interfaces", "std_srvs"]
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+suppress_warnings = [
+    "myst.xref_missing",  # links to files outside this folder, which the pages have for readers of the repository
+]

@@ -30,16 +30,25 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 DEGREE = 4
 FEWEST_POINTS = 8
-REACH = 1.5
+REACH = 1.3
 MARGIN = 0.01
-_FEWEST_CELLS, _MOST_CELLS = 6, 20
+_FEWEST_CELLS, _MOST_CELLS = 10, 20
 _CELLS_PER_ROOT = 1.0
 """Cells along an axis per root of the number of points."""
-_WEIGHTS = np.geomspace(1e-11, 1e-1, 21)
+_BENDS = (1.0, 2.0, 3.0, 4.0)
+_WEIGHTS = np.geomspace(1e-11, 1e-1, 11)
+_FINER = np.geomspace(0.1, 10, 5)[1:-1]
+DECLINE = 0.5
+"""Beyond the points, slopes tend to fall with this power of the distance from zero current."""
+_LEAST_BEYOND, _BEYOND = 1e-6, 3.0
+"""Weight of the slopes beyond the points: at least, and relative to that of the roughness. Weak enough not to move the
+map within the points, strong enough to hold beyond them."""
+_SITES = 2
+_STEP = 0.05
+_ROUNDING = 1e-13
 _FOLDS = 5
 _NEIGHBOURS = 4
 _SEED = 20
-_RIDGE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -193,8 +202,7 @@ def fit_monotone(
         raise ConfigurationError(f"smoothness is {smoothness}: it must be positive.")
     if cells is None:
         cells = int(np.clip(round(_CELLS_PER_ROOT * np.sqrt(len(points.i))), _FEWEST_CELLS, _MOST_CELLS))
-    problem = _Problem.over(points, reach, cells)
-    weight = problem.selected() if smoothness is None else float(smoothness)
+    problem, weight = _selected(points, reach, cells, smoothness)
     free = problem.free(weight)
     least = margin * points.slope
     forms = HessianForms.of(problem.space.potential)
@@ -303,22 +311,24 @@ class _Problem:
     space : GradientSpline
     rows : (2 N, P) sparse
         Fluxes at the points, both fluxes of a point adjacent.
-    rough : (P, P) float
+    rough, beyond : (P, P) float
+        Matrices of the roughness and of the slopes beyond the points.
     """
 
     points: _Points
     space: GradientSpline
     rows: sparse.csr_array
     rough: FloatArray
+    beyond: FloatArray
 
     @classmethod
-    def over(cls, points: _Points, reach: float, cells: int) -> _Problem:
+    def over(cls, points: _Points, reach: float, cells: int, bend: float) -> _Problem:
         beyond = reach - 1
         low, high = points.i.min(axis=0) - beyond, points.i.max(axis=0) + beyond
-        space = GradientSpline(bent_edges(low[0], high[0], cells), bent_edges(low[1], high[1], cells), DEGREE)
+        space = GradientSpline(*(bent_edges(*ends, cells, bend) for ends in zip(low, high, strict=True)), DEGREE)
         rows = space.potential.rows(points.i).sparse(space.potential.parameters)
         rough = (space.gradient.T @ space.roughness @ space.gradient).toarray()
-        return cls(points, space, rows, rough)
+        return cls(points, space, rows, rough, _continuation(space, points.i))
 
     def sums(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix (P, P) and right side (P,) of the sum over chosen points (N,)."""
@@ -331,8 +341,7 @@ class _Problem:
         return self.sums(np.ones(len(self.points.i), np.bool_))
 
     def _matrix(self, normal: FloatArray, weight: float, count: int) -> FloatArray:
-        matrix = normal / (2 * count) + weight * self.rough
-        matrix[np.diag_indices(len(matrix))] += _RIDGE * weight * np.mean(np.diag(self.rough))
+        matrix = normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
         return matrix
 
     def free(self, weight: float) -> FloatArray:
@@ -350,29 +359,69 @@ class _Problem:
             self._matrix(normal, weight, count), right / (2 * count), forms, start, self.points.slope, least, tolerance
         )
 
-    def selected(self) -> float:
-        """Return the weight of the roughness with the least cross-validated error of the unconstrained map."""
+    def errors(self, candidates: FloatArray) -> FloatArray:
+        """Return the cross-validated errors of the unconstrained map for weights of the roughness."""
         normal, right = self._all
         fold = np.random.default_rng(_SEED).permutation(int(self.points.group.max()) + 1)[self.points.group] % _FOLDS
-        errors = np.zeros(len(_WEIGHTS))
+        errors = np.zeros(len(candidates))
         for number in range(_FOLDS):
             left_out = fold == number
             own_normal, own_right = self.sums(left_out)
             rows, psi = self.rows[np.repeat(left_out, 2)], self.points.psi[left_out].ravel()
             count = int((~left_out).sum())
-            for k, weight in enumerate(_WEIGHTS):
+            for k, weight in enumerate(candidates):
                 w = _solved(self._matrix(normal - own_normal, weight, count), (right - own_right) / (2 * count))
                 errors[k] += self.points.weights[left_out].ravel() @ (rows @ w - psi) ** 2
-        return float(_WEIGHTS[errors.argmin()])
+        return errors
 
     def at_points(self, w: FloatArray) -> FloatArray:
         """Return the fluxes (N, 2) at the points."""
         return np.asarray(self.rows @ w).reshape(-1, 2)
 
 
+def _continuation(space: GradientSpline, points: FloatArray) -> FloatArray:
+    """Return the matrix (P, P) of the mean square of ``r dL/dr + DECLINE L`` beyond the points' hull.
+
+    r is the distance from zero current or, where that is not within the hull, from the middle of the points.
+    """
+    support = Support.of(points)
+    centre = np.zeros(2) if support.in_hull(np.zeros((1, 2))).all() else points.mean(axis=0)
+    axes = [np.linspace(edges[0], edges[-1], _SITES * len(edges)) for edges in (space.d, space.q)]
+    sites = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    further = centre + (1 + _STEP) * (sites - centre)
+    chosen = ~support.in_hull(sites) & space.contains(further)
+    if not chosen.any():
+        return np.zeros((space.potential.parameters,) * 2)
+    near, far = (_inductance_rows(space, i[chosen]) for i in (sites, further))
+    change = ((1 + _STEP) ** DECLINE * far - near) / _STEP
+    return np.asarray((change.T @ change).toarray() / chosen.sum())
+
+
+def _inductance_rows(space: GradientSpline, i: FloatArray) -> sparse.csr_array:
+    """Return the matrix (4 N, P) from coefficients of the co-energy to the incremental inductances at currents."""
+    return sparse.csr_array(
+        sparse.vstack([rows.sparse(space.parameters) @ space.gradient for rows in space.slope_rows(i)])
+    )
+
+
+def _selected(points: _Points, reach: float, cells: int, smoothness: float | None) -> tuple[_Problem, float]:
+    """Return the problem and the weight of its roughness with the least cross-validated error."""
+    weights = _WEIGHTS if smoothness is None else np.array([smoothness])
+    problems = [_Problem.over(points, reach, cells, bend) for bend in _BENDS]
+    errors = np.array([problem.errors(weights) for problem in problems])
+    chosen, weight = np.unravel_index(errors.argmin(), errors.shape)
+    problem, best = problems[chosen], float(weights[weight])
+    if smoothness is None:
+        finer = best * _FINER
+        best = float(finer[problem.errors(finer).argmin()])
+    return problem, best
+
+
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     scale = 1 / np.sqrt(np.diag(matrix))
-    factor = linalg.cho_factor(matrix * scale[:, None] * scale, lower=True, overwrite_a=True)
+    scaled = matrix * scale[:, None] * scale
+    scaled[np.diag_indices(len(scaled))] += _ROUNDING
+    factor = linalg.cho_factor(scaled, lower=True, overwrite_a=True)
     return np.asarray(scale * linalg.cho_solve(factor, scale * right))
 
 

@@ -44,9 +44,12 @@ class Support:
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) which of the currents (N, 2), A, lie in the hull, its edge included, and not in a hole."""
         near, _ = self._tree.query(i_dq)
+        return np.asarray(self.in_hull(i_dq) & (near <= self.hole))
+
+    def in_hull(self, i_dq: FloatArray) -> BoolArray:
+        """Tell (N,) which of the currents (N, 2), A, lie in the convex hull of the points, its edge included."""
         tolerance = _ROUNDING * np.abs(self.points).max()
-        in_hull = (i_dq @ self._hull[:, :2].T + self._hull[:, 2] <= tolerance).all(axis=1)
-        return np.asarray(in_hull & (near <= self.hole))
+        return np.asarray((i_dq @ self._hull[:, :2].T + self._hull[:, 2] <= tolerance).all(axis=1))
 
     @cached_property
     def _tree(self) -> cKDTree:

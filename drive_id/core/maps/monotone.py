@@ -40,7 +40,7 @@ _WEIGHTS = np.geomspace(1e-11, 1e-1, 11)
 _FINER = np.geomspace(0.1, 10, 5)[1:-1]
 DECLINE = 0.5
 """Beyond the points, slopes tend to fall with this power of the distance from zero current."""
-_LEAST_BEYOND, _BEYOND = 1e-6, 3.0
+_LEAST_BEYOND, _BEYOND = 1e-8, 3.0
 """Weight of the slopes beyond the points: at least, and relative to that of the roughness. Weak enough not to move the
 map within the points, strong enough to hold beyond them."""
 _SITES = 2
@@ -202,9 +202,9 @@ def fit_monotone(
         raise ConfigurationError(f"smoothness is {smoothness}: it must be positive.")
     if cells is None:
         cells = int(np.clip(round(_CELLS_PER_ROOT * np.sqrt(len(points.i))), _FEWEST_CELLS, _MOST_CELLS))
+    least = margin * points.slope
     problem, weight = _selected(points, reach, cells, smoothness)
     free = problem.free(weight)
-    least = margin * points.slope
     forms = HessianForms.of(problem.space.potential)
     active = forms.least_eigenvalue(free) < least
     w = problem.convex(weight, free, forms, least) if active else free
@@ -290,7 +290,8 @@ class _Points:
         DataError
         """
         affine = np.column_stack([np.ones(len(self.i)), self.i])
-        slopes = [np.linalg.lstsq(affine, flux, rcond=None)[0] for flux in self.psi.T]
+        roots = np.sqrt(self.weights.T)
+        slopes = [np.linalg.lstsq(r[:, None] * affine, r * psi)[0] for r, psi in zip(roots, self.psi.T, strict=True)]
         found = {"psi_d": slopes[0][1], "psi_q": slopes[1][2]}
         for name, slope in found.items():
             if not slope > 0:
@@ -325,7 +326,8 @@ class _Problem:
     def over(cls, points: _Points, reach: float, cells: int, bend: float) -> _Problem:
         beyond = reach - 1
         low, high = points.i.min(axis=0) - beyond, points.i.max(axis=0) + beyond
-        space = GradientSpline(*(bent_edges(*ends, cells, bend) for ends in zip(low, high, strict=True)), DEGREE)
+        d, q = (bent_edges(*ends, cells, bend) for ends in zip(low, high, strict=True))
+        space = GradientSpline(d, q, DEGREE)
         rows = space.potential.rows(points.i).sparse(space.potential.parameters)
         rough = (space.gradient.T @ space.roughness @ space.gradient).toarray()
         return cls(points, space, rows, rough, _continuation(space, points.i))
@@ -341,8 +343,7 @@ class _Problem:
         return self.sums(np.ones(len(self.points.i), np.bool_))
 
     def _matrix(self, normal: FloatArray, weight: float, count: int) -> FloatArray:
-        matrix = normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
-        return matrix
+        return normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
 
     def free(self, weight: float) -> FloatArray:
         """Return the coefficients that minimize without constraints."""

@@ -5,7 +5,7 @@ Usage: pip download --no-deps --no-binary :all: --ignore-requires-python motulat
        python benchmarks/gradnet.py motulator_gradnet-0.1.2 [--output docs/gradnet.md]
 
 The split is that of the package: every n-th point trains, the others judge. Both sides are symmetric about the d axis.
-Smoothness and cell widths come from cross-validation on the training points; the judging points decide nothing.
+Smoothness and cell widths come from cross-validation on the training points.
 Errors are the root mean square of the length of the error vector over the base flux, as in the package.
 """
 
@@ -349,12 +349,12 @@ relative to the base torque.
 
 {table}
 
-- The first three rows are fits by `fit_monotone(i, psi, mirrored=True)` with default options. Nothing was chosen by
-  the judging points. The networks are made symmetric about the d axis, too.
+- The first three rows are fits by `fit_monotone(i, psi, mirrored=True)` with default options; smoothness and
+  cell widths come from cross-validation on the training points. The networks are made symmetric about the d axis, too.
 - The mean map of the FEM data is judged on data at all rotor positions: no map of the currents alone can be better
   than {floor:.4f}, the rms of the slot harmonics.
-- With harmonics, the co-energy is a Fourier series in the rotor position of electrical orders {orders} with splines as
-  coefficients, fitted to flux and torque. Its convexity is proven at {angles} rotor positions in the period of
+- With harmonics, the co-energy is a Fourier series in the rotor position of electrical orders {orders}
+  with splines as coefficients, fitted to flux and torque. Its convexity is proven at {angles} rotor positions in the period of
   60 degrees, at each on the whole square of currents. It is reached by smoothness, not by constraints: of all
   candidates with a convex co-energy, the best at predicting held-out training points is taken. That costs almost
   nothing, for the FEM data are monotone themselves.

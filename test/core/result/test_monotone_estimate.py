@@ -23,7 +23,7 @@ def samples():
 
 @pytest.fixture(scope="module")
 def estimated(samples):
-    evidence = gather([samples], FitSettings(method="joint", monotone=True, grid_points=25))
+    evidence = gather([samples], FitSettings(method="joint", monotone=True, grid_points=19))
     inside = evidence.inside()
     return evidence, method_named("joint").conclude(evidence, inside), inside
 
@@ -42,6 +42,10 @@ def test_the_setting_gives_a_monotone_map_near_the_estimate(samples, estimated):
     for psi, axis in ((flux_map.psi_d, 0), (flux_map.psi_q, 1)):
         assert (np.diff(psi, axis=axis) > 0).all()
     np.testing.assert_allclose(drive.flux(grid.reshape(-1, 2))[:, 0], flux_map.psi_d.ravel(), atol=1e-12)
+    stored = flux_map.inductances(*np.random.default_rng(1).uniform(-250, 250, (2, 5000)))
+    stored = stored[np.isfinite(stored).all(axis=(1, 2))]
+    assert len(stored) > 2000
+    assert np.linalg.eigvalsh((stored + stored.swapaxes(1, 2)) / 2).min() > 0
     error = np.abs(drive.flux(grid[inside]) - saturating_flux(grid[inside]))
     assert np.median(error) < 3e-3
     assert np.isfinite([drive.report.mad_d, drive.report.mad_q]).all()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drive_id.analysis.bands import ModelErrors, combined
 from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.full.model import COPPER
@@ -91,6 +92,8 @@ class MachineModel:
     iron : IronLoss
     temperature, magnet_temperature : float or None
         Degrees Celsius; None: as in the experiment.
+    errors : ModelErrors or None
+        None when the standard errors are not known.
     """
 
     flux_map: FluxMap
@@ -103,6 +106,7 @@ class MachineModel:
     iron: IronLoss = IronLoss()
     temperature: float | None = None
     magnet_temperature: float | None = None
+    errors: ModelErrors | None = None
 
     @classmethod
     def of(
@@ -155,11 +159,12 @@ class MachineModel:
         coefficient = result.drive.magnet_coefficient
         if magnet is not None and coefficient is not None:
             psi_d = psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
-        warmer = 0.0 if temperature is None else temperature - REFERENCE_TEMPERATURE
+        factor = 1.0 if temperature is None else 1 + COPPER * (temperature - REFERENCE_TEMPERATURE)
+        warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
         return cls(
             flux_map=FluxMap(longer.i_d, longer.i_q, psi_d, psi_q, sigmas[0], sigmas[1], longer.known),
             i_max=result.i_max,
-            resistance=result.resistance * (1 + COPPER * warmer),
+            resistance=result.resistance * factor,
             pole_pairs=pairs,
             u_dc=link,
             inverter_current=result.inverter_curve.current,
@@ -167,6 +172,7 @@ class MachineModel:
             iron=IronLoss.of(result),
             temperature=temperature,
             magnet_temperature=magnet,
+            errors=ModelErrors.of(result.drive, longer, warmer=factor, magnet=warmer),
         )
 
     def inside(self, i_d: ArrayLike, i_q: ArrayLike) -> BoolArray:
@@ -208,6 +214,26 @@ class MachineModel:
         d, q = _currents(i_d, i_q)
         psi_d, psi_q = self.psi_dq(d, q)
         return np.asarray(1.5 * self.known_pole_pairs() * (psi_d * q - psi_q * d))[()]
+
+    def sigma_torque(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the standard error of the torque (...), Nm; NaN outside the data and where it is not known."""
+        d, q = _currents(i_d, i_q)
+        return np.where(self.inside(d, q), combined(self.torque_changes(d, q)), np.nan)[()]
+
+    def torque_changes(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the changes of the torque (M, ...), Nm, with each cause of error; NaN without any known."""
+        if self.errors is None:
+            return np.full((1, *i_d.shape), np.nan)
+        psi = self.errors.fluxes(i_d, i_q)
+        return np.asarray(1.5 * self.known_pole_pairs() * (psi[..., 0] * i_q - psi[..., 1] * i_d))
+
+    def sigma_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the standard errors (..., 2, 2) of the incremental inductances, H; NaN as for the torque."""
+        d, q = _currents(i_d, i_q)
+        if self.errors is None:
+            return np.full((*d.shape, 2, 2), np.nan)
+        sigma = combined(self.errors.inductances(d, q))
+        return np.where(self.inside(d, q)[..., None, None], sigma, np.nan)
 
     def current(self, psi_d: ArrayLike, psi_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the currents i_d, i_q (...), A, that belong to flux linkages, Wb: the inverse map.

@@ -68,7 +68,8 @@ STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typi
 
 ROOMS = {
     "drive_id": Room.of(
-        NOUNS | below("core", "fit_settings", "result") | {"drive_id.bench", "drive_id.fitting"}, set()
+        NOUNS | below("core", "fit_settings", "result") | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),

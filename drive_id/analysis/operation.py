@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +76,10 @@ class Operation:
             power=1.5 * np.sum(u_dq * stator, axis=-1),
         )
 
+    def chosen(self, rows: BoolArray) -> Operation:
+        """Return some of the points along the first axis."""
+        return Operation(**{entry.name: getattr(self, entry.name)[rows] for entry in fields(self)})
+
     @property
     def current(self) -> FloatArray:
         """Amplitude of the stator current (...), A."""
@@ -119,7 +123,7 @@ class OperationErrors:
         changes: dict[str, list[FloatArray]] = {
             name: [] for name in ("torque", "voltage", "losses", "power", "efficiency")
         }
-        for other in _with_errors(model, points):
+        for other in operations_with_errors(model, points):
             changes["torque"].append(other.torque - points.torque)
             changes["voltage"].append(other.voltage - points.voltage)
             lost = [entry.copper + entry.iron + entry.inverter for entry in (other, points)]
@@ -131,7 +135,7 @@ class OperationErrors:
         return cls(**{name: np.where(known, sigma, np.nan) for name, sigma in sigmas.items()})
 
 
-def _with_errors(model: MachineModel, points: Operation) -> Iterator[Operation]:
+def operations_with_errors(model: MachineModel, points: Operation) -> Iterator[Operation]:
     """Yield the operating points with each cause of error of the model, at the same currents of the map."""
     errors = model.errors
     if errors is None:

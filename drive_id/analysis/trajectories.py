@@ -183,7 +183,7 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
 
 
 def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sigma_angle: FloatArray) -> Trajectory:
-    i_d, i_q = current * np.cos(angle), current * np.sin(angle)
+    i_d, i_q = current * np.cos(angle) + 0.0, current * np.sin(angle) + 0.0  # no negative zeros
     psi_d, psi_q = model.psi_dq(i_d, i_q)
     inside = model.inside(i_d, i_q)
     return Trajectory(

@@ -90,7 +90,7 @@ ROOMS = {
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
-    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
         NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},

@@ -1,7 +1,7 @@
 """Operation within limits of current and voltage: torque-speed envelope, current references over torque and speed.
 
-All optima are found by a search on a grid that shrinks around the best point. Candidates that break a limit rank behind
-all others, in the order of how far they break it.
+Both are searches along one line that shrink around the best point: over i_d, with the largest i_q that keeps the
+limits, or with the i_q that gives the torque.
 """
 
 from __future__ import annotations
@@ -17,16 +17,21 @@ from drive_id.types import BoolArray, FloatArray
 
 _LINES, _ROWS = 121, 61
 """Candidates of i_d and of i_q."""
-_WIDTH, _SHRINK, _ROUNDS, _ROUNDS_ALONG = 6, 0.6, 30, 24
-"""Search: points to both sides, factor on their step in each round, rounds over the plane and along a line."""
+_WIDTH, _SHRINK, _ROUNDS = 6, 0.6, 24
+"""Search for references: points to both sides, factor on their step in each round, rounds."""
+_NARROWINGS, _NARROW_LINES, _NARROW_ROWS = 11, 9, 41
+"""Search for the envelope: rounds, lines of i_d between the neighbours of the best one, and candidates of i_q."""
+_BISECTIONS = 45
 _NEWTON_STEPS = 4
+_IRON_REACH = 1.05
+"""Largest current of the map relative to the limit of the stator current, with iron loss."""
 _TOLERANCE, _ACTIVE = 1e-9, 1e-4
 """Relative excess of a limit that counts as kept, and relative distance within which it counts as active."""
+_SAME = 1e-6
+"""Relative distance from the largest torque within which it is taken instead."""
 _BROKEN = 1e3
 _DIFFERENCE = 1e-4
 """Step of numeric derivatives, in i_max."""
-_POLISH, _POLISHES = 3e-3, 2
-"""Step along a limit, in i_max, and rounds of the final search along it."""
 
 
 @dataclass(frozen=True)
@@ -57,23 +62,49 @@ def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: fl
 
     NaN where no current within its limit keeps the voltage.
     """
+    speed = np.asarray(speed, np.float64)
     i_dq, psi = _candidates(model, limits, sign)
-    flat, fluxes = i_dq.reshape(-1, 2), psi.reshape(-1, 2)
-    best = np.array(
-        [flat[_score(limits, Operation.of_flux(model, flat, fluxes, np.array(w)), sign).argmax()] for w in speed]
-    )
-    offsets = np.linspace(-1.0, 1.0, 2 * _WIDTH + 1)
-    window = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-    step = limits.i_max * np.array([2 / (_LINES - 1), 1 / (_ROWS - 1)])
-    for _ in range(_ROUNDS):
-        tried = best[:, None] + _WIDTH * step * window
-        tried[..., 1] = sign * np.maximum(sign * tried[..., 1], 0.0)
-        chosen = _score(limits, Operation.at(model, tried, speed[:, None]), sign).argmax(axis=1)
-        best, step = tried[np.arange(len(best)), chosen], _SHRINK * step
-    best = _at_both_limits(model, limits, best, speed, sign)
-    for _ in range(_POLISHES):
-        best = _polished(model, limits, best, speed, sign)
+    i_d, i_q = i_dq[:, 0, 0], i_dq[0, :, 1]
+    kept = np.stack([limits.broken(Operation.of_flux(model, i_dq, psi, np.array(w))) == 0 for w in speed])
+    lines = np.broadcast_to(i_d, (len(speed), len(i_d)))
+    best = _best_line(model, limits, lines, _last_kept(model, limits, lines, (i_q, kept), speed), speed, sign)
+    step = i_d[1] - i_d[0]
+    for _ in range(_NARROWINGS):
+        lines = np.clip(best[:, :1] + step * np.linspace(-1.0, 1.0, _NARROW_LINES), i_d[0], i_d[-1])
+        rows = np.linspace(0.0, i_q[-1], _NARROW_ROWS)
+        tried = np.stack(np.broadcast_arrays(lines[..., None], rows), axis=-1)
+        kept = limits.broken(Operation.at(model, tried, speed[:, None, None])) == 0
+        best = _best_line(model, limits, lines, _last_kept(model, limits, lines, (rows, kept), speed), speed, sign)
+        step *= 2 / (_NARROW_LINES - 1)
     return _kept(limits, Operation.at(model, best, speed))
+
+
+def _last_kept(
+    model: MachineModel, limits: Limits, i_d: FloatArray, rows: tuple[FloatArray, BoolArray], speed: FloatArray
+) -> FloatArray:
+    """Return the farthest i_q (S, D) that keeps the limits at i_d (S, D); NaN where none does.
+
+    ``rows`` are candidates of i_q (Q,), from zero on, and where they keep the limits (S, D, Q).
+    """
+    i_q, kept = rows
+    last = len(i_q) - 1 - kept[..., ::-1].argmax(axis=-1)
+    low, high = i_q[last], i_q[np.minimum(last + 1, len(i_q) - 1)]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        good = limits.broken(Operation.at(model, np.stack([i_d, middle], axis=-1), speed[:, None])) == 0
+        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    return np.where(kept.any(axis=-1), low, np.nan)
+
+
+def _best_line(
+    model: MachineModel, limits: Limits, i_d: FloatArray, i_q: FloatArray, speed: FloatArray, sign: float
+) -> FloatArray:
+    """Return the currents (S, 2) of largest torque of a sign among (S, D); some current where none keeps the limits."""
+    torque = sign * model.torque(i_d, np.nan_to_num(i_q))
+    chosen = np.where(np.isfinite(i_q), torque, -np.inf).argmax(axis=1)
+    rows = np.arange(len(speed))
+    best = np.stack([i_d[rows, chosen], i_q[rows, chosen]], axis=-1)
+    return np.where(np.isfinite(best), best, np.array([-limits.i_max, 0.0]))
 
 
 def references(
@@ -99,7 +130,7 @@ def references(
         own = np.flatnonzero(torque >= 0 if sign > 0 else torque < 0)
         if len(own):
             i_dq[:, own] = _least_current(model, limits, torque[own], speed, sign)
-            beyond = sign * wanted[:, own] >= sign * end.torque[:, None]
+            beyond = sign * wanted[:, own] >= (1 - _SAME) * sign * end.torque[:, None]
             i_dq[:, own] = np.where(beyond[..., None], end.i_dq[:, None], i_dq[:, own])
     return _kept(limits, Operation.at(model, i_dq, np.broadcast_to(speed[:, None], wanted.shape)))
 
@@ -176,75 +207,13 @@ def _gradients(
     return slopes("torque"), slopes("voltage"), slopes("current")
 
 
-def _at_both_limits(
-    model: MachineModel, limits: Limits, i_dq: FloatArray, speed: FloatArray, sign: float
-) -> FloatArray:
-    """Move points (N, 2) to where current and voltage are both at their limits, if that gives more torque."""
-    moved, tiny = i_dq.copy(), np.finfo(np.float64).tiny
-    for _ in range(2 * _NEWTON_STEPS):
-        points = Operation.at(model, moved, speed)
-        _, by_u, by_i = _gradients(model, limits, moved, speed)
-        excess_u, excess_i = points.voltage - limits.u_max, points.current - limits.i_max
-        cross = by_u[:, 0] * by_i[:, 1] - by_u[:, 1] * by_i[:, 0]
-        cross = np.where(np.abs(cross) > tiny, cross, np.inf)
-        step = np.stack([by_i[:, 1] * excess_u - by_u[:, 1] * excess_i, by_u[:, 0] * excess_i - by_i[:, 0] * excess_u])
-        moved = moved - np.clip((step / cross).T, -0.1 * limits.i_max, 0.1 * limits.i_max)
-    better = _better(model, limits, i_dq, moved, speed, sign)
-    return np.where(better[:, None], moved, i_dq)
-
-
-def _better(
-    model: MachineModel, limits: Limits, before: FloatArray, after: FloatArray, speed: FloatArray, sign: float
-) -> BoolArray:
-    """Tell (N,) where moved points keep the limits and give more torque, or the same as those that broke them."""
-    old, new = (Operation.at(model, x, speed) for x in (before, after))
-    gains = (sign * new.torque > sign * old.torque) | (limits.broken(old) > 0)
-    return np.asarray((limits.broken(new) == 0) & gains)
-
-
-def _polished(model: MachineModel, limits: Limits, i_dq: FloatArray, speed: FloatArray, sign: float) -> FloatArray:
-    """Move points (N, 2) at one limit along it to the vertex of the torque; a grid finds it only roughly.
-
-    Points where this would break a limit or lose torque stay.
-    """
-    at_current, at_voltage = limits.active(Operation.at(model, i_dq, speed))
-    _, by_u, by_i = _gradients(model, limits, i_dq, speed)
-    normal = np.where(at_voltage[:, None], by_u, by_i)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1), np.finfo(np.float64).tiny)[:, None]
-    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-
-    def along(offset: FloatArray) -> FloatArray:
-        """Return the points (N, 2) on the limit at these distances (N,) along it."""
-        moved = i_dq + offset[:, None] * tangent
-        for _ in range(_NEWTON_STEPS):
-            points = Operation.at(model, moved, speed)
-            _, slope_u, slope_i = _gradients(model, limits, moved, speed)
-            excess = np.where(at_voltage, points.voltage - limits.u_max, points.current - limits.i_max)
-            slope = np.sum(np.where(at_voltage[:, None], slope_u, slope_i) * normal, axis=-1)
-            moved = moved - np.divide(excess, slope, out=np.zeros_like(excess), where=slope != 0)[:, None] * normal
-        return moved
-
-    step = np.full(len(i_dq), _POLISH * limits.i_max)
-    torques = [sign * Operation.at(model, along(k * step), speed).torque for k in (-1.0, 0.0, 1.0)]
-    curvature = torques[0] - 2 * torques[1] + torques[2]
-    shift = np.divide(0.5 * (torques[0] - torques[2]), curvature, out=np.zeros_like(curvature), where=curvature < 0)
-    moved = along(np.clip(shift, -2.0, 2.0) * step)
-    better = _better(model, limits, i_dq, moved, speed, sign) & (at_current != at_voltage)
-    return np.where(better[:, None], moved, i_dq)
-
-
 def _candidates(model: MachineModel, limits: Limits, sign: float) -> tuple[FloatArray, FloatArray]:
     """Return currents on a grid over the half plane (D, Q, 2), A, and their fluxes."""
-    i_d = np.linspace(-limits.i_max, limits.i_max, _LINES)
-    i_q = sign * np.linspace(0.0, limits.i_max, _ROWS)
+    reach = limits.i_max * (_IRON_REACH if model.iron.known else 1.0)
+    i_d = np.linspace(-reach, reach, _LINES)
+    i_q = sign * np.linspace(0.0, reach, _ROWS)
     i_dq = np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1)
     return i_dq, np.stack(model.psi_dq(i_dq[..., 0], i_dq[..., 1]), axis=-1)
-
-
-def _score(limits: Limits, points: Operation, sign: float) -> FloatArray:
-    broken = limits.broken(points)
-    scale = np.abs(points.torque).max() + 1e-12
-    return np.where(broken > 0, -_BROKEN * (1 + broken), sign * points.torque / scale)
 
 
 def _kept(limits: Limits, points: Operation) -> Operation:
@@ -274,7 +243,7 @@ def _least_current(
         best[k] = lines[np.arange(len(torque)), rank.argmin(axis=1)]
     offsets = np.linspace(-1.0, 1.0, 2 * _WIDTH + 1)
     step = i_d[1] - i_d[0]
-    for k in range(_ROUNDS_ALONG):
+    for k in range(_ROUNDS):
         tried = best[..., 0, None] + _WIDTH * step * offsets
         steps = _NEWTON_STEPS if k < 3 else 2
         curve = _on_torque(model, tried, np.broadcast_to(best[..., 1, None], tried.shape), torque[:, None], steps)

@@ -11,12 +11,12 @@ from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
 from drive_id.types import BoolArray, FloatArray
 
-_ANGLES = 361
+_ANGLES = 181
 """Candidates per half turn."""
 _ZOOMS, _WIDTH = 14, 4
 """Rounds of search, each with half the step, over so many steps to both sides."""
 _BISECTIONS = 40
-_CIRCLES, _START_STEPS = 201, 24
+_CIRCLES, _START_STEPS = 61, 20
 _ANGLE_STEP = np.deg2rad(1.0)
 """For differences of the torque along a circle."""
 

@@ -21,7 +21,7 @@ _WIDTH, _SHRINK, _ROUNDS = 6, 0.6, 24
 """Search for references: points to both sides, factor on their step in each round, rounds."""
 _NARROWINGS, _NARROW_LINES, _NARROW_ROWS = 11, 9, 41
 """Search for the envelope: rounds, lines of i_d between the neighbours of the best one, and candidates of i_q."""
-_BISECTIONS = 45
+_BISECTIONS, _ROUGH_BISECTIONS = 45, 12
 _NEWTON_STEPS = 4
 _IRON_REACH = 1.05
 """Largest current of the map relative to the limit of the stator current, with iron loss."""
@@ -67,7 +67,8 @@ def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: fl
     i_d, i_q = i_dq[:, 0, 0], i_dq[0, :, 1]
     kept = np.stack([limits.broken(Operation.of_flux(model, i_dq, psi, np.array(w))) == 0 for w in speed])
     lines = np.broadcast_to(i_d, (len(speed), len(i_d)))
-    best = _best_line(model, limits, lines, _last_kept(model, limits, lines, (i_q, kept), speed), speed, sign)
+    farthest = _last_kept(model, limits, lines, (i_q, kept), speed, _ROUGH_BISECTIONS)
+    best = _best_line(model, limits, lines, farthest, speed, sign)
     step = i_d[1] - i_d[0]
     for _ in range(_NARROWINGS):
         lines = np.clip(best[:, :1] + step * np.linspace(-1.0, 1.0, _NARROW_LINES), i_d[0], i_d[-1])
@@ -80,7 +81,12 @@ def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: fl
 
 
 def _last_kept(
-    model: MachineModel, limits: Limits, i_d: FloatArray, rows: tuple[FloatArray, BoolArray], speed: FloatArray
+    model: MachineModel,
+    limits: Limits,
+    i_d: FloatArray,
+    rows: tuple[FloatArray, BoolArray],
+    speed: FloatArray,
+    bisections: int = _BISECTIONS,
 ) -> FloatArray:
     """Return the farthest i_q (S, D) that keeps the limits at i_d (S, D); NaN where none does.
 
@@ -89,7 +95,7 @@ def _last_kept(
     i_q, kept = rows
     last = len(i_q) - 1 - kept[..., ::-1].argmax(axis=-1)
     low, high = i_q[last], i_q[np.minimum(last + 1, len(i_q) - 1)]
-    for _ in range(_BISECTIONS):
+    for _ in range(bisections):
         middle = 0.5 * (low + high)
         good = limits.broken(Operation.at(model, np.stack([i_d, middle], axis=-1), speed[:, None])) == 0
         low, high = np.where(good, middle, low), np.where(good, high, middle)

@@ -26,9 +26,9 @@ def with_modes(result, size):
     rng = np.random.default_rng(11)
     grid = result.flux_map.grid() / result.i_max
     terms = np.stack([grid[..., 0] ** a * grid[..., 1] ** b for a in range(4) for b in range(4 - a)])
-    psi_d, psi_q = (size * np.tensordot(rng.normal(size=(6, len(terms))), terms, 1) for _ in range(2))
-    curve = 0.05 * rng.normal(size=6)[:, None] * np.tanh(result.inverter_curve.current)
-    modes = ErrorModes(np.float32(psi_d), np.float32(psi_q), 0.004 * rng.normal(size=6), curve, curve[:, -1])
+    psi_d, psi_q = (size * np.tensordot(rng.normal(size=(3, len(terms))), terms, 1) for _ in range(2))
+    curve = 0.05 * rng.normal(size=3)[:, None] * np.tanh(result.inverter_curve.current)
+    modes = ErrorModes(np.float32(psi_d), np.float32(psi_q), 0.004 * rng.normal(size=3), curve, curve[:, -1])
     flux_map = replace(result.flux_map, sigma_d=np.linalg.norm(psi_d, axis=0), sigma_q=np.linalg.norm(psi_q, axis=0))
     drive = replace(
         result.drive, flux_map=flux_map, error_modes=modes, sigma_resistance=np.linalg.norm(modes.resistance)

@@ -51,6 +51,8 @@ class SpeedRange:
     u_dc : float
         V.
     limits : Limits
+    corner : float
+        Speed up to which the largest torque needs no field weakening, rad/s.
     motoring, braking : Operation
         (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
     sigma_torque : (S,) float
@@ -66,6 +68,7 @@ class SpeedRange:
 
     u_dc: float
     limits: Limits
+    corner: float
     motoring: Operation
     braking: Operation
     sigma_torque: FloatArray
@@ -200,6 +203,7 @@ def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, l
     return SpeedRange(
         u_dc=u_dc,
         limits=limits,
+        corner=corner,
         motoring=motoring,
         braking=braking,
         sigma_torque=sigma_envelope(model, limits, motoring),
@@ -263,14 +267,16 @@ def _figures(
 
 def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:
     """Return the corner speed; its error is that of the voltage over the slope of the voltage."""
-    speed = corner_speed(model, of_speed.limits)
-    point = envelope(model, of_speed.limits, np.array([speed]))
+    speed, i_dq = of_speed.corner, of_speed.motoring.i_dq[:1]
+    if not speed > 0:
+        return Figure(speed, np.nan, "rad/s", inside=False)
+    point = Operation.at(model, i_dq, np.array([speed]))
     errors = OperationErrors.of(model, point)
     step = 1e-3 * speed + 1e-6
     ahead = Operation.at(model, point.i_dq, point.speed + step)
     slope = float((ahead.voltage - point.voltage)[0]) / step
     sigma = float(errors.voltage[0]) / slope if slope > 0 else np.nan
-    return Figure(speed, sigma, "rad/s", bool(model.inside(*point.i_dq[0])))
+    return Figure(speed, sigma, "rad/s", bool(model.inside(*i_dq[0])))
 
 
 def _statements(

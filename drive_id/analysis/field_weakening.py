@@ -21,7 +21,7 @@ _WIDTH, _SHRINK, _ROUNDS = 6, 0.6, 24
 """Search for references: points to both sides, factor on their step in each round, rounds."""
 _NARROWINGS, _NARROW_LINES, _NARROW_ROWS = 11, 9, 41
 """Search for the envelope: rounds, lines of i_d between the neighbours of the best one, and candidates of i_q."""
-_BISECTIONS, _ROUGH_BISECTIONS = 45, 12
+_ROUGH_BISECTIONS, _MIDDLE_BISECTIONS, _BISECTIONS = 12, 20, 45
 _NEWTON_STEPS = 4
 _IRON_REACH = 1.05
 """Largest current of the map relative to the limit of the stator current, with iron loss."""
@@ -70,12 +70,14 @@ def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: fl
     farthest = _last_kept(model, limits, lines, (i_q, kept), speed, _ROUGH_BISECTIONS)
     best = _best_line(model, limits, lines, farthest, speed, sign)
     step = i_d[1] - i_d[0]
-    for _ in range(_NARROWINGS):
+    for k in range(_NARROWINGS):
         lines = np.clip(best[:, :1] + step * np.linspace(-1.0, 1.0, _NARROW_LINES), i_d[0], i_d[-1])
         rows = np.linspace(0.0, i_q[-1], _NARROW_ROWS)
         tried = np.stack(np.broadcast_arrays(lines[..., None], rows), axis=-1)
         kept = limits.broken(Operation.at(model, tried, speed[:, None, None])) == 0
-        best = _best_line(model, limits, lines, _last_kept(model, limits, lines, (rows, kept), speed), speed, sign)
+        bisections = _BISECTIONS if k + 1 == _NARROWINGS else _MIDDLE_BISECTIONS
+        farthest = _last_kept(model, limits, lines, (rows, kept), speed, bisections)
+        best = _best_line(model, limits, lines, farthest, speed, sign)
         step *= 2 / (_NARROW_LINES - 1)
     return _kept(limits, Operation.at(model, best, speed))
 
@@ -86,7 +88,7 @@ def _last_kept(
     i_d: FloatArray,
     rows: tuple[FloatArray, BoolArray],
     speed: FloatArray,
-    bisections: int = _BISECTIONS,
+    bisections: int,
 ) -> FloatArray:
     """Return the farthest i_q (S, D) that keeps the limits at i_d (S, D); NaN where none does.
 

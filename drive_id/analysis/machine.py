@@ -15,7 +15,7 @@ from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.full.model import COPPER
 from drive_id.core.maps.continuation import LongerGrid, typical_slope
 from drive_id.core.result.identification import FluxMap
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _MARGIN = 1.25
 """Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
 _ANGLES = 180
+_FEWEST = 16
+"""Points with data from which a map can be continued."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ class MachineModel:
         ------
         ConfigurationError
             When a value is not positive or not finite, or the temperature is out of range.
+        CoverageError
+            When the map has hardly any data.
         """
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
@@ -148,6 +152,11 @@ class MachineModel:
             if value is not None and not -100.0 <= value <= 300.0:
                 raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
         found = result.flux_map
+        if found.inside.sum() < _FEWEST:
+            raise CoverageError(
+                f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
+                "more of the current disc."
+            )
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * result.i_max)
         psi_d = longer.whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
         psi_q = longer.whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))

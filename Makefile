@@ -32,7 +32,7 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench lint docs colcon clean
+.PHONY: help setup demo test bench lint docs coverage package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -57,6 +57,13 @@ lint: setup ## check style, types and the direction of imports
 	@$(RUN) ruff format --check
 	@$(RUN) mypy
 	@$(RUN) python -m pytest -q test/test_imports.py
+
+coverage: setup ## run the tests and report which lines of core and files they reach
+	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 python -m pytest -n $(JOBS) --dist loadscope -q --cov=drive_id.core --cov=drive_id.files \
+	    --cov-report=term:skip-covered $(ARGS)
+
+package: setup ## build wheel and sdist into out/dist, install each into an empty environment, and fit with it
+	@$(RUN) bash tools/check_package.sh out/dist
 
 docs: setup ## build the documentation, tutorials executed, into out/docs
 	@$(RUN) python -m pip install --quiet --disable-pip-version-check --requirement docs/requirements.txt

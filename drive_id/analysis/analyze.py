@@ -310,6 +310,8 @@ def _statements(
     ranges: tuple[SpeedRange, ...],
 ) -> tuple[str, ...]:
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
+    if not model.monotone:
+        out.append(_on_inverse(model))
     if not found.harmonics:
         out.append("The result has no rotor-position harmonics, so the torque ripple is 0.")
     else:
@@ -341,6 +343,16 @@ def _on_support(name: str, inside: BoolArray) -> str:
     return (
         f"{missing} of {inside.size} points of {name} lie outside the data: they rest on a smooth continuation of the "
         "map, are marked (inside is 0) and have no standard error."
+    )
+
+
+def _on_inverse(model: MachineModel) -> str:
+    grid = model.flux_map.grid()[model.flux_map.inside]
+    own = np.stack(model.psi_dq(grid[:, 0], grid[:, 1]), axis=-1)
+    moved = np.abs(model.inverted.values(grid[:, 0], grid[:, 1]) - own).max()
+    return (
+        "The map is not monotone, so a flux may belong to several currents: the inverse map and the characteristic "
+        f"current are those of the nearest monotone map, which differs by at most {moved:.3g} Wb within the data."
     )
 
 

@@ -68,7 +68,8 @@ STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typi
 
 ROOMS = {
     "drive_id": Room.of(
-        NOUNS | below("core", "fit_settings", "result") | {"drive_id.bench", "drive_id.fitting"}, set()
+        NOUNS | below("core", "fit_settings", "result") | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),
@@ -89,7 +90,7 @@ ROOMS = {
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
-    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
         NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},

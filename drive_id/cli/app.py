@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import drive_id
+from drive_id.cli.analyze import analyze
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
@@ -322,6 +323,7 @@ app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
+app.command(epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80")(analyze)
 
 
 @app.command()

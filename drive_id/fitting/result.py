@@ -15,7 +15,7 @@ from drive_id.core.result.identification import FluxMap, HarmonicMap, Identified
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_results, write_results
 from drive_id.fitting.caption import Caption
-from drive_id.types import BoolArray, FloatArray, GroundTruth, MachineMap, Samples
+from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -255,19 +255,13 @@ class Identification:
             raise ConfigurationError(
                 "The result does not tell the number of pole pairs, which a simulation needs: give pole_pairs."
             )
+        from drive_id.core.maps.continuation import LongerGrid, typical_slope  # noqa: PLC0415  # a fit needs no scipy
+
         found = self.flux_map
-        i_d, i_q = (_reaching(axis, _MARGIN * self.i_max) for axis in (found.i_d, found.i_q))
-        known, places = _placed(found, i_d, i_q)
-
-        def whole(values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
-            from drive_id.core.maps.continuation import continued  # noqa: PLC0415  # a fit does not need it
-
-            placed = np.zeros(known.shape)
-            placed[places] = values
-            return continued(placed, known, (i_d, i_q), slopes)
-
-        slope_d, slope_q = (_typical_slope(found, axis) for axis in range(2))
-        psi_d, psi_q = whole(found.psi_d, (slope_d, 0.0)), whole(found.psi_q, (0.0, slope_q))
+        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
+        whole = longer.whole
+        psi_d = whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
+        psi_q = whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])
@@ -282,8 +276,8 @@ class Identification:
         enough = math.sqrt(3) * float(np.hypot(psi_d, psi_q).max()) * _ENOUGH_SPEED * math.pi / 30 * pairs
         return MachineMap(
             name=self.machine or "identified",
-            i_d=i_d,
-            i_q=i_q,
+            i_d=longer.i_d,
+            i_q=longer.i_q,
             psi_d=psi_d,
             psi_q=psi_q,
             resistance=max(self.resistance, 0.0),
@@ -353,30 +347,6 @@ def pictures(result: Identification, *, figure_format: str = "png", name: str = 
 
 def _percent(*values: float) -> str:
     return " / ".join(f"{100 * value:.3f} %" for value in values) if all(map(math.isfinite, values)) else ""
-
-
-def _reaching(axis: FloatArray, reach: float) -> FloatArray:
-    """Return an axis with points of the same mean step added until it covers -reach to reach, A."""
-    step = (axis[-1] - axis[0]) / (len(axis) - 1)
-    before, after = (max(0, math.ceil((reach - end) / step)) for end in (-axis[0], axis[-1]))
-    return np.concatenate([axis[0] - step * np.arange(before, 0, -1), axis, axis[-1] + step * np.arange(1, after + 1)])
-
-
-def _placed(found: FluxMap, i_d: FloatArray, i_q: FloatArray) -> tuple[BoolArray, tuple[slice, slice]]:
-    """Return where a map has data on longer axes, and where its grid lies on them."""
-    starts = [int(np.searchsorted(axis, own[0])) for axis, own in ((i_d, found.i_d), (i_q, found.i_q))]
-    places = (slice(starts[0], starts[0] + len(found.i_d)), slice(starts[1], starts[1] + len(found.i_q)))
-    known = np.zeros((len(i_d), len(i_q)), np.bool_)
-    known[places] = found.inside
-    return known, places
-
-
-def _typical_slope(found: FluxMap, axis: int) -> float:
-    """Return the median slope of psi_d over i_d (axis 0) or of psi_q over i_q (axis 1) where there are data, H."""
-    psi, current = (found.psi_d, found.i_d) if axis == 0 else (found.psi_q, found.i_q)
-    both = np.take(found.inside, range(1, len(current)), axis) & np.take(found.inside, range(len(current) - 1), axis)
-    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
-    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
 
 
 def _angles(orders: Sequence[int]) -> FloatArray:

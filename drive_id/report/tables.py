@@ -9,9 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from drive_id.analysis.analyze import Figure
     from drive_id.core.planning.planner import Plan
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
@@ -139,6 +140,27 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     for file, digest in found.digests.items():
         table.add_row(escape(file), f"sha256 {digest[:16]}...")
     return table
+
+
+def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
+    """Lay out the single numbers of an analysis with their standard errors."""
+    table = _table(f"Analysis of {name}", ["Quantity"], ["Value", "Std. error", ""])
+    for quantity, figure in figures.items():
+        value, sigma, unit = figure.value, figure.sigma, figure.unit
+        if unit in _SHOWN:
+            factor, unit = _SHOWN[unit]
+            value, sigma = factor * value, factor * sigma
+        shown = f"{value:.5g} {unit.removeprefix('1')}".rstrip() if math.isfinite(value) else "unknown"
+        error = f"{sigma:.2g} {unit.removeprefix('1')}".rstrip() if math.isfinite(sigma) else ""
+        table.add_row(quantity.replace("_", " "), shown, error, "" if figure.inside else "outside the data")
+    return table
+
+
+_SHOWN = {
+    "ohm": (1e3, "mohm"), "Wb": (1e3, "mWb"), "H": (1e3, "mH"), "rad": (180 / math.pi, "deg"),
+    "rad/s": (30 / math.pi, "rpm"),
+}  # fmt: skip
+"""Factor and name of the unit in which a quantity is shown."""
 
 
 def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:

@@ -118,6 +118,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         calibrations=estimate.calibrations,
         magnet_coefficient=estimate.magnet_coefficient,
         statements=estimate.statements,
+        error_modes=estimate.error_modes,
     )
     return Conclusion(drive, estimate.fit, mad, complete)
 

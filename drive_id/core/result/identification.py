@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from scipy.interpolate import RectBivariateSpline
 
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
     from drive_id.core.result.torque import TorqueFit
 
@@ -304,6 +305,9 @@ class IdentifiedDrive:
         What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     torque : TorqueFit or None
         The recorded shaft torque against that of the map.
+    error_modes : ErrorModes or None
+        Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
+        that did not keep them.
     """
 
     method: str
@@ -325,6 +329,7 @@ class IdentifiedDrive:
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
+    error_modes: ErrorModes | None = None
 
     @property
     def has_inverter(self) -> bool:

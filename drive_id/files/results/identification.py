@@ -22,6 +22,7 @@ import numpy as np
 
 import drive_id
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
@@ -37,6 +38,8 @@ _UNITS = {
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
+_MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
+"""Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
 _DAMAGE = (
     DriveIdError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError,
     RecursionError, NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
@@ -149,7 +152,8 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
             )
         flux_map = _read_flux_map(directory / _NPZ)
         harmonics = _read_harmonics(directory / _HARMONICS, flux_map.psi_d.shape) if tree["harmonics"] else ()
-        return _identification(tree, flux_map, harmonics), _provenance(tree, str(directory))
+        modes = _read_modes(directory / _NPZ, flux_map.psi_d.shape, len(tree["inverter_curve"]["current"]))
+        return _identification(tree, flux_map, harmonics, modes), _provenance(tree, str(directory))
     except ResultError:
         raise
     except _DAMAGE as error:
@@ -215,7 +219,9 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
         "units": json.dumps(_UNITS),
     }
     arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
-    return _npz(arrays | scalars | texts)
+    modes = identification.error_modes
+    joint = {} if modes is None else {name: np.float32(getattr(modes, name[6:])) for name in _MODES}
+    return _npz(arrays | scalars | texts | joint)
 
 
 def _harmonics(identification: IdentifiedDrive) -> bytes:
@@ -257,6 +263,20 @@ def _read_flux_map(path: Path) -> FluxMap:
     return FluxMap(**arrays)
 
 
+def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes | None:
+    """Read the joint errors, which results of earlier versions do not have."""
+    with np.load(path, allow_pickle=False) as file:
+        if not any(name in file for name in _MODES):
+            return None
+        found = {name[6:]: np.asarray(file[name]) for name in _MODES}
+    count = len(found["resistance"])
+    shapes = {"psi_d": (count, *shape), "psi_q": (count, *shape), "inverter_voltage": (count, points)}
+    if any(x.shape != shapes.get(name, (count,)) or not np.isfinite(x).all() for name, x in found.items()):
+        raise ValueError(f"{_NPZ} has error modes that do not fit the map")
+    numbers = {name: found[name].astype(np.float64) for name in ("resistance", "inverter_voltage", "voltage_error")}
+    return ErrorModes(found["psi_d"].astype(np.float32), found["psi_q"].astype(np.float32), **numbers)
+
+
 def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
     with np.load(path, allow_pickle=False) as file:
         orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
@@ -265,7 +285,9 @@ def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ..
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
 
 
-def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...]) -> IdentifiedDrive:
+def _identification(
+    tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
+) -> IdentifiedDrive:
     from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
 
     curve, metrics = tree["inverter_curve"], tree["metrics"]
@@ -299,6 +321,7 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=tuple(map(str, tree["statements"])),
         torque=_torque(tree.get("torque")),
+        error_modes=modes,
     )
 
 

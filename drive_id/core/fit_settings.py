@@ -69,6 +69,11 @@ class FitSettings:
         True, "full: whether to search the residuals for harmonics of other orders, and to fit those found"
     )
     per_phase_inverter: bool = setting(False, "full: whether to fit one inverter curve per phase")
+    monotone: bool = setting(
+        False,
+        "whether to make the estimated map reciprocal and monotone (convex co-energy), also beyond the data, and to "
+        "report how far it moved",
+    )
     passive_maps: bool = setting(False, "full: whether to enforce a positive definite inductance matrix")
     calibrate_delay: bool = setting(True, "full: whether to estimate the delay of the voltages after their stamps")
     calibrate_angle: bool = setting(True, "full: whether to estimate the resolver's offset from the mirror symmetry")

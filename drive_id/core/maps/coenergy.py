@@ -23,13 +23,13 @@ _BEND = 2.0
 """Cells at zero current are ``cosh(_BEND)``, about 3.8, times narrower than at the rim: iron bridges saturate early."""
 
 
-def bent_edges(low: float, high: float, cells: int) -> FloatArray:
+def bent_edges(low: float, high: float, cells: int, bend: float = _BEND) -> FloatArray:
     """Return cells + 1 edges over [low, high], A: ``I sinh(bend z) / sinh(bend)`` of equally spaced z."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high and cells >= 1):
         raise ConfigurationError(f"{cells} cells from {low} A to {high} A: give low < high and at least one cell.")
     largest = max(abs(low), abs(high))
-    ends = np.arcsinh(np.array([low, high]) / largest * np.sinh(_BEND)) / _BEND
-    edges = largest * np.sinh(_BEND * np.linspace(ends[0], ends[1], cells + 1)) / np.sinh(_BEND)
+    ends = np.arcsinh(np.array([low, high]) / largest * np.sinh(bend)) / bend
+    edges = largest * np.sinh(bend * np.linspace(ends[0], ends[1], cells + 1)) / np.sinh(bend)
     edges[0], edges[-1] = low, high
     return np.asarray(edges)
 

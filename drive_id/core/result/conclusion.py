@@ -15,6 +15,7 @@ from drive_id.core.methods.method import Estimate
 from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import review, unexplained_sentence
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
@@ -74,6 +75,8 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     estimate = method.conclude(evidence, inside, earlier.fit if earlier else None)
     if not estimate.unexplained <= method.limits.refused:
         raise UnexplainedError(unexplained_sentence(evidence, estimate))
+    if evidence.settings.monotone:
+        estimate = made_monotone(evidence, estimate, inside)
     flux_map = FluxMap(
         i_d=evidence.visits.i_d,
         i_q=evidence.visits.i_q,

@@ -1,0 +1,90 @@
+"""The estimated map made monotone on request: the nearest map with a convex co-energy, in standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
+from drive_id.core.methods.method import Estimate, SimulationModel
+from drive_id.core.numerics.bspline import Axis
+from drive_id.errors import DataError, UnexplainedError
+from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
+    from drive_id.core.maps.monotone import MonotoneMap
+
+_FINE = 48
+_FAR = 3.0
+"""Standard errors beyond which a move contradicts the data."""
+_LEAST_SIGMA = 0.1
+"""Of the median: a point with a smaller standard error counts as if it had this one."""
+
+
+def made_monotone(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> Estimate:
+    """Replace the estimated map by a reciprocal and monotone one, and say how far it moved.
+
+    The map is fitted to the estimate at the grid points with data, weighted by their standard errors. Correlations
+    between the errors of neighbouring points do not count. The standard errors stay those of the estimate. Outside
+    the data, the map is the continuation of the monotone one.
+
+    Raises
+    ------
+    UnexplainedError
+        When no monotone map is anywhere near, because a flux falls with its current on the whole.
+    """
+    from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+    grid = evidence.visits.grid()
+    i, psi, sigma = grid[inside], estimate.psi[inside], estimate.sigma[inside]
+    known = bool(np.isfinite(sigma).all() and (sigma > 0).all())
+    weights = np.maximum(sigma, _LEAST_SIGMA * np.median(sigma)) if known else None
+    size = np.hypot(i[:, 0], i[:, 1]).max()
+    excess = np.concatenate([i.min(axis=0) - grid.min(axis=(0, 1)), grid.max(axis=(0, 1)) - i.max(axis=0)]).max() / size
+    try:
+        found = fit_monotone(i, psi, weights, reach=max(REACH, 1 + excess))
+    except DataError as error:
+        raise UnexplainedError(f"The map cannot be made monotone: {error} Or set monotone to false.") from error
+    moved = np.abs(found.psi(i) - psi)
+    simulation = _simulation(estimate.simulation, found)
+    statement, warning = _told(i, moved, sigma if known else None, active=found.convexity.active)
+    return replace(
+        estimate,
+        model=found.space,
+        gamma=found.gamma,
+        psi=found.psi(grid),
+        simulation=simulation,
+        positive_definite=lambda points: np.linalg.eigvalsh(found.inductances(points))[:, 0] > 0,
+        warnings=(*estimate.warnings, *([warning] if warning else [])),
+        statements=(*estimate.statements, statement),
+    )
+
+
+def _simulation(known: SimulationModel, found: MonotoneMap) -> SimulationModel:
+    """Return the model with the map found; it shares its splines with the harmonics, if there are any."""
+    axes = known.model.d, known.model.q
+    d, q = axes if known.harmonics else (Axis(axis.low, axis.high, _FINE) for axis in axes)
+    return replace(known, model=TensorSpline(d, q), gamma=fitted(found.psi(sites(d, q, 2)), d, q))
+
+
+def _told(i: FloatArray, moved: FloatArray, sigma: FloatArray | None, *, active: bool) -> tuple[str, str | None]:
+    """Return a statement on moves (N, 2), Wb, at currents (N, 2), and a warning if they contradict the data."""
+    how = "The map was made monotone" if active else "The map was monotone already, and was only made smooth"
+    largest = f"{moved.max():.3g} Wb"
+    if sigma is None:
+        return f"{how}; it moved by at most {largest}. Standard errors are unknown, so nothing judges this.", None
+    ratio = moved / sigma
+    rms, most = float(np.sqrt(np.mean(ratio**2))), float(ratio.max())
+    statement = (
+        f"{how}; it moved by {rms:.2g} standard errors (rms) and at most {most:.2g} standard errors or {largest}."
+    )
+    if most <= _FAR:
+        return statement, None
+    d, q = i[ratio.max(axis=1).argmax()]
+    return statement, (
+        f"Making the map monotone moved it by {most:.2g} standard errors at i_d = {d:.3g} A, i_q = {q:.3g} A: the data "
+        "contradict a monotone map there. Compare with monotone set to false before you use the map."
+    )

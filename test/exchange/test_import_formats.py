@@ -305,7 +305,23 @@ def test_other_bad_input(tmp_path):
     np.savez(tmp_path / "zero.npz", i_d=I_D, i_q=I_Q, psi_d=np.zeros((15, 25)), psi_q=np.zeros((15, 25)))
     with pytest.raises(ConfigurationError, match="are zero"):
         import_map(Source(tmp_path / "zero.npz"))
+    np.savez(tmp_path / "theta.npz", id=I_D, iq=I_Q, psi_d=flux(*grids())[0], psi_q=flux(*grids())[1],
+             theta_e_deg=THETA[1:], psi_d_theta=np.ones((15, 25, 12)), psi_q_theta=np.ones((15, 25, 12)))  # fmt: skip
+    with pytest.raises(ConfigurationError, match="11 rotor positions for fluxes at 12"):
+        import_map(Source(tmp_path / "theta.npz"))
+    psi_d, psi_q = flux(*grids())
+    savemat(tmp_path / "torque.mat", {"Id": grids()[0], "Iq": grids()[1], "Fd": psi_d, "Fq": psi_q, "T": psi_d[1:]})
+    with pytest.raises(ConfigurationError, match="350 torques for 375 fluxes"):
+        import_map(Source(tmp_path / "torque.mat"))
+    np.savetxt(
+        tmp_path / "line.txt", np.outer(np.arange(1.0, 40.0), np.ones(4)), header="i_d i_q psi_d psi_q", comments=""
+    )
+    with pytest.raises(ConfigurationError, match="points lie on lines"):
+        import_map(Source(tmp_path / "line.txt"))
     rows = np.stack([x.ravel() for x in (*grids(), *flux(*grids()))], axis=-1)
+    np.savetxt(tmp_path / "large.txt", 1e200 * rows, header="i_d i_q psi_d psi_q", comments="")
+    with pytest.raises(ConfigurationError, match=r"beyond 1e\+12"):
+        import_map(Source(tmp_path / "large.txt", scalars={"resistance": 1.0}))
     np.savetxt(tmp_path / "twice.csv", np.concatenate([rows, rows]), header="i_d i_q psi_d psi_q", comments="")
     with pytest.raises(ConfigurationError, match="several values at the same currents"):
         import_map(Source(tmp_path / "twice.csv"))

@@ -82,6 +82,8 @@ def read_motor_cad(source: Source) -> MapPoints:
     if np.size(values.get("Speed", ())) == 1 and np.size(values.get("Frequency", ())) == 1:
         pairs = 60 * float(values["Frequency"]) / float(values["Speed"])
         scalars["pole_pairs"] = round(pairs) if abs(pairs - round(pairs)) < 1e-3 else np.nan
+    if torque is not None and len(torque) != len(i_dq):
+        raise ConfigurationError(f"The torque in '{source.path}' does not fit Id_Peak: export it again.")
     # The d axis of Motor-CAD is that of the magnet; zero current appears once for each angle of a polar grid.
     _, first = np.unique(np.round(i_dq / np.ptp(i_dq, axis=0), 9), axis=0, return_index=True)
     first.sort()

@@ -27,6 +27,7 @@ _TIME_CONSTANT = (3e-5, 20.0)  # s
 _AMPLITUDES = ("current", "flux")
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def faults(points: MapPoints) -> list[str]:
     """Say what is implausible in a map that should be in our conventions.
 
@@ -41,6 +42,8 @@ def faults(points: MapPoints) -> list[str]:
         Parts of sentences; empty for a plausible map.
     """
     slopes, at_zero = local_slopes(points.i_dq, points.mean_psi_dq)
+    if not len(slopes):
+        return ["its points lie on lines, so that they tell no inductances"]
     found = _monotone(slopes) or _reciprocal(slopes) or _sized(slopes, points.scalars.get("resistance"))
     if at_zero is not None:
         found = found + _magnet(at_zero, points.mean_psi_dq)

@@ -13,6 +13,9 @@ from drive_id.types import FloatArray
 SCALARS = ("resistance", "pole_pairs", "i_max", "u_dc")
 """What a file may tell of the machine besides its map: ohm, 1, A, V."""
 
+_LARGEST = 1e12
+"""In whatever unit a file has."""
+
 
 @dataclass(frozen=True, eq=False)
 class MapPoints:
@@ -56,10 +59,19 @@ class MapPoints:
     machine: str = ""
 
     def __post_init__(self) -> None:
+        theta, count = self.theta, self.psi_dq.shape[2]
+        if theta is not None and theta.shape != (count,):
+            raise ConfigurationError(
+                f"The map has {theta.size} rotor positions for fluxes at {count}: make them match."
+            )
         if len(self.i_dq) < 16:
             raise ConfigurationError(f"The map has {len(self.i_dq)} points with data: at least 16 are needed.")
         if not (np.isfinite(self.i_dq).all() and np.isfinite(self.psi_dq).all()):
             raise ConfigurationError("The map holds NaN or infinite currents or fluxes: remove these points.")
+        if max(float(np.abs(self.i_dq).max()), float(np.abs(self.psi_dq).max())) > _LARGEST:
+            raise ConfigurationError(
+                f"The map holds currents or fluxes beyond {_LARGEST:g}: check the columns and units."
+            )
         if np.any(np.ptp(self.i_dq, axis=0) == 0):
             raise ConfigurationError("All points of the map have the same i_d or i_q: a map needs both to vary.")
         if not self.psi_dq.any():
@@ -78,8 +90,17 @@ class MapPoints:
         shape: tuple[int, int] | None = None,
         machine: str = "",
     ) -> MapPoints:
-        """Build a map from points some of which have NaN for flux linkages: these are left out."""
+        """Build a map from points some of which have NaN for flux linkages: these are left out.
+
+        Raises
+        ------
+        ConfigurationError
+            Also when the numbers of values differ.
+        """
         known = ~np.isnan(psi_dq).any(axis=(1, 2))
+        for name, values in (("currents", i_dq), ("torques", torque), ("standard errors", sigma_dq)):
+            if values is not None and len(values) != len(known):
+                raise ConfigurationError(f"The map has {len(values)} {name} for {len(known)} fluxes: make them match.")
         return cls(
             i_dq[known],
             psi_dq[known],

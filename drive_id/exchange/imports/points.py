@@ -97,7 +97,7 @@ class MapPoints:
         ConfigurationError
             Also when the numbers of values differ.
         """
-        known = ~np.isnan(psi_dq).any(axis=(1, 2))
+        known = np.asarray(~np.isnan(psi_dq).any(axis=(1, 2)))
         for name, values in (("currents", i_dq), ("torques", torque), ("standard errors", sigma_dq)):
             if values is not None and len(values) != len(known):
                 raise ConfigurationError(f"The map has {len(values)} {name} for {len(known)} fluxes: make them match.")

@@ -11,9 +11,7 @@ from exchange_machine import AT, I_D, I_Q, PAIRS, RESISTANCE, U_DC, flux, result
 from drive_id.exchange.exports.exporting import TableChoice, content_of
 
 utils = pytest.importorskip(
-    "motulator.drive.utils",
-    reason="motulator is not installed: its releases since 0.6 need Python 3.12",
-    exc_type=ImportError,
+    "motulator.drive.utils", reason="motulator is not installed: its releases since 0.6 need Python 3.12"
 )
 if not hasattr(utils, "MagneticModel"):
     pytest.skip("this motulator is older than its magnetic models (0.6)", allow_module_level=True)

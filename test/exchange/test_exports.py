@@ -16,8 +16,8 @@ from drive_id.core.result.identification import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
 from drive_id.exchange.exports.formats import EXPORTS
-from drive_id.exchange.exports.gradnet import GradNet
 from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.writers.gradnet import GradNet
 from drive_id.exchange.imports.importing import ImportOptions, import_map
 from drive_id.exchange.imports.source import Source
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drive_id.errors import ConfigurationError
-from drive_id.exchange.exports import (
+from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers import (
     c_header,
     controllers,
     csv_file,
@@ -22,8 +24,6 @@ from drive_id.exchange.exports import (
     simscape,
     syre,
 )
-from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.table import MapTable
 
 
 class Writer(Protocol):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from drive_id.errors import ConfigurationError
-from drive_id.exchange.exports.archives import mat_bytes
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.control import control_table
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers.archives import mat_bytes
 from drive_id.types import FloatArray
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.exchange.exports.archives import mat_bytes
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.powertrain import inverse_maps
 from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers.archives import mat_bytes
+from drive_id.exchange.exports.writers.powertrain import inverse_maps
 from drive_id.types import FloatArray
 
 _TEMPERATURE = 20.0

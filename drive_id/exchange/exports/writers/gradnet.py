@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.errors import ConfigurationError
-from drive_id.exchange.exports.archives import npz_bytes
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers.archives import npz_bytes
 from drive_id.types import FloatArray
 
 _UNITS, _EXPONENT = 12, 8

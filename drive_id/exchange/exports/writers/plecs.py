@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.exchange.exports.archives import mat_bytes
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers.archives import mat_bytes
 
 
 def write(table: MapTable, options: ExportOptions) -> bytes:

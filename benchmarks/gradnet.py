@@ -353,8 +353,8 @@ relative to the base torque.
   cell widths come from cross-validation on the training points. The networks are made symmetric about the d axis, too.
 - The mean map of the FEM data is judged on data at all rotor positions: no map of the currents alone can be better
   than {floor:.4f}, the rms of the slot harmonics.
-- With harmonics, the co-energy is a Fourier series in the rotor position of electrical orders {orders}
-  with splines as coefficients, fitted to flux and torque. Its convexity is proven at {angles} rotor positions in the period of
+- With harmonics, the co-energy is a Fourier series in the rotor position of electrical orders {orders} with splines
+  as coefficients, fitted to flux and torque. Its convexity is proven at {angles} rotor positions in the period of
   60 degrees, at each on the whole square of currents. It is reached by smoothness, not by constraints: of all
   candidates with a convex co-energy, the best at predicting held-out training points is taken. That costs almost
   nothing, for the FEM data are monotone themselves.

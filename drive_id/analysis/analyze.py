@@ -24,11 +24,15 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import Trajectory, characteristic_current, mtpa, mtpv
 from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
+from drive_id.errors import DataError
 from drive_id.fitting.result import Identification, InverterCurve, load
 from drive_id.types import BoolArray, FloatArray
 
 _RPM = math.pi / 30
 _REACH = 1.25
+_LEAST_TORQUE = 1e-4
+"""Of the product of flux and current."""
+_MOST_FALLING = 0.5
 _WEAKENING = 4.0
 """Highest speed of the tables, in corner speeds."""
 
@@ -153,6 +157,8 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
         When pole pairs or DC-link voltage are neither in the result nor in the settings.
     ResultError
         When the folder cannot be read.
+    DataError
+        When the map has hardly any data, or gives no torque.
     """
     found = result if isinstance(result, Identification) else load(result)
     chosen = settings or AnalysisSettings()
@@ -167,6 +173,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     voltages = chosen.u_dc or (model.known_u_dc(),)
     i_max = chosen.i_max or found.i_max
     at_most = mtpa(model, i_max, chosen.current_points)
+    _check(model, found, at_most, i_max)
     beyond = mtpv(model, i_max, chosen.current_points)
     limits = [Limits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
     ranges = tuple(_speed_range(model, chosen, u_dc, limit) for u_dc, limit in zip(voltages, limits, strict=True))
@@ -184,6 +191,21 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
         compensation=found.inverter_curve,
         statements=_statements(model, found, chosen, at_most, beyond, ranges),
     )
+
+
+def _check(model: MachineModel, found: Identification, at_most: Trajectory, i_max: float) -> None:
+    """Refuse maps of the wrong sign or order of axes, and machines without torque."""
+    grid = found.flux_map.grid()[found.flux_map.inside]
+    slopes = model.inductances(grid[:, 0], grid[:, 1])
+    falling = float(np.mean((slopes[:, 0, 0] <= 0) | (slopes[:, 1, 1] <= 0)))
+    if falling > _MOST_FALLING:
+        raise DataError(
+            f"The flux falls with its own current at {100 * falling:.0f} % of the points with data: check the signs "
+            "and the order of the map's axes."
+        )
+    largest = 1.5 * model.known_pole_pairs() * float(np.hypot(at_most.psi_d, at_most.psi_q).max()) * i_max
+    if not at_most.torque[-1] > _LEAST_TORQUE * largest:
+        raise DataError(f"No current up to {i_max:.4g} A gives a torque with this map: check the map and i_max.")
 
 
 def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, limits: Limits) -> SpeedRange:
@@ -288,6 +310,8 @@ def _statements(
     ranges: tuple[SpeedRange, ...],
 ) -> tuple[str, ...]:
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
+    if not model.monotone:
+        out.append(_on_inverse(model))
     if not found.harmonics:
         out.append("The result has no rotor-position harmonics, so the torque ripple is 0.")
     else:
@@ -319,6 +343,16 @@ def _on_support(name: str, inside: BoolArray) -> str:
     return (
         f"{missing} of {inside.size} points of {name} lie outside the data: they rest on a smooth continuation of the "
         "map, are marked (inside is 0) and have no standard error."
+    )
+
+
+def _on_inverse(model: MachineModel) -> str:
+    grid = model.flux_map.grid()[model.flux_map.inside]
+    own = np.stack(model.psi_dq(grid[:, 0], grid[:, 1]), axis=-1)
+    moved = np.abs(model.inverted.values(grid[:, 0], grid[:, 1]) - own).max()
+    return (
+        "The map is not monotone, so a flux may belong to several currents: the inverse map and the characteristic "
+        f"current are those of the nearest monotone map, which differs by at most {moved:.3g} Wb within the data."
     )
 
 

@@ -15,7 +15,7 @@ from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.full.model import COPPER
 from drive_id.core.maps.continuation import LongerGrid, typical_slope
 from drive_id.core.result.identification import FluxMap
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _MARGIN = 1.25
 """Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
 _ANGLES = 180
+_FEWEST = 16
+"""Points with data from which a map can be continued."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ class MachineModel:
         ------
         ConfigurationError
             When a value is not positive or not finite, or the temperature is out of range.
+        CoverageError
+            When the map has hardly any data.
         """
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
@@ -148,6 +152,11 @@ class MachineModel:
             if value is not None and not -100.0 <= value <= 300.0:
                 raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
         found = result.flux_map
+        if found.inside.sum() < _FEWEST:
+            raise CoverageError(
+                f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
+                "more of the current disc."
+            )
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * result.i_max)
         psi_d = longer.whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
         psi_q = longer.whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
@@ -238,10 +247,11 @@ class MachineModel:
     def current(self, psi_d: ArrayLike, psi_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the currents i_d, i_q (...), A, that belong to flux linkages, Wb: the inverse map.
 
-        NaN where the map reaches no such flux. Whether the currents lie within the data, :meth:`inside` tells.
+        Where the map is not monotone, that of the nearest monotone map. NaN where no such flux is reached. Whether the
+        currents lie within the data, :meth:`inside` tells.
         """
         wanted = np.stack(_currents(psi_d, psi_q), axis=-1)
-        i_dq = self._invertible.inverse(wanted.reshape(-1, 2)).reshape(wanted.shape)
+        i_dq = self.inverted.inverse(wanted.reshape(-1, 2)).reshape(wanted.shape)
         return i_dq[..., 0][()], i_dq[..., 1][()]
 
     def known_pole_pairs(self) -> int:
@@ -294,9 +304,28 @@ class MachineModel:
         return replace(self, flux_map=replace(self.flux_map, psi_d=psi_d, psi_q=psi_q))
 
     @cached_property
-    def _invertible(self) -> Surfaces:
-        """The fluxes as they are inverted."""
-        return self._surfaces
+    def monotone(self) -> bool:
+        """Whether each flux belongs to one current: the map is monotone at all nodes of its grid and between them."""
+        axes = [
+            np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2)) for axis in (self.flux_map.i_d, self.flux_map.i_q)
+        ]
+        slopes = self._surfaces.slopes(*np.meshgrid(*axes, indexing="ij"))
+        cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
+        rising = (slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2)
+        return bool(rising.all())
+
+    @cached_property
+    def inverted(self) -> Surfaces:
+        """The fluxes as they are inverted: the map itself if it is monotone, else the nearest monotone map."""
+        if self.monotone:
+            return self._surfaces
+        from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # only the inverse needs it
+
+        found, grid = self.flux_map, self.flux_map.grid()
+        points, psi = grid[found.inside], np.stack([found.psi_d, found.psi_q], axis=-1)[found.inside]
+        reach = 1 + float(np.abs(grid).max() / np.hypot(points[:, 0], points[:, 1]).max())
+        whole = fit_monotone(points, psi, reach=max(REACH, reach)).psi(grid)
+        return Surfaces.over(found.i_d, found.i_q, whole[..., 0], whole[..., 1])
 
     @cached_property
     def _surfaces(self) -> Surfaces:

@@ -16,7 +16,8 @@ _ANGLES = 181
 _ZOOMS, _WIDTH = 14, 4
 """Rounds of search, each with half the step, over so many steps to both sides."""
 _BISECTIONS = 40
-_CIRCLES, _START_STEPS = 61, 20
+_CIRCLES, _BETWEEN, _NARROWINGS = 61, 17, 4
+"""Where the MTPV locus begins: circles, circles between two of them, and how often those are refined."""
 _ANGLE_STEP = np.deg2rad(1.0)
 """For differences of the torque along a circle."""
 
@@ -85,9 +86,10 @@ def mtpv(model: MachineModel, i_max: float, points: int = 41) -> Trajectory:
     last_without = np.flatnonzero(~known)
     if len(last_without):
         low, high = ((last_without[-1] + 1 + k) * i_max / (_CIRCLES - 1) for k in (0, 1))
-        for _ in range(_START_STEPS):
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if np.isfinite(_mtpv_angle(model, np.array([middle]))[0]) else (middle, high)
+        for _ in range(_NARROWINGS):
+            tried = np.linspace(low, high, _BETWEEN)
+            first = max(1, int(np.isfinite(_mtpv_angle(model, tried[1:])).argmax()) + 1)
+            low, high = tried[first - 1], tried[first]
         start = high
     current = np.linspace(start, i_max, points)
     angle = _mtpv_angle(model, current)

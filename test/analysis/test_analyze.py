@@ -19,7 +19,7 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.cli import app as cli
 from drive_id.core.result.identification import HarmonicMap
-from drive_id.errors import ConfigurationError, OutputError, ResultError
+from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
 
 SMALL = drive_id.AnalysisSettings(current_points=5, torque_points=2, speed_points=4)
 MACHINE = MACHINES["pmsyrm"]
@@ -200,6 +200,19 @@ def test_a_foreign_folder_is_left_alone_and_an_own_one_replaced(analysis, folder
     analysis.save(tmp_path, force=True)
     assert (tmp_path / "notes.txt").exists()
     analysis.save(folder)
+
+
+def test_maps_that_cannot_be_meant_are_refused(result):
+    found, grid = result.flux_map, result.flux_map.grid()
+    for changed, words in (
+        ({"psi_d": -found.psi_d, "psi_q": -found.psi_q}, "falls with its own current at 100 % of the points"),
+        ({"psi_d": found.psi_q, "psi_q": found.psi_d}, "falls with its own current at"),
+        ({"psi_d": 1e-3 * grid[..., 0], "psi_q": 1e-3 * grid[..., 1]}, "No current up to 40 A gives a torque"),
+        ({"inside": np.zeros_like(found.inside)}, "has only 0 points with data"),
+    ):
+        wrong = replace(result, drive=replace(result.drive, flux_map=replace(found, **changed)))
+        with pytest.raises(DataError, match=words):
+            drive_id.analyze(wrong, SMALL)
 
 
 @pytest.fixture

@@ -73,6 +73,27 @@ def test_the_inverse_map_gives_the_currents_back(known):
     assert np.isnan(model.current(np.nan, 0.1)).all()
 
 
+def test_a_map_that_is_not_monotone_is_inverted_by_the_nearest_that_is():
+    machine = machine_map("pmsyrm")
+    grid = np.stack(np.meshgrid(machine.i_d, machine.i_q, indexing="ij"), -1)
+    dip = 0.3 * np.exp(-((grid[..., 0] + 10) ** 2 + (grid[..., 1] - 25) ** 2) / 30)
+    thinned = {name: getattr(machine, name)[::6] for name in ("i_d", "i_q")}
+    fluxes = {"psi_d": machine.psi_d[::6, ::6], "psi_q": (machine.psi_q + dip)[::6, ::6]}
+    flat = {"theta": None, "psi_d_theta": None, "psi_q_theta": None}
+    model = MachineModel.of(exact_result(replace(machine, **thinned, **fluxes, **flat)))
+    assert not model.monotone
+    i_d, i_q = in_disc(machine.i_max, 60)
+    psi_d, psi_q = model.psi_dq(i_d, i_q)
+    d, q = model.current(psi_d, psi_q)
+    far = np.hypot(i_d + 10, i_q - 25) > 20
+    assert np.abs(np.stack([d - i_d, q - i_q]))[:, far].max() < 0.1 * machine.i_max
+    steps = (
+        np.stack([np.subtract.outer(x, x) for x in (d, q)]),
+        np.stack([np.subtract.outer(x, x) for x in (psi_d, psi_q)]),
+    )
+    assert (np.sum(steps[0] * steps[1], axis=0) >= -1e-9).all()  # monotone
+
+
 def test_inside_tells_where_there_are_data():
     machine = machine_map("ipm")
     result = exact_result(machine)

@@ -150,7 +150,7 @@ def test_motor_cad_on_a_rectangular_grid(tmp_path):
 
 
 def test_motor_cad_on_a_polar_grid(tmp_path):
-    amplitude, advance = np.meshgrid(np.linspace(0, 18, 13), np.radians(np.arange(-180.0, 180.0, 15)), indexing="ij")
+    amplitude, advance = np.meshgrid(np.linspace(0, 18, 11), np.radians(np.arange(-180.0, 180.0, 20)), indexing="ij")
     i_d, i_q = -amplitude * np.sin(advance), amplitude * np.cos(advance)
     savemat(tmp_path / "SaturationLossMap.mat", motor_cad(i_d, i_q))
     found = import_map(Source(tmp_path / "SaturationLossMap.mat"))
@@ -165,7 +165,7 @@ def test_motor_cad_on_a_polar_grid(tmp_path):
 
 def test_scattered_points(tmp_path):
     rng = np.random.default_rng(5)
-    radius, angle = 16 * np.sqrt(rng.random(500)), 2 * np.pi * rng.random(500)
+    radius, angle = 16 * np.sqrt(rng.random(300)), 2 * np.pi * rng.random(300)
     i_d, i_q = radius * np.cos(angle), radius * np.sin(angle)
     rows = np.stack([i_q, *flux(i_d, i_q), i_d], axis=-1)
     np.savetxt(tmp_path / "points.txt", rows)

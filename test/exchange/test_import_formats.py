@@ -248,6 +248,18 @@ def test_points_that_are_marked_as_missing(tmp_path):
     assert np.isfinite(found.flux_map.psi_d).all()
 
 
+def test_a_sparse_grid_stays_one(tmp_path):
+    """As of a short recording, whose trajectory leaves most of the plane out."""
+    psi_d, psi_q = flux(*grids())
+    inside = np.random.default_rng(2).random(psi_d.shape) < 0.25
+    np.savez(tmp_path / "sparse.npz", i_d=I_D, i_q=I_Q, psi_d=psi_d, psi_q=psi_q, inside=inside)
+    found = import_map(Source(tmp_path / "sparse.npz")).flux_map
+    np.testing.assert_array_equal(found.i_d, I_D)
+    np.testing.assert_array_equal(found.i_q, I_Q)
+    np.testing.assert_array_equal(found.inside, inside)
+    np.testing.assert_allclose(found.psi_q[inside], psi_q[inside], atol=1e-15)
+
+
 def test_what_is_written_loads_and_says_that_errors_are_unknown(tmp_path):
     psi_d, psi_q = flux(*grids())
     np.savez(tmp_path / "bare.npz", i_d=I_D, i_q=I_Q, psi_d=psi_d, psi_q=psi_q)

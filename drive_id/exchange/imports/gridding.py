@@ -18,8 +18,8 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 _SAME = 1e-6
 """Currents that differ by less, relative to the range, are one."""
 _FEWEST = 4
-_COMPLETE = 0.4
-"""Share of the nodes of a grid that must be there; data on a disc fill its square to 79 %."""
+_COMPLETE = 0.09
+"""Share of the nodes of a grid that must be there: polar grids and scattered points have far more nodes than points."""
 _MOST_NODES, _MOST_SCATTERED = 4_000_000, 30_000
 _SMALL = 5e-4
 """Amplitude of a harmonic, relative to the largest flux, below which it is left out."""

@@ -108,9 +108,9 @@ def test_export(run, drive, tmp_path, name):
     tree = json.loads(out)
     assert (tree["format"], tree["missing"], tree["warnings"]) == (name, 0, [])
     if name == "motulator":
-        file = np.load(tmp_path / "out")
-        assert np.unique(file["i_s_dq"].real).tolist() == [float(k) for k in range(-10, 11)]
-        np.testing.assert_allclose(file["psi_s_dq"][3, 15], complex(*flux(-7.0, 5.0)), atol=2e-4)
+        with np.load(tmp_path / "out") as file:
+            assert np.unique(file["i_s_dq"].real).tolist() == [float(k) for k in range(-10, 11)]
+            np.testing.assert_allclose(file["psi_s_dq"][3, 15], complex(*flux(-7.0, 5.0)), atol=2e-4)
 
 
 def test_axes_and_gaps(run, drive, tmp_path):

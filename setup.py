@@ -14,6 +14,8 @@ NAME = "drive_id"
 FLEET = ["distributed>=2024.1"]
 # For logs that are not bags: CSV and Parquet, MDF4, TDMS, HDF5 and MATLAB 7.3.
 CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
+# Programs that the tests read exported maps with.
+READERS = ['motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -93,7 +95,7 @@ setup(
     extras_require={
         "containers": CONTAINERS,
         "fleet": FLEET,
-        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
+        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET, *READERS],
     },
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,

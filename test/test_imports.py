@@ -91,8 +91,9 @@ ROOMS = {
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
     "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting"},
+        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
@@ -104,7 +105,7 @@ ROOMS = {
         {"numpy", "rich", *ROS},
     ),
     "drive_id.cli": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.report"},
+        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.report"},
         {"typer", "rich", "yaml"},
     ),
 }

@@ -12,6 +12,9 @@ import typer
 
 import drive_id
 from drive_id.cli.analyze import analyze
+from drive_id.cli.compare import compare_results
+from drive_id.cli.exporting import export_result
+from drive_id.cli.importing import import_file
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
@@ -324,6 +327,21 @@ app.command(
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
 app.command(epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80")(analyze)
+
+
+app.command(
+    name="import",
+    epilog="Example: drive-id import THOR.mat --output thor; drive-id import map.csv --axis sr --output my_motor",
+)(import_file)
+
+
+app.command(
+    name="export",
+    epilog="Example: drive-id export result --format motulator --output map.npz --grid 41 --range -300 300",
+)(export_result)
+
+
+app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
 
 
 @app.command()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 def fit_table(fit: Identification) -> Table:
     """Lay out a result: values, standard errors, and the ground truth where the recording carries it."""
     identification, report, truth, known = fit.drive, fit.drive.report, fit.truth, fit.provenance
+    if identification.method == "imported":
+        return _imported_table(fit)
     numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
     table = _table(f"Identified drive, method {identification.method}", ["Quantity"], numbers)
 
@@ -72,6 +74,19 @@ def fit_table(fit: Identification) -> Table:
     row("Experiment", ", ".join(_experiment(known)))
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
     row("Gaps", str(report.gaps))
+    return table
+
+
+def _imported_table(imported: Identification) -> Table:
+    """Lay out an imported map: what is known of the machine."""
+    drive = imported.drive
+    table = _table("Imported map", ["Quantity"], ["Value"])
+    known = math.isfinite(drive.resistance)
+    table.add_row("R", _number(drive.resistance * 1e3, "mohm", 6) if known else "unknown")
+    table.add_row("Machine", ", ".join(_experiment(imported.provenance)))
+    table.add_row(f"Disc of {drive.i_max:.4g} A covered", f"{100 * drive.report.coverage:.1f} %")
+    table.add_row("Points read", str(drive.report.samples_read))
+    table.add_row("Rotor-position harmonics", ", ".join(str(h.order) for h in drive.harmonics) or "none")
     return table
 
 

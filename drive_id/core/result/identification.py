@@ -276,7 +276,7 @@ class IdentifiedDrive:
     Parameters
     ----------
     method : str
-        ``psm``, ``joint`` or ``full``.
+        ``psm``, ``joint`` or ``full``; ``imported`` for a map of another tool.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance, sigma_resistance : float
@@ -333,8 +333,8 @@ class IdentifiedDrive:
 
     @property
     def has_inverter(self) -> bool:
-        """Whether the method models the inverter's drop: all but ``psm``."""
-        return self.method != "psm"
+        """Whether the method models the inverter's drop: all but ``psm``; an imported map has none."""
+        return self.method not in ("psm", "imported")
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

@@ -303,7 +303,7 @@ def _identification(
     return IdentifiedDrive(
         method=str(tree["method"]),
         i_max=float(tree["i_max"]),
-        resistance=float(tree["resistance"]),
+        resistance=_number(tree["resistance"]),  # unknown in some imported maps
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
         voltage_error=float(tree["voltage_error"]),
         sigma_voltage_error=_number(tree["sigma_voltage_error"], np.inf),

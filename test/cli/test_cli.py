@@ -24,7 +24,7 @@ from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import Topics, write_recording
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
-RESULTS = ["diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
+RESULTS = ["diagnostics.npz", "diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
 """Of a machine with rotor-position harmonics."""
 JOINT = ("--method", "joint")
 """Where the method is not the point: a fit in a tenth of the time."""

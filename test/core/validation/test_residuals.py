@@ -116,7 +116,7 @@ def test_standstill_and_single_samples_are_no_reason_to_fail():
 def test_bins_hold_mean_and_rms_of_their_angles():
     angle = np.array([0.1, 0.2, 0.1 - 2 * np.pi, 3.2, 3.3])
     voltage = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [0.0, 2.0], [0.0, -2.0]])
-    bins = over_angle(Residual(angle, voltage), bins=4)
+    bins = over_angle(Residual(angle, voltage, np.zeros(5)), bins=4)
     np.testing.assert_allclose(bins.angle, [0.4 / 3, 3 * np.pi / 4, 3.25, 7 * np.pi / 4])
     np.testing.assert_allclose(bins.mean, [[2, 0], [np.nan] * 2, [0, 0], [np.nan] * 2])
     np.testing.assert_allclose(bins.rms, [[np.sqrt(14 / 3), 0], [np.nan] * 2, [0, 2], [np.nan] * 2])

@@ -70,7 +70,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "report/page/templates/*"]},
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[

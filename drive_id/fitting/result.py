@@ -380,11 +380,21 @@ def load(directory: str | Path) -> Identification:
         ) from error
 
 
-def pictures(result: Identification, *, figure_format: str = "png", name: str = "") -> Mapping[str, bytes]:
-    """Return the pictures of a result folder by file name; ``name`` stands for an unknown machine in the caption."""
+def pictures(
+    result: Identification, *, figure_format: str = "png", name: str = "", report: bool = False
+) -> Mapping[str, bytes]:
+    """Return the pictures of a result folder by file name, and the report if wanted.
+
+    ``name`` stands for an unknown machine in the caption.
+    """
     from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
-    return result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    found = result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    if report:
+        from drive_id.report.page.report import report_files  # noqa: PLC0415  # only a report needs plotly and jinja2
+
+        found |= report_files(result)
+    return found
 
 
 def _percent(*values: float) -> str:

@@ -57,10 +57,11 @@ def simulated_current(
         None when nothing was simulated, or the simulation diverged at once.
     """
     times, start = [np.zeros(0)], 0.0
+    times, start = [], 0.0
     for piece in pieces:
         times.append(start + piece.sample_period * np.arange(len(piece)))
         start += piece.duration
-    time = np.concatenate(times)
+    time = np.concatenate([np.zeros(0), *times])
     ours, theirs = (np.concatenate([np.zeros((0, 2)), *parts]) for parts in (simulated, measured))
     deviation = np.abs(ours - theirs)
     known = np.isfinite(deviation).all(axis=1)

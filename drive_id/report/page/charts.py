@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 
 from drive_id.fitting.result import Identification
 from drive_id.report.page.content import map_difference
-from drive_id.report.page.operation import Operation, operation_of
+from drive_id.report.page.operation import TorqueMap
 from drive_id.report.panels import COLOURS
 from drive_id.types import BoolArray, FloatArray
 
@@ -22,9 +22,8 @@ MOST_POINTS = 97
 _DIGITS = 5
 
 
-def charts_of(result: Identification) -> dict[str, Any]:
+def charts_of(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
     """Return the data of all charts, ready for JSON; a chart without data is None."""
-    operation = operation_of(result)
     return {
         "i_max": result.i_max,
         "colours": [[share, to_hex(COLOURS(share))] for share in np.linspace(0, 1, 9).tolist()],
@@ -37,7 +36,7 @@ def charts_of(result: Identification) -> dict[str, Any]:
     }
 
 
-def _map(result: Identification, operation: Operation | None) -> dict[str, Any]:
+def _map(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
     found = result.flux_map
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
@@ -149,7 +148,7 @@ def _currents(result: Identification) -> dict[str, Any] | None:
     }
 
 
-def _operation(operation: Operation | None) -> dict[str, Any] | None:
+def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
     if operation is None:
         return None
     return {

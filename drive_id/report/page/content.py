@@ -14,10 +14,13 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.diagnostics import Comparison
 from drive_id.files.results.identification import results_tree
 from drive_id.fitting.result import Identification
+from drive_id.report.page.operation import TorqueMap
 from drive_id.report.page.wording import CITATION, LIMITS, METHODS, METHODS_TEXT, NOT_STORED
 from drive_id.types import FloatArray
 
 GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
+_LEAST_CURRENT = 0.01
+"""Share of the largest current of a line below which its points are not listed."""
 _NEXT = "What would help most: "
 _ONE_SPEED = 0.1
 """Relative range of the speeds below which they count as one."""
@@ -70,7 +73,7 @@ class Content:
     warnings : tuple of str
     identified, limits, advice : tuple of str
         What the fit states, what no method can tell from such data, and what to record next.
-    values, methods, calibrations, settings, inputs, versions : Table
+    values, methods, operation, calibrations, settings, inputs, versions : Table
     comparison : str
         A sentence on what modelling the inverter changes; empty where it is not known.
     paragraph : str
@@ -94,14 +97,15 @@ class Content:
     settings: Table
     inputs: Table
     versions: Table
+    operation: Table
     comparison: str
     paragraph: str
     missing: dict[str, str]
     twin: dict[str, Any]
 
 
-def content_of(result: Identification) -> Content:
-    """Put a result into words and tables."""
+def content_of(result: Identification, operation: TorqueMap | None) -> Content:
+    """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
     twin = results_tree(result.drive, result.provenance)
     machine = result.machine or "unnamed machine"
     return Content(
@@ -126,7 +130,8 @@ def content_of(result: Identification) -> Content:
         ),
         comparison=_comparison(result),
         paragraph=_paragraph(result),
-        missing=_missing(result),
+        operation=_operation(operation),
+        missing=_missing(result, operation),
         twin=twin,
     )
 
@@ -351,6 +356,23 @@ def _setting(value: object) -> str:
     return "automatic" if value is None else str(value)
 
 
+def _operation(operation: TorqueMap | None) -> Table:
+    """Lay out a few points of the lines of operation."""
+    rows = []
+    for line in operation.lines if operation else ():
+        current = np.hypot(line.i_d, line.i_q)
+        for wanted in np.linspace(current[0], current[-1], 5):
+            if wanted < _LEAST_CURRENT * current[-1]:
+                continue
+            k = int(np.abs(current - wanted).argmin())
+            angle = math.degrees(math.atan2(line.i_q[k], line.i_d[k]))
+            torque = f"{with_error(float(line.torque[k]), float(line.sigma_torque[k]))} Nm"
+            at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
+            rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
+    header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
+    return Table("Points of the lines of operation, where there are data", header, tuple(rows))
+
+
 def _advice(result: Identification) -> tuple[str, ...]:
     """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
     found = [_capital(text.removeprefix(_NEXT)) for text in result.statements if text.startswith(_NEXT)]
@@ -371,7 +393,7 @@ def _advice(result: Identification) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _missing(result: Identification) -> dict[str, str]:
+def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, str]:
     """Say why a section has nothing to show."""
     judged, missing = result.diagnostics, {}
     if judged is None:
@@ -387,10 +409,15 @@ def _missing(result: Identification) -> dict[str, str]:
         missing["inverter"] = "Method psm does not model the inverter: its drop is in the flux map and in R."
     elif not np.any(result.drive.inverter_voltage):
         missing["inverter"] = "The result holds no inverter drop."
-    if result.pole_pairs is None:
-        missing["torque"] = (
+    if operation is None:
+        missing["operation"] = (
             "The number of pole pairs is unknown, and without it there is no torque: set pole_pairs in the fit, or in "
             "the signals file."
+        )
+    elif not any(line.name == "MTPV" for line in operation.lines):
+        missing["mtpv"] = (
+            f"MTPV does not lie in the data: within {number(result.i_max)} A, the largest torque at a given flux is "
+            "limited by the current."
         )
     return missing
 

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.trajectories import Trajectory, mtpa, mtpv
 from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line of operation in the current plane.
+    """A line of operation in the current plane, where there are data.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Operation:
+class TorqueMap:
     """Torque and the lines of operation of a machine whose pole pairs are known.
 
     Parameters
@@ -39,17 +41,28 @@ class Operation:
     torque : (D, Q) float
         On the grid of the flux map, Nm, NaN where there are no data.
     lines : tuple of Line
-        MTPA, and MTPV where it lies in the data.
+        MTPA in both directions of torque, and MTPV; those that lie in the data.
     """
 
     torque: FloatArray
-    lines: tuple[Line, ...] = ()
+    lines: tuple[Line, ...]
 
 
-def operation_of(result: Identification) -> Operation | None:
+def torque_map(result: Identification) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown."""
     if result.pole_pairs is None:
         return None
-    found = result.flux_map
-    torque = 1.5 * result.pole_pairs * (found.psi_d * found.i_q - found.psi_q * found.i_d[:, None])
-    return Operation(np.where(found.inside, torque, np.nan))
+    model, found = MachineModel.of(result), result.flux_map
+    torque = model.torque(found.i_d[:, None], found.i_q)
+    trajectories = {
+        "MTPA": mtpa(model, result.i_max),
+        "MTPA, negative torque": mtpa(model, result.i_max, sign=-1.0),
+        "MTPV": mtpv(model, result.i_max),
+    }
+    lines = (_line(name, trajectory) for name, trajectory in trajectories.items())
+    return TorqueMap(np.where(found.inside, torque, np.nan), tuple(line for line in lines if len(line.i_d) > 1))
+
+
+def _line(name: str, found: Trajectory) -> Line:
+    at = found.inside
+    return Line(name, found.i_d[at], found.i_q[at], found.torque[at], found.sigma_torque[at])

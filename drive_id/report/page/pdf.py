@@ -53,8 +53,10 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.table(content.methods, (0.26, 0.16, 0.16, 0.12, 0.14, 0.16))
     for name in ("inverter", "residuals", "currents", "operation"):
         sheets.heading(SECTIONS[name], figures.get(name))
-        sheets.text(content.missing.get("torque" if name == "operation" else name, ""))
+        sheets.text(content.missing.get(name, ""))
         sheets.picture(figures.get(name))
+    sheets.table(content.operation, (0.3, 0.12, 0.12, 0.12, 0.14, 0.2))
+    sheets.text(content.missing.get("mtpv", ""))
     sheets.heading(SECTIONS["identifiable"])
     for sentence in content.identified:
         sheets.text(f"• {sentence}")
@@ -143,7 +145,8 @@ class _Sheets:
             (_MARGIN / _WIDTH, bottom / _HEIGHT, width / _WIDTH, height / _HEIGHT), frameon=False
         )
         axes.set_axis_off()
-        axes.imshow(np.asarray(canvas.buffer_rgba())[..., :3], aspect="auto", interpolation="none")
+        drawn = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]  # likewise
+        axes.imshow(drawn[..., :3], aspect="auto", interpolation="none")
         self._left -= 0.05
 
     def saved(self, title: str) -> bytes:

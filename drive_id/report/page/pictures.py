@@ -11,14 +11,14 @@ from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.fitting.result import Identification
 from drive_id.report.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
 from drive_id.report.page.content import map_difference
-from drive_id.report.page.operation import Operation, operation_of
+from drive_id.report.page.operation import TorqueMap
 from drive_id.report.panels import CURRENT, PSI, SMALL, Disc, draw_field, name, place
 from drive_id.report.plots import WIDTH, draw_flux_maps
 
 _COLOURS = {"d": DARK, "q": LIGHT}
 
 
-def figures_of(result: Identification) -> dict[str, Figure]:
+def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str, Figure]:
     """Return the figures that a result has data for, by the name of their section."""
     judged, drive = result.diagnostics, result.drive
     found = {"map": draw_flux_maps(drive.flux_map, drive.i_max, judged.trajectory if judged else None)}
@@ -33,7 +33,6 @@ def figures_of(result: Identification) -> dict[str, Figure]:
     if drive.has_inverter and np.any(drive.inverter_voltage):
         found["inverter"] = Figure(figsize=(WIDTH, 2.9))
         draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
-    operation = operation_of(result)
     if operation is not None:
         found["operation"] = _draw_operation(result, operation)
     return found
@@ -86,7 +85,7 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
     return figure
 
 
-def _draw_operation(result: Identification, operation: Operation) -> Figure:
+def _draw_operation(result: Identification, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
     draw_field(axes, Disc(result.flux_map, result.i_max), operation.torque, "Torque / Nm")

@@ -10,6 +10,7 @@ from drive_id.fitting.result import Identification
 from drive_id.report.page.charts import charts_of
 from drive_id.report.page.content import content_of
 from drive_id.report.page.html import GENERATOR, rendered_page
+from drive_id.report.page.operation import torque_map
 from drive_id.report.page.pdf import rendered_pdf
 from drive_id.report.page.pictures import figures_of
 from drive_id.report.plots import rendered
@@ -21,9 +22,10 @@ _BEGINNING = 2000
 
 def report_files(result: Identification, stem: str = "report", *, pdf: bool = False) -> dict[str, bytes]:
     """Return the report as HTML and, if wanted, as PDF, by file name."""
-    content, figures = content_of(result), figures_of(result)
+    operation = torque_map(result)
+    content, figures = content_of(result, operation), figures_of(result, operation)
     pictures = {name: rendered(figure, dpi=_DPI) for name, figure in figures.items()}
-    files = {f"{stem}.html": rendered_page(content, charts_of(result), pictures).encode()}
+    files = {f"{stem}.html": rendered_page(content, charts_of(result, operation), pictures).encode()}
     if pdf:
         files[f"{stem}.pdf"] = rendered_pdf(content, figures)
     return files

@@ -93,7 +93,7 @@ setup(
     extras_require={
         "containers": CONTAINERS,
         "fleet": FLEET,
-        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
+        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", "selenium>=4.16", *CONTAINERS, *FLEET],
     },
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,

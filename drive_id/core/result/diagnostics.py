@@ -198,20 +198,26 @@ def _comparisons(
     with one_blas_thread(with_scipy=False):
         if evidence is None and excerpts:
             try:
-                evidence = gather(excerpts, replace(settings, method=methods[0], i_max=drive.i_max))
+                evidence = gather(excerpts, replace(settings, method=methods[0]))
             except DataError as error:
                 return tuple(Comparison(method, failure=str(error)) for method in methods)
         if evidence is None:
             return ()
-        return tuple(_compared(method, evidence, excerpts, truth) for method in methods)
+        return tuple(_compared(drive, method, evidence, excerpts, truth) for method in methods)
 
 
-def _compared(method: str, evidence: Evidence, excerpts: Sequence[Samples], truth: GroundTruth | None) -> Comparison:
+def _compared(
+    drive: IdentifiedDrive, method: str, evidence: Evidence, excerpts: Sequence[Samples], truth: GroundTruth | None
+) -> Comparison:
     try:
         found = conclude(evidence.copy(replace(evidence.settings, method=method)), excerpts)
     except DataError as error:
         return Comparison(method, failure=str(error))
     nrmse_d, nrmse_q = score(found, truth) if truth else (math.nan, math.nan)
+    psi = np.stack([found.flux_map.psi_d, found.flux_map.psi_q], axis=-1)
+    own = (drive.flux_map.i_d, drive.flux_map.i_q)
+    if not all(map(np.array_equal, own, (found.flux_map.i_d, found.flux_map.i_q))):  # of excerpts only
+        psi = found.flux_map.continued(drive.flux_map.grid())
     return Comparison(
         method=method,
         samples=found.report.samples_used,
@@ -224,6 +230,6 @@ def _compared(method: str, evidence: Evidence, excerpts: Sequence[Samples], trut
         mad_q=found.report.mad_q,
         nrmse_d=nrmse_d,
         nrmse_q=nrmse_q,
-        psi_d=found.flux_map.psi_d,
-        psi_q=found.flux_map.psi_q,
+        psi_d=psi[..., 0],
+        psi_q=psi[..., 1],
     )

@@ -71,7 +71,7 @@ def read_diagnostics(directory: Path, shape: tuple[int, ...]) -> Diagnostics | N
     path = directory / DIAGNOSTICS
     if not path.is_file():
         return None
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         if int(file["format_version"]) > _FORMAT_VERSION:
             return None
         arrays = {name: np.asarray(file[name]) for name in file.files}

@@ -788,3 +788,36 @@ def test_plans_that_cannot_be(run):
     Path("mine.yaml").write_text("mine: true")
     assert_one_sentence(run("plan", "--machine", "ipm", "--output", "mine.yaml"), "mine.yaml")
     assert Path("mine.yaml").read_text() == "mine: true"
+
+
+# -- reports -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
+    assert run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet").code == 0
+    assert "report.html" in tree(Path("results"))
+    assert run("report", "results", "--output", "elsewhere/mine.html").out == "Report in elsewhere/mine.html\n"
+    assert "<title>Identified drive: ipm</title>" in Path("elsewhere/mine.html").read_text(encoding="utf-8")
+    assert json.loads(run("report", "results", "--output", "elsewhere/mine.html", "--json").out) == {
+        "report": ["elsewhere/mine.html"],
+        "warnings": [],
+    }
+    assert run("fit", bag, *JOINT, "--output", "results", "--quiet").code == 0
+    assert "report.html" not in tree(Path("results"))
+
+
+def test_a_report_is_refused_in_one_sentence(run, fitted):
+    fitted.save("results", draw=False)
+    Path("notes.html").write_text("mine")
+    assert_one_sentence(run("report", "results", "--output", "notes.html"), "notes.html exists already")
+    assert_one_sentence(run("report", "results", "--output", "report.pdf"), "ends with .html")
+    assert_one_sentence(run("report", "nothing", "--output", "r.html"), "not a result folder")
+    Path("results/diagnostics.npz").write_bytes(b"PK")
+    assert_one_sentence(run("report", "results", "--output", "r.html"), "diagnostics.npz is damaged")
+    assert tree(Path()) == sorted(
+        [
+            "notes.html",
+            "results",
+            *(f"results/{name}" for name in RESULTS if not name.endswith("png") and "harm" not in name),
+        ]
+    )

@@ -14,8 +14,7 @@ from report_page import Page
 
 import drive_id
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.calibration import Calibration
-from drive_id.core.result.identification import FluxMap, HarmonicMap
+from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
@@ -39,26 +38,6 @@ def page_of(result) -> Page:
 @pytest.fixture(scope="module")
 def page(fitted):
     return Page(report_files(fitted)["report.html"].decode())
-
-
-@pytest.fixture(scope="module")
-def full_like(fitted):
-    """A result with all that only method full gives, its numbers being those of joint."""
-    drive = fitted.drive
-    shape = drive.flux_map.psi_d.shape
-    parts = [np.full(shape, value) for value in (1e-3, 2e-3, 3e-3, 4e-3)]
-    voltage = drive.inverter_voltage
-    more = replace(
-        drive,
-        method="full",
-        harmonics=(HarmonicMap(6, *parts),),
-        calibrations=(Calibration("resolver_offset", 0.01, 0.001, "rad", applied=True, sentence="The angle is off."),),
-        sigma_inverter_voltage=np.full(len(voltage), 0.05),
-        phase_voltages=np.stack([voltage, 1.1 * voltage, 0.9 * voltage], axis=1),
-        statements=("A first statement.", "What would help most: a longer recording."),
-        magnet_coefficient=(-1e-4, 1e-5),
-    )
-    return replace(fitted, drive=more)
 
 
 @pytest.fixture(scope="module")

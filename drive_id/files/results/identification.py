@@ -181,8 +181,9 @@ def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
     try:
         return read_diagnostics(directory, flux_map.psi_d.shape)
     except _DAMAGE as error:
+        reason = str(error) if isinstance(error, ResultError) else type(error).__name__
         raise ResultError(
-            f"{directory / DIAGNOSTICS} is damaged ({error!r:.99}): delete it to use the result without it, or fit the "
+            f"{directory / DIAGNOSTICS} is damaged ({reason}): delete it to use the result without it, or fit the "
             "recording again."
         ) from error
 

@@ -303,13 +303,20 @@
 
   // -- controls ------------------------------------------------------------------------------------------------------
 
+  /** Call when a control has another value: of a slider or a number, already while it moves. */
+  function onChange(id, act) {
+    const control = byId(id);
+    const moves = control.type === "range" || control.type === "number";
+    control.addEventListener(moves ? "input" : "change", act);
+  }
+
   function connect() {
     for (const name of shown()) {
       const [draw, controls] = charts[name];
-      for (const id of controls) byId(id).addEventListener("input", draw);
+      for (const id of controls) onChange(id, draw);
     }
-    byId("map-view").addEventListener("input", () => { byId("map-turn").disabled = byId("map-view").value === "map"; });
-    for (const id of ["probe-d", "probe-q", "map-quantity"]) byId(id).addEventListener("input", probe);
+    onChange("map-view", () => { byId("map-turn").disabled = byId("map-view").value === "map"; });
+    for (const id of ["probe-d", "probe-q", "map-quantity"]) onChange(id, probe);
     byId("theme").addEventListener("click", () => {
       chosenTheme = root.dataset.theme === "dark" ? "light" : "dark";
       applyTheme();

@@ -545,7 +545,7 @@ def test_the_format_of_the_pictures_is_an_option(run, bag):
     for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
         assert run("fit", bag, "--output", "results", "--method", "psm", "--figure-format", figure_format).code == 0
         pictures = [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
-        assert tree(Path("results")) == sorted([*pictures, "flux_map.npz", "identification.json"])
+        assert tree(Path("results")) == sorted([*pictures, "diagnostics.npz", "flux_map.npz", "identification.json"])
         assert all((Path("results") / name).read_bytes().startswith(start) for name in pictures)
     assert run("fit", bag, "--output", "other", "--figure-format", "bmp").code == 2
 

@@ -416,8 +416,8 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
         )
     elif not any(line.name == "MTPV" for line in operation.lines):
         missing["mtpv"] = (
-            f"No MTPV is shown: it lies beyond {number(result.i_max)} A, or where there are no data. Within the data, the "
-            "largest torque at a given flux is limited by the current."
+            f"No MTPV is shown: it lies beyond {number(result.i_max)} A, or where there are no data. Within the data, "
+            "the largest torque at a given flux is limited by the current."
         )
     return missing
 

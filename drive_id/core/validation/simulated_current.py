@@ -56,7 +56,6 @@ def simulated_current(
     SimulatedCurrent or None
         None when nothing was simulated, or the simulation diverged at once.
     """
-    times, start = [np.zeros(0)], 0.0
     times, start = [], 0.0
     for piece in pieces:
         times.append(start + piece.sample_period * np.arange(len(piece)))

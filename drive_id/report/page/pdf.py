@@ -138,7 +138,7 @@ class _Sheets:
             return
         canvas = FigureCanvasAgg(figure)
         figure.set_dpi(_DPI)
-        canvas.draw()
+        canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib is typed in parts
         width, height = _WIDTH - 2 * _MARGIN, _placed_height(figure)
         bottom = self._take(height) - height
         axes = self._pages[-1].add_axes(

@@ -18,7 +18,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
-from drive_id.report.page import pdf
+from drive_id.report.page import pdf, report
 from drive_id.report.page.charts import MOST_POINTS, charts_of
 from drive_id.report.page.content import content_of, number, with_error
 from drive_id.report.page.html import rendered_page
@@ -238,6 +238,16 @@ def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
     assert ours["map"] == theirs["map"] | {"trajectory": ours["map"]["trajectory"]}
 
 
+def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
+    """From the sums of all samples while fitting, or from the samples that the result keeps: the same."""
+    fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
+    (stored,) = drive_id.load(tmp_path / "result").diagnostics.comparisons
+    (kept,) = fitted.diagnostics.comparisons
+    for name in ("resistance", "sigma_resistance", "residual_rms", "mad_d", "mad_q", "nrmse_d", "samples"):
+        assert getattr(stored, name) == pytest.approx(getattr(kept, name), rel=1e-4), name
+    np.testing.assert_allclose(stored.psi_d, kept.psi_d, rtol=1e-4, atol=1e-6)
+
+
 def test_a_folder_of_an_earlier_version_has_a_report(fitted, tmp_path):
     fitted.save(tmp_path / "result", draw=False)
     (tmp_path / "result" / "diagnostics.npz").unlink()
@@ -314,7 +324,8 @@ def test_the_deviation_over_time_is_the_mad(fitted):
 # -- the files ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_report_is_replaced_and_nothing_else(fitted, tmp_path):
+def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "report_files", lambda _, **__: {"report.html": page.source.encode()})
     path = tmp_path / "new" / "report.html"
     assert fitted.report(path) == (path,)
     assert b"drive_id report" in path.read_bytes()[:300]

@@ -210,7 +210,7 @@ def _compared(
     drive: IdentifiedDrive, method: str, evidence: Evidence, excerpts: Sequence[Samples], truth: GroundTruth | None
 ) -> Comparison:
     try:
-        found = conclude(evidence.copy(replace(evidence.settings, method=method)), excerpts)
+        found = conclude(evidence.copy(replace(evidence.settings, method=method, monotone=False)), excerpts)
     except DataError as error:
         return Comparison(method, failure=str(error))
     nrmse_d, nrmse_q = score(found, truth) if truth else (math.nan, math.nan)

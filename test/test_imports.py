@@ -112,6 +112,7 @@ ROOMS = {
 
 UPWARD = {
     ("drive_id.fitting.result", "drive_id.report.plots"),  # Identification.plot() and .save() draw when they are called
+    ("drive_id.fitting.result", "drive_id.report.page.report"),  # likewise, Identification.report()
     ("drive_id.fitting.result", "matplotlib.figure"),  # the type of what plot() returns
 }
 """Single arrows against the table, each with its reason."""

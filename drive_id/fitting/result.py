@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
-from drive_id.files.results.identification import Provenance, read_results, write_results
+from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.caption import Caption
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.result.diagnostics import Diagnostics
     from drive_id.core.result.torque import TorqueFit
 
 _MARGIN = 1.25
@@ -68,6 +70,9 @@ class Identification:
         Of a simulation; None when the result was loaded.
     last_stamp : int
         Of the last sample, ns; 0 when the result was loaded.
+    stored : Diagnostics or None
+        Residuals, simulated currents and the paper's methods on the same data, where they are known already; see
+        :attr:`diagnostics`.
     """
 
     drive: IdentifiedDrive
@@ -75,6 +80,7 @@ class Identification:
     excerpts: tuple[Samples, ...] = ()
     truth: GroundTruth | None = None
     last_stamp: int = 0
+    stored: Diagnostics | None = None
 
     @property
     def method(self) -> str:
@@ -185,6 +191,15 @@ class Identification:
         report = {name: value for name, value in asdict(self.drive.report).items() if name != "warnings"}
         return {"nrmse_d": nrmse_d, "nrmse_q": nrmse_q} | report
 
+    @cached_property
+    def diagnostics(self) -> Diagnostics | None:
+        """Residuals, simulated currents and the paper's methods; None for a folder that was stored without them."""
+        if self.stored is not None or not self.excerpts:
+            return self.stored
+        from drive_id.core.result.diagnostics import diagnose  # noqa: PLC0415  # a loaded result does not need it
+
+        return diagnose(self.drive, self.provenance.settings, self.excerpts, self.truth)
+
     def save(self, directory: str | Path, *, force: bool = False, draw: bool = True) -> None:
         """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
 
@@ -203,7 +218,33 @@ class Identification:
             When the folder is not ours to write, or cannot be written.
         """
         drawn = pictures(self) if draw else {}
-        write_results(Path(directory), self.drive, self.provenance, force=force, pictures=drawn)
+        write_results(
+            Path(directory), self.drive, self.provenance, force=force, pictures=drawn, diagnostics=self.diagnostics
+        )
+
+    def report(self, path: str | Path, *, pdf: bool = False) -> tuple[Path, ...]:
+        """Write a report, as ``drive-id report`` does: one HTML file that needs nothing else.
+
+        Parameters
+        ----------
+        path : path
+            Of the HTML file; an earlier report is replaced.
+        pdf : bool
+            Write a PDF of the same name beside it, too.
+
+        Returns
+        -------
+        tuple of Path
+            The files that were written.
+
+        Raises
+        ------
+        OutputError
+            When something else is under this name, or it cannot be written.
+        """
+        from drive_id.report.page.report import write_report  # noqa: PLC0415  # matplotlib takes half a second
+
+        return write_report(self, Path(path), pdf=pdf)
 
     def plot(self) -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
@@ -331,18 +372,29 @@ def load(directory: str | Path) -> Identification:
         When it is not a result folder, is damaged, or was written by a newer version.
     """
     try:
-        return Identification(*read_results(Path(directory)))
+        drive, provenance = read_results(Path(directory))
+        return Identification(drive, provenance, stored=read_judged(Path(directory), drive.flux_map))
     except TypeError as error:  # of Path
         raise ConfigurationError(
             f"{directory!r:.60} is not the path of a result folder: give a str or Path."
         ) from error
 
 
-def pictures(result: Identification, *, figure_format: str = "png", name: str = "") -> Mapping[str, bytes]:
-    """Return the pictures of a result folder by file name; ``name`` stands for an unknown machine in the caption."""
+def pictures(
+    result: Identification, *, figure_format: str = "png", name: str = "", report: bool = False
+) -> Mapping[str, bytes]:
+    """Return the pictures of a result folder by file name, and the report if wanted.
+
+    ``name`` stands for an unknown machine in the caption.
+    """
     from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
-    return result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    found = result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    if report:
+        from drive_id.report.page.report import report_files  # noqa: PLC0415  # only a report needs plotly and jinja2
+
+        found |= report_files(result)
+    return found
 
 
 def _percent(*values: float) -> str:

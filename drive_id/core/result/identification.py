@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
     from drive_id.core.result.torque import TorqueFit
+    from drive_id.core.validation.simulated_current import SimulatedCurrent
 
 Outside = Literal["nan", "raise"]
 
@@ -136,6 +137,15 @@ class FluxMap:
         What the map holds outside the data is a continuation for simulations, not a measurement.
         """
         return self._evaluated(i_dq, (0, 0))
+
+    def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
+        d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in ((i_d, self.i_d), (i_q, self.i_q)))
+        m, n = (np.minimum(x.astype(np.int64), len(axis) - 2) for x, axis in ((d, self.i_d), (q, self.i_q)))
+        t, s = d - m, q - n
+        low = (1 - s) * values[m, n] + s * values[m, n + 1]
+        high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
+        return np.asarray((1 - t) * low + t * high)
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
@@ -308,6 +318,8 @@ class IdentifiedDrive:
     error_modes : ErrorModes or None
         Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
         that did not keep them.
+    simulated : SimulatedCurrent or None
+        Where the MAD comes from; None when the result was read from files.
     """
 
     method: str
@@ -330,6 +342,7 @@ class IdentifiedDrive:
     statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
     error_modes: ErrorModes | None = None
+    simulated: SimulatedCurrent | None = None
 
     @property
     def has_inverter(self) -> bool:

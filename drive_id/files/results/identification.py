@@ -23,14 +23,17 @@ import numpy as np
 import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.result.diagnostics import Diagnostics
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
+from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
 
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
+_PICTURES |= {"report.html", "report.pdf"}
 _NPZ, _HARMONICS = "flux_map.npz", "harmonics.npz"
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 _UNITS = {
@@ -95,6 +98,7 @@ def write_results(
     *,
     force: bool = False,
     pictures: Mapping[str, bytes] | None = None,
+    diagnostics: Diagnostics | None = None,
 ) -> None:
     """Write the result files of a fit, and pictures beside them.
 
@@ -108,6 +112,8 @@ def write_results(
         Write into a folder that holds other files.
     pictures : mapping of str to bytes, optional
         Further files by name.
+    diagnostics : Diagnostics, optional
+        Residuals, simulated currents and the paper's methods, for reports.
 
     Raises
     ------
@@ -117,7 +123,9 @@ def write_results(
     tree = results_tree(identification, provenance)
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
-    files = {_NPZ: _flux_map(identification, provenance), **harmonics, **(pictures or {}), MARKER: text.encode()}
+    judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
+    found = {_NPZ: _flux_map(identification, provenance), **harmonics, **judged}
+    files = {**found, **(pictures or {}), MARKER: text.encode()}
     stale = {name for name in _earlier(directory) if name not in files}
     replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
 
@@ -159,6 +167,24 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     except _DAMAGE as error:
         raise ResultError(
             f"The result folder {directory} is damaged ({error!r:.99}): fit the recording again."
+        ) from error
+
+
+def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
+    """Read the diagnostics beside a result; None where there are none, as in folders of earlier versions.
+
+    Raises
+    ------
+    ResultError
+        When the file is damaged.
+    """
+    try:
+        return read_diagnostics(directory, flux_map.psi_d.shape)
+    except _DAMAGE as error:
+        reason = str(error) if isinstance(error, ResultError) else type(error).__name__
+        raise ResultError(
+            f"{directory / DIAGNOSTICS} is damaged ({reason}): delete it to use the result without it, or fit the "
+            "recording again."
         ) from error
 
 
@@ -352,7 +378,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
 
 def _earlier(directory: Path) -> list[str]:
     """Return the optional files of an earlier result."""
-    return [_HARMONICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
+    return [_HARMONICS, DIAGNOSTICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
 
 
 def _number(value: float | None, unknown: float = np.nan) -> float:

@@ -10,8 +10,6 @@ import io
 import json
 import math
 import platform
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
@@ -25,7 +23,9 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
-from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
+from drive_id.files.inputs.archive import DAMAGED, read_arrays
+from drive_id.files.inputs.input_file import open_input, read_text_input
+from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
 
 FORMAT_VERSION = 1
@@ -37,10 +37,8 @@ _UNITS = {
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
-_DAMAGE = (
-    DriveIdError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError,
-    RecursionError, NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+_LARGEST = 1 << 27
+_DAMAGE = (DriveIdError, *DAMAGED)
 
 
 @dataclass(frozen=True)
@@ -135,11 +133,11 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     """
     where = directory / MARKER
     try:
-        if not where.is_file():
+        if not where.exists():
             raise ResultError(
                 f"{directory} is not a result folder (it has no {MARKER}): give a folder that 'drive-id fit' wrote."
             )
-        tree = json.loads(where.read_text(encoding="utf-8"))
+        tree = json.loads(read_text_input(where, LARGEST_MARKER))
         if not isinstance(tree, dict) or tree["format"] != FORMAT:
             raise TypeError("another format")
         if int(tree["format_version"]) > FORMAT_VERSION:
@@ -247,8 +245,9 @@ _PHASES = ("voltage_a", "voltage_b", "voltage_c")
 
 
 def _read_flux_map(path: Path) -> FluxMap:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {entry.name: np.asarray(file[entry.name]) for entry in fields(FluxMap)}
+    with open_input(path, _LARGEST) as stream:
+        file = read_arrays(stream, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
+    arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
     shape = (len(arrays["i_d"]), len(arrays["i_q"]))
     if min(shape) < 4 or any(values.shape != shape for name, values in arrays.items() if not name.startswith("i_")):
         raise ValueError(f"{_NPZ} has arrays that do not fit its axes")
@@ -258,8 +257,9 @@ def _read_flux_map(path: Path) -> FluxMap:
 
 
 def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
-    with np.load(path, allow_pickle=False) as file:
-        orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
+    with open_input(path, _LARGEST) as stream:
+        file = read_arrays(stream, ("order", *_AMPLITUDES), largest=_LARGEST)
+    orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
     if any(values.shape != (len(orders), *shape) for values in amplitudes):
         raise ValueError(f"{_HARMONICS} has amplitudes that do not fit the flux map")
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))

@@ -59,8 +59,15 @@ def changed(encoded: bytes, **changes) -> bytes:
             del arrays[name]
         else:
             arrays[name] = change
+    return signed(arrays)
+
+
+def signed(arrays: dict[str, np.ndarray], **header) -> bytes:
+    """Return a file of these members with the digest that they need."""
+    tree = json.loads(str(arrays.pop("header"))) | header
+    tree["sha256"] = information._digest(tree, arrays)
     stream = io.BytesIO()
-    np.savez(stream, **arrays)
+    np.savez(stream, **arrays, header=np.array(json.dumps(tree)))
     return stream.getvalue()
 
 

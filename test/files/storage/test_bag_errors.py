@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import time
@@ -103,12 +104,12 @@ def test_paths_that_are_no_bag(tmp_path):
     refused(tmp_path / "a", NotABagError, "without an .mcap")
 
 
-@pytest.mark.parametrize("call", ["open", "iterdir"])
-def test_unreadable_files(bag, monkeypatch, call):
+@pytest.mark.parametrize(("module", "call"), [(os, "open"), (Path, "iterdir")])
+def test_unreadable_files(bag, monkeypatch, module, call):
     def denied(*_args: object, **_options: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, call, denied)
+    monkeypatch.setattr(module, call, denied)
     refused(bag, NotABagError, "Permission denied")
 
 

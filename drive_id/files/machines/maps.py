@@ -127,6 +127,8 @@ def _read_npz(path: Path) -> dict[str, Any]:
         with open_input(path, _LARGEST) as stream:
             return dict(read_arrays(stream, wanted, largest=_LARGEST))
     except DAMAGED as error:
+        if str(error).startswith("it would unpack"):
+            raise ConfigurationError(f"Machine file '{path}' is too large ({error}): resample its maps.") from error
         raise ConfigurationError(
             f"Machine file '{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it "
             "again with numpy.savez."

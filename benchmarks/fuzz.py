@@ -33,7 +33,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from fuzz_inputs import KINDS, Case, bombs, make_corpus
+from fuzz_inputs import BOMBS, KINDS, Case, make_corpus
 from scipy.interpolate import RegularGridInterpolator
 
 from drive_id.cli import app
@@ -47,7 +47,7 @@ OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one s
 
 @dataclass(frozen=True)
 class Ran:
-    """How ``drive-id`` ended: exit code (negative: signal), output, processor time, s, and memory over the base, bytes."""
+    """How ``drive-id`` ended: exit code (negative: signal), output, processor time, s, and further memory, bytes."""
 
     code: int
     out: str
@@ -125,30 +125,24 @@ def _resident() -> float:
     return float(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
 
 
-def judged(ran: Ran, case: Case, folder: Path, references: dict[str, Path]) -> tuple[str, str]:
+def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, str]:
     """Return the outcome that is a finding, and what was said; empty texts for a good end."""
     said = (ran.err or ran.out).strip()[-600:]
-    if ran.hung:
-        return "hang", said
-    if "Traceback" in ran.err or "MemoryError" in ran.err:
-        return "traceback", said
-    if ran.code < 0 or ran.code not in (0, 1, 2):
-        return "crash", f"exit code {ran.code}: {said}"
-    if ran.processor > PROCESSOR:
-        return "over time", f"{ran.processor:.1f} s: {said}"
-    if ran.memory > MEMORY:
-        return "over memory", f"{ran.memory * 1e-6:.0f} MB: {said}"
-    if ran.code == 1:
-        lines = ran.err.strip().splitlines()
-        if len(lines) != 1 or not lines[0].startswith("drive-id: ") or not lines[0].endswith("."):
-            return "not one sentence", said
-        if (folder / "out").exists() and case.arguments[0] == "fit":
-            return "left behind", said
-    if ran.code == 0 and case.compare:
-        wrong = _differs(folder / "out", references[case.compare])
-        if wrong:
-            return "wrong map", wrong
-    return "", ""
+    lines = ran.err.strip().splitlines()
+    sentence = len(lines) == 1 and lines[0].startswith("drive-id: ") and lines[0].endswith(".")
+    wrong = _differs(folder / "out", good) if ran.code == 0 and good else ""
+    checks = {
+        "hang": ran.hung,
+        "traceback": "Traceback" in ran.err or "MemoryError" in ran.err,
+        "crash": ran.code not in (0, 1, 2),
+        "over time": ran.processor > PROCESSOR,
+        "over memory": ran.memory > MEMORY,
+        "not one sentence": ran.code == 1 and not sentence,
+        "left behind": ran.code == 1 and case.arguments[0] == "fit" and (folder / "out").exists(),
+        "wrong map": bool(wrong),
+    }
+    found = next((outcome for outcome, holds in checks.items() if holds), "")
+    return found, f"exit code {ran.code}, {ran.processor:.1f} s, {ran.memory * 1e-6:.0f} MB: {wrong or said}"
 
 
 def _differs(found: Path, good: Path) -> str:
@@ -183,25 +177,27 @@ class Worker:
     def __init__(self, corpus: Path) -> None:
         self._corpus = corpus
         self._scratch = Path(tempfile.mkdtemp(prefix="fuzz-", dir=corpus.parent))
-        self.references: dict[str, Path] = {}
         os.environ["TMPDIR"] = str(self._scratch)
         tempfile.tempdir = None
 
-    def warm_up(self, methods: tuple[str, ...] = ("joint", "psm", "full")) -> None:
-        """Fit the good inputs, in this process: it compiles and loads everything, and gives the maps to compare with."""
-        import drive_id  # noqa: PLC0415
+    def warm_up(self) -> None:
+        """Use everything once in this process, which compiles and loads it; the forks then have it."""
+        import drive_id  # noqa: PLC0415  # the environment is set by now
 
-        for name in ("ours", "ours/ours_0.mcap", "plain/plain_0.mcap", "nocrc.mcap", "packed.mcap.zstd", "sqlite.db3"):
-            for method in methods:
-                same = self.references.get(f"nocrc.mcap {method}")
-                if same is not None and name in ("packed.mcap.zstd", "sqlite.db3"):
-                    self.references[f"{name} {method}"] = same
-                    continue
-                target = self._scratch / f"{name.replace('/', '_')}_{method}"
-                drive_id.fit(self._corpus / name, method=method).save(target)  # type: ignore[arg-type]
-                self.references[f"{name} {method}"] = target
-        drive_id.load(target)
+        self._good("nocrc.mcap", "joint")
+        drive_id.load(self._corpus / "result")
         drive_id.simulate(self._corpus / "machine.npz", 0.05)
+
+    def _good(self, name: str, method: str) -> Path:
+        """Return the result of a good input."""
+        import drive_id  # noqa: PLC0415  # as above
+
+        if name in ("packed.mcap.zstd", "sqlite.db3"):  # the same samples without a truth
+            name = "nocrc.mcap"
+        target = self._scratch / f"{name.replace('/', '_')}_{method}"
+        if not target.exists():
+            drive_id.fit(self._corpus / name, method=method).save(target)
+        return target
 
     def close(self) -> None:
         """Remove what it wrote."""
@@ -213,15 +209,16 @@ class Worker:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         if kind == "bomb":
-            name, make = list(bombs().items())[number]
+            name, make = list(BOMBS.items())[number]
             case = Case(kind, number, name, make(self._corpus, folder))
         else:
             rng = random.Random(f"{kind}:{number}")
             case = Case(kind, number, *KINDS[kind](self._corpus, folder, rng))
+        good = self._good(*case.compare.split()) if case.compare else None
         ran = run(case.arguments, folder)
         if show:
             print(case, f"exit code {ran.code}, {ran.processor:.2f} s, {ran.memory * 1e-6:.0f} MB", ran.err, sep="\n")
-        outcome, said = judged(ran, case, folder, self.references)
+        outcome, said = judged(ran, case, folder, good)
         if not outcome:
             return None
         repeat = f"python benchmarks/fuzz.py --replay {kind}:{number}"
@@ -284,7 +281,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=None, help="first number; default: another one each time")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--replay", metavar="KIND:NUMBER", help="try one input again")
-    parser.add_argument("--bombs", action="store_true", help="try the inputs made to exhaust the reader, and no others")
+    parser.add_argument(
+        "--bombs", metavar="WORD", nargs="?", const="", help="try the inputs made to exhaust the reader, all or some"
+    )
+    parser.add_argument("--count", type=int, help="try so many inputs of each kind, one after the other, and no more")
     parser.add_argument("--findings", type=Path, default=Path("fuzz_findings.json"))
     parser.add_argument("--keep", type=Path, help="leave the corpus in this folder, and take it from there")
     options = parser.parse_args()
@@ -294,42 +294,41 @@ def main() -> None:
         if not (corpus / "machine.npz").exists():
             corpus.mkdir(parents=True)
             make_corpus(corpus)
-        if options.replay or options.bombs:
-            findings, tried = _singly(corpus, options.replay), Counter({"bomb": len(bombs())})
-        else:
-            seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
-            findings, tried = [], Counter()
-            for kind, finding in fuzz(corpus, options.seconds, seed, options.jobs):
-                tried[kind] += 1
-                if finding is not None:
-                    findings.append(finding)
-                    print(f"{finding.outcome}: {finding.repeat}\n  {finding.damage}\n  {finding.said}", flush=True)
-            print(f"numbers from {seed}, {options.jobs} at a time")
+        findings: list[Finding] = []
+        tried: Counter[str] = Counter()
+        for kind, finding in _attempts(corpus, options):
+            tried[kind] += 1
+            if finding is not None:
+                findings.append(finding)
+                print(f"{finding.outcome}: {finding.repeat}\n  {finding.damage}\n  {finding.said}", flush=True)
     report(findings, tried)
     if findings:
         options.findings.write_text(json.dumps([asdict(finding) for finding in findings], indent=1))
         raise SystemExit(1)
 
 
-def _singly(corpus: Path, replay: str | None) -> list[Finding]:
-    """Try one input, or all that are made to exhaust the reader."""
+def _attempts(corpus: Path, options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
+    """Yield kind and finding of each input that the options ask for."""
+    if options.replay:
+        kind, _, number = options.replay.partition(":")
+        return _singly(corpus, [(kind, int(number))], show=True)
+    if options.bombs is not None:
+        return _singly(corpus, [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs in name], show=False)
+    seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
+    print(f"Numbers from {seed}", flush=True)
+    if options.count:
+        return _singly(corpus, [(kind, seed + k) for k in range(options.count) for kind in KINDS], show=False)
+    return fuzz(corpus, options.seconds, seed, options.jobs)
+
+
+def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Iterator[tuple[str, Finding | None]]:
+    """Try inputs one after the other."""
     with patch("drive_id.fitting.result.pictures", return_value={}):
         worker = Worker(corpus)
         try:
-            if replay:
-                kind, _, number = replay.partition(":")
-                worker.warm_up()
-                chosen = [(kind, int(number))]
-            else:
-                worker.warm_up(("joint",))
-                chosen = [("bomb", number) for number in range(len(bombs()))]
-            found = []
+            worker.warm_up()
             for kind, number in chosen:
-                finding = worker.attempt(kind, number, show=True)
-                if finding is not None:
-                    print(f"{finding.outcome}: {finding.said}")
-                    found.append(finding)
-            return found
+                yield kind, worker.attempt(kind, number, show=show)
         finally:
             worker.close()
 

@@ -24,7 +24,7 @@ from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap,
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
-from drive_id.files.inputs.input_file import open_input, read_text_input, reason
+from drive_id.files.inputs.input_file import NotAFileError, open_input, read_text_input, reason
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
 
@@ -151,7 +151,7 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     except ResultError:
         raise
     except _DAMAGE as error:
-        said = reason(error) if isinstance(error, OSError) else f"{error!r:.99}"
+        said = reason(error) if isinstance(error, NotAFileError) else f"{error!r:.99}"
         raise ResultError(f"The result folder {directory} is damaged ({said}): fit the recording again.") from error
 
 

@@ -125,6 +125,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
         "last_stamp": accumulated.last_stamp,
         "inputs": dict(accumulated.digests),
         "warnings": list(accumulated.warnings),
+        "unchecked": list(accumulated.unchecked),
         "validation_periods": [piece.sample_period for piece in validation],
     }
     arrays = prefixed("evidence", evidence.state())
@@ -261,6 +262,7 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
         truth=decode_truth(arrays["truth"].tobytes(), where) if "truth" in arrays else None,
         samples=int(header["samples"]),
         last_stamp=int(header["last_stamp"]),
+        unchecked=tuple(map(str, header["unchecked"])),
     )
 
 

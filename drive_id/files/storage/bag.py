@@ -24,6 +24,7 @@ from drive_id.files.storage.container import (
     UnpackBudget,
     decompress,
     file_size,
+    has_checksum,
     read_magic,
     unpack_file,
 )
@@ -47,6 +48,8 @@ class Bag:
     metadata : BagMetadata or None
     compression : str
         Of the files as a whole, or within them; empty for none.
+    packed_with_checksum : bool
+        Whether all files are compressed as a whole, with a checksum of their content.
     """
 
     def __init__(
@@ -56,12 +59,14 @@ class Bag:
         storages: tuple[Storage, ...],
         metadata: BagMetadata | None,
         compression: str,
+        packed_with_checksum: bool = False,
     ) -> None:
         self.path = path
         self.files = files
         self.storages = storages
         self.metadata = metadata
         self.compression = compression
+        self._packed_with_checksum = packed_with_checksum
         self.topics = self._merged_topics()
         self._budget = UnpackBudget(sum(file_size(file) for file in files))
 
@@ -96,6 +101,11 @@ class Bag:
                     f"metadata.yaml of {self.path} declares {declared[topic]} messages on {topic} but its files hold "
                     f"{found.get(topic, 0)}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
+
+    @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        return self._packed_with_checksum or all(storage.checked for storage in self.storages)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -167,17 +177,18 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
     files, metadata = storage_files(path)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_")))
-        storages, kinds = [], set()
+        storages, kinds, sealed = [], set(), True
         for number, file in enumerate(files):
             target = folder / str(number)
             target.mkdir()
             plain, kind = unpack_file(file, target)
             storages.append(open_storage(plain, file, stack, salvage=salvage))
             kinds.add(kind and f"{kind} (file)")
+            sealed = sealed and has_checksum(read_magic(file, file), kind)
         if metadata and metadata.message_compression:
             kinds.add(f"{metadata.message_compression} (message)")
         compressions = (*sorted({storage.compression for storage in storages}), *sorted(kinds))
-        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, compressions)))
+        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, compressions)), sealed)
 
 
 def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = False) -> Storage:

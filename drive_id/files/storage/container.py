@@ -25,6 +25,7 @@ LARGEST_CHUNK = 1 << 27
 """Largest chunk, message or record that is unpacked or read at once, bytes."""
 _UNPACKED, _RATIO = 1 << 28, 100
 """A recording may unpack to so many bytes, and to so many more for each of its own."""
+_LZ4_FLAGS = 4
 _PIECE = 1 << 20
 _AT_ONCE = 1 << 24
 """Bytes of memory that are taken on a declared size alone."""
@@ -82,6 +83,11 @@ class Storage(Protocol):
     """A sentence about a file that was not completed but can be read; else empty."""
 
     @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        ...
+
+    @property
     def progress(self) -> float:
         """Part of the file that has been read, 0 to 1; 0 if unknown."""
         ...
@@ -103,7 +109,7 @@ def read_magic(path: Path, shown: Path) -> bytes:
     """Return the first bytes of a file; NotABagError when it cannot be read."""
     try:
         with open_input(path) as stream:
-            return stream.read(16)
+            return stream.read(18)
     except NotAFileError as error:
         raise NotABagError(f"{shown} is not a file ({reason(error)}): give a rosbag2 file or folder.") from error
     except OSError as error:
@@ -173,6 +179,16 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
                 f"{path} cannot be decompressed into {folder} ({reason(error)}): make room there, or set TMPDIR."
             ) from error
     return target, kind
+
+
+def has_checksum(data: bytes, kind: str) -> bool:
+    """Tell whether compressed data, of which these are the first bytes, carry a checksum of their content."""
+    if kind == "zstd":
+        try:
+            return bool(zstandard.get_frame_parameters(data).has_checksum)
+        except zstandard.ZstdError:
+            return False
+    return kind == "lz4" and len(data) > _LZ4_FLAGS and bool(data[_LZ4_FLAGS] & 4)
 
 
 def _take(budget: UnpackBudget, count: int, path: Path) -> None:

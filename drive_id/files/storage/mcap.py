@@ -34,6 +34,7 @@ from drive_id.files.storage.container import (
     decompress,
     file_size,
     full_type,
+    has_checksum,
 )
 
 RECORD = struct.Struct("<BQ")
@@ -91,6 +92,7 @@ class McapFile:
         """Where the record begins that was read last or could not be read, and where it ends as it declares."""
         self._position = 0
         self._budget = UnpackBudget(self.size)
+        self._unchecked = self._whole_checked = False
         try:
             self._stream = open_input(path, buffering=_BUFFER)
         except OSError as error:
@@ -148,11 +150,15 @@ class McapFile:
         if begin == end:
             return
         self._budget.restart()
+        self._unchecked = False
         for position, record in self.read_records(begin):
             if isinstance(record, records.DataEnd):
+                self._whole_checked = bool(record.data_section_crc) and begin == len(MCAP_MAGIC)
                 return
             if isinstance(record, records.Footer):
                 raise DamageError("the end of its data is missing")
+            if isinstance(record, records.Message):
+                self._unchecked = True
             yield position, record
             if self.end == end:
                 return
@@ -181,7 +187,14 @@ class McapFile:
             self._budget.take(chunk.uncompressed_size)
         except ValueError as error:
             raise BreakError(str(error)) from error
+        if not chunk.uncompressed_crc and not has_checksum(chunk.data[:18], chunk.compression):
+            self._unchecked = True
         return plain_chunk(chunk, position)
+
+    @property
+    def checked(self) -> bool:
+        """Whether checksums covered all messages read since the beginning."""
+        return self._whole_checked or not self._unchecked
 
     def footer(self) -> int:
         """Check the end of the file and return where its summary begins (0: none)."""
@@ -365,6 +378,11 @@ class McapStorage:
                     yield PlainChunk(head + record.data, position)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
+
+    @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        return self._file.checked
 
     @property
     def progress(self) -> float:

@@ -32,6 +32,7 @@ class SqliteStorage:
     """
 
     kind = "sqlite3"
+    checked = False
     compression = ""
     damage = ""
     warning = ""

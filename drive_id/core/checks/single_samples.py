@@ -72,7 +72,9 @@ class SingleSamples:
         usual : float
             Usual amplitude of the currents, A.
         """
+        of_angle = self._standing_out(self._angles, _LEAST_ANGLE)
         found = self._standing_out(self._currents, _LEAST_CURRENT * usual)
+        found = found[~np.isin(found[:, 2], of_angle[:, 2])]  # a wrong angle turns the currents of its sample
         if len(found):
             worst = found[found[:, 0].argmax()]
             yield Finding(
@@ -82,14 +84,13 @@ class SingleSamples:
                 "record again.",
                 {"samples": len(found), "time": float(worst[2]), "size": float(worst[0])},
             )
-        found = self._standing_out(self._angles, _LEAST_ANGLE)
-        if len(found):
-            worst = found[found[:, 0].argmax()]
+        if len(of_angle):
+            worst = of_angle[of_angle[:, 0].argmax()]
             yield Finding(
                 "single_sample",
-                f"{_count(len(found))} of the resolver's angle, at {worst[2]:.6f} s, is {worst[0]:.3g} rad off its "
+                f"{_count(len(of_angle))} of the resolver's angle, at {worst[2]:.6f} s, is {worst[0]:.3g} rad off its "
                 "neighbours, as a flipped bit would be, and distorts the map: cut it out, or record again.",
-                {"samples": len(found), "time": float(worst[2]), "size": float(worst[0])},
+                {"samples": len(of_angle), "time": float(worst[2]), "size": float(worst[0])},
             )
 
     def _scan(self, i_dq: FloatArray, i_abc: FloatArray, angle: FloatArray, time: FloatArray) -> None:

@@ -268,5 +268,7 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
 
 def _piece(arrays: SavedSums, period: float) -> Samples:
     signals: dict[str, Any] = {name: arrays[name] for name in _SIGNALS}
+    if any(signals[name].dtype.kind != "i" for name in ("stamp", "run_starts")):
+        raise ValueError("its stamps are no whole numbers")
     optional: dict[str, Any] = {name: arrays.get(name) for name in _OPTIONAL}
     return Samples(**signals, **optional, sample_period=float(period))

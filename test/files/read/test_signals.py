@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,12 @@ def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
     with pytest.raises(ConfigurationError, match="not a text file"):
         read_signals(tmp_path / "binary.yaml")
+    (tmp_path / "control.yaml").write_bytes(bytes(range(32)))
+    with pytest.raises(ConfigurationError, match="is not YAML"):
+        read_signals(tmp_path / "control.yaml")
+    os.mkfifo(tmp_path / "fifo.yaml")
+    with pytest.raises(ConfigurationError, match="it is a FIFO, not a file"):
+        read_signals(tmp_path / "fifo.yaml")
     (tmp_path / "large.yaml").write_bytes(b" " * (2 << 20))
     with pytest.raises(ConfigurationError, match="too large"):
         read_signals(tmp_path / "large.yaml")

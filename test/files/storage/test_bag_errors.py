@@ -137,6 +137,33 @@ def test_damaged_metadata(bag, text, said):
     refused(bag, NotABagError, said)
 
 
+def test_names_in_metadata_that_no_file_can_have(bag):
+    edit(bag, lambda tree: tree.update(relative_file_paths=["x" * 300 + ".mcap"]))
+    refused(bag, NotABagError, "which is not there")
+    edit(bag, lambda tree: tree.update(relative_file_paths=["a\0b"]))
+    refused(bag, NotABagError, "which is not there")
+    edit(bag, lambda tree: tree.update(relative_file_paths=["x.mcap"] * 30_000))
+    refused(bag, NotABagError, "it names 30000 files")
+
+
+def test_type_names_of_old_metadata(bag):
+    """As in bags of the first distributions: ``package/Name`` for ``package/msg/Name``."""
+
+    def shorten(tree):
+        for entry in tree["topics_with_message_count"]:
+            entry["topic_metadata"]["type"] = entry["topic_metadata"]["type"].replace("/msg/", "/")
+
+    edit(bag, shorten)
+    assert len(read_recording(bag).samples) == len(make_samples())
+    write_recording(bag.parent / "other", make_samples())
+    target = sqlite_copy(bag.parent / "other", bag.parent / "sqlite")
+    (file,) = target.glob("*.db3")
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE topics SET type = replace(type, '/msg/', '/')")
+    database.close()
+    assert len(read_recording(target).samples) == len(make_samples())
+
+
 def edit(bag: Path, change: Callable[[dict], None]) -> None:
     tree = yaml.safe_load((bag / "metadata.yaml").read_text())
     change(tree["rosbag2_bagfile_information"])

@@ -312,12 +312,14 @@ def _attempts(corpus: Path, options: argparse.Namespace) -> Iterator[tuple[str, 
     if options.replay:
         kind, _, number = options.replay.partition(":")
         return _singly(corpus, [(kind, int(number))], show=True)
-    if options.bombs is not None:
-        return _singly(corpus, [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs in name], show=False)
+    chosen = [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs is not None and options.bombs in name]
+    if chosen and not options.count:
+        return _singly(corpus, chosen, show=False)
     seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
     print(f"Numbers from {seed}", flush=True)
     if options.count:
-        return _singly(corpus, [(kind, seed + k) for k in range(options.count) for kind in KINDS], show=False)
+        chosen += [(kind, seed + k) for k in range(options.count) for kind in KINDS]
+        return _singly(corpus, chosen, show=False)
     return fuzz(corpus, options.seconds, seed, options.jobs)
 
 

@@ -273,13 +273,13 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
     report: dict[str, Any] = {
         entry.name: _number(metrics[entry.name], unknown.get(entry.name, np.nan))
         if entry.type == "float"
-        else metrics[entry.name]
+        else int(metrics[entry.name])
         for entry in fields(FitReport)
         if entry.name != "warnings"
     }
     return IdentifiedDrive(
         method=str(tree["method"]),
-        i_max=float(tree["i_max"]),
+        i_max=_positive(tree, "i_max"),
         resistance=float(tree["resistance"]),
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
         voltage_error=float(tree["voltage_error"]),
@@ -317,13 +317,21 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         machine=str(tree["machine"]),
         nrmse=None if None in nrmse else (float(nrmse[0]), float(nrmse[1])),
         warnings=tuple(map(str, tree["warnings"])),
-        pole_pairs=tree.get("pole_pairs"),
-        u_dc=tree.get("u_dc"),
+        pole_pairs=None if tree.get("pole_pairs") is None else int(_positive(tree, "pole_pairs")),
+        u_dc=None if tree.get("u_dc") is None else _positive(tree, "u_dc"),
         speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
-        duration=tree.get("duration"),
+        duration=None if not tree.get("duration") else _positive(tree, "duration"),
         date=str(tree.get("date", "")),
         versions=dict(tree["versions"]),
     )
+
+
+def _positive(tree: Mapping[str, Any], name: str) -> float:
+    """Return a number that is finite and positive."""
+    value = tree[name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
+        raise ValueError(f"{name} is {value!r:.40}")
+    return float(value)
 
 
 def _earlier(directory: Path) -> list[str]:

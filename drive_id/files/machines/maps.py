@@ -22,7 +22,7 @@ from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
-_LARGEST = 1 << 28
+_LARGEST, _MOST_POLE_PAIRS = 1 << 28, 1000
 """Bytes of a machine file, and of its arrays."""
 _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
 
@@ -148,7 +148,7 @@ def _build(path: Path, values: dict[str, Any]) -> MachineMap:
     _check_orientation(path, arrays)
     arrays = _mirrored(path, arrays)
     scalars = {key: _scalar(path, key, values[key]) for key in ("R", "pole_pairs", "i_max", "u_dc") if key in values}
-    if scalars["pole_pairs"] != round(scalars["pole_pairs"]):
+    if scalars["pole_pairs"] not in range(1, _MOST_POLE_PAIRS + 1):
         raise ConfigurationError(
             f"'pole_pairs' in machine file '{path}' is {scalars['pole_pairs']}: give a whole number."
         )

@@ -54,12 +54,13 @@ CORE = {  # each with the rooms of core that it may import
     "planning": {"experiment", "full", "maps", "numerics", "frames"},
 }  # fmt: skip
 FILES = {
-    "storage": set(),
-    "messages": {"storage"},
-    "machines": set(),
-    "read": {"storage", "messages", "machines"},
-    "write": {"storage", "messages", "machines"},
-    "results": {"storage", "messages", "machines", "read"},
+    "inputs": set(),
+    "storage": {"inputs"},
+    "messages": {"inputs", "storage"},
+    "machines": {"inputs"},
+    "read": {"inputs", "storage", "messages", "machines"},
+    "write": {"inputs", "storage", "messages", "machines"},
+    "results": {"inputs", "storage", "messages", "machines", "read"},
 }
 EVERY_CORE = below("core", *CORE)
 EVERY_FILE = below("files", *FILES)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Settings = TypeVar("Settings")
 _PIPE_WIDTH = 200
 """Characters per line when the output is not a terminal."""
+_LARGEST_CONFIG, _MOST_SETTINGS = 1 << 20, 10_000
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print machine-readable output.")]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 SetOption = Annotated[
@@ -106,11 +107,14 @@ def merged_settings(
 
     import yaml
 
+    from drive_id.files.inputs.input_file import read_text_input
+    from drive_id.files.inputs.yaml_tree import load_yaml
+
     unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
     values: dict[str, Any] = dataclasses.asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
     if config is not None:
         try:
-            tree = yaml.safe_load(config.read_text(encoding="utf-8"))
+            tree = load_yaml(read_text_input(config, _LARGEST_CONFIG), _MOST_SETTINGS)
         except unreadable as error:
             reason = getattr(error, "problem", None) or getattr(error, "strerror", None) or "it is not YAML"
             raise ConfigurationError(f"The settings file {config} cannot be read ({reason}): check it.") from error
@@ -122,7 +126,7 @@ def merged_settings(
         if not sign:
             raise ConfigurationError(f"--set {assignment} is not of the form NAME=VALUE: write it so.")
         try:
-            values[name.strip()] = yaml.safe_load(text)
+            values[name.strip()] = load_yaml(text, _MOST_SETTINGS)
         except unreadable as error:
             raise ConfigurationError(f"The value in --set {assignment:.200} is not valid YAML: quote it.") from error
     chosen = {name: value for name, value in options.items() if value is not None}

@@ -205,9 +205,16 @@ def connected(cluster: str, most_workers: int) -> Iterator[Client]:
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id-"))
             quiet = {"temporary-directory": scratch, "distributed.scheduler.http.routes": []}
             stack.enter_context(dask.config.set(quiet))
-            with _undisturbed():
-                local = LocalCluster(n_workers=min(workers, most_workers), local_directory=scratch, **_LOCAL_OPTIONS)
-                stack.enter_context(local)
+            count = min(workers, most_workers)
+            try:
+                with _undisturbed():
+                    local = LocalCluster(n_workers=count, local_directory=scratch, **_LOCAL_OPTIONS)
+                    stack.enter_context(local)
+            except (RuntimeError, OSError, TimeoutError, asyncio.TimeoutError) as error:
+                raise ClusterError(
+                    f"{count} workers did not start on this machine ({str(error).rstrip('.') or repr(error)}): "
+                    "ask for fewer by --dask local:N, or make room in memory and on the disk."
+                ) from error
             client = stack.enter_context(Client(local, set_as_default=False))
         yield client
 

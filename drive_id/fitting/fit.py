@@ -36,6 +36,8 @@ StrPath = str | os.PathLike[str]
 Draw = Callable[[Identification], Mapping[str, bytes]]
 """Returns the pictures of a result by file name."""
 
+_ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
+"""Findings that flipped bits may cause."""
 _YEAR_2000 = 946_684_800_000_000_000
 """Stamps before it are not times of day, ns."""
 
@@ -198,6 +200,8 @@ def fit_bags(
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
     evidence, truth = recording.evidence, recording.truth
+    warnings, statements = _on_checksums(recording)
+    drive = replace(drive, statements=(*drive.statements, *statements))
     drive = with_torque(drive, recording.validation, known_pole_pairs(settings, truth, sources.signals))
     provenance = provenance_of(
         drive,
@@ -208,7 +212,7 @@ def fit_bags(
         duration=evidence.samples * evidence.sample_period,
         last_stamp=recording.last_stamp,
         inputs=recording.digests,
-        warnings=recording.warnings,
+        warnings=(*recording.warnings, *warnings),
     )
     if output is None:
         return Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
@@ -218,6 +222,25 @@ def fit_bags(
     drawn = draw(result) if draw else {}
     write_results(output, drive, provenance, force=force, pictures=drawn, diagnostics=judged)
     return result
+
+
+def _on_checksums(recording: Accumulated) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what to say of recordings without checksums: as a warning where samples stand out, or as a statement."""
+    if not recording.unchecked:
+        return (), ()
+    first, *others = recording.unchecked
+    which = f"{first} and {len(others)} more have" if others else f"{first} has"
+    if any(finding.code in _ODD_SAMPLES for finding in recording.evidence.findings):
+        warning = (
+            f"{which} no checksums, so the samples that stand out may be flipped bits: copy the recording again from "
+            "its origin, and record MCAP with checksums."
+        )
+        return (warning,), ()
+    statement = (
+        f"{which} no checksums, so flipped bits are noticed only where samples stand out: to be sure, record MCAP with "
+        "checksums."
+    )
+    return (), (statement,)
 
 
 def known_pole_pairs(

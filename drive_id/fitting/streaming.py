@@ -95,6 +95,7 @@ def accumulate(
         truth=reading.truth,
         samples=reading.samples,
         last_stamp=reading.last_stamp,
+        unchecked=reading.unchecked,
     )
 
 

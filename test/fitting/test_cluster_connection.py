@@ -101,6 +101,17 @@ def test_workers_of_another_version(tmp_path, monkeypatch):
     assert said.endswith("and here is 9.9: install the same there.")
 
 
+def test_workers_that_die_while_they_start(tmp_path, monkeypatch):
+    from dask import config
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with config.set({"distributed.worker.preload": ["import os; os._exit(3)"]}):
+        said = refused("local:1")
+    assert said.startswith("1 workers did not start on this machine (")
+    assert said.endswith("make room in memory and on the disk.")
+    assert not list(tmp_path.iterdir())
+
+
 def test_without_dask(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     said = refused("local:1")

@@ -39,6 +39,8 @@ class Accumulated:
         Joined samples in all bags.
     last_stamp : int
         Of the last sample, ns.
+    unchecked : tuple of str
+        Recordings whose files have no checksums.
     """
 
     evidence: Evidence
@@ -48,6 +50,7 @@ class Accumulated:
     truth: GroundTruth | None
     samples: int
     last_stamp: int
+    unchecked: tuple[str, ...] = ()
 
     def merged(self, other: Accumulated) -> Accumulated:
         """Return what is kept of both.
@@ -69,6 +72,7 @@ class Accumulated:
             truth=common_truth([self.truth, other.truth]),
             samples=self.samples + other.samples,
             last_stamp=max(self.last_stamp, other.last_stamp),
+            unchecked=(*self.unchecked, *other.unchecked),
         )
 
 

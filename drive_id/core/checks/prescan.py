@@ -13,6 +13,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.readings import degree_findings, reading_findings
 from drive_id.core.checks.rotor import motion_findings, rotation_finding, time_findings, unit_findings
+from drive_id.core.checks.single_samples import SingleSamples
 from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
@@ -77,6 +78,7 @@ class Prescan:
         self._reference_high: FloatArray = np.full(2, -np.inf)
         self._periods: tuple[float, ...] = ()
         self._excerpt = Spans(_SPAN, _SPANS)
+        self._single = SingleSamples()
         self._found: tuple[int, tuple[Finding, ...]] = (-1, ())  # of so many samples
 
     def copy(self) -> Prescan:
@@ -85,6 +87,7 @@ class Prescan:
         for name in ("_turns", "_products", "_extremes", "_step_square", "_amplitudes", "_jumps"):
             setattr(other, name, getattr(self, name).copy())
         other._excerpt = self._excerpt.copy()  # noqa: SLF001  # of its own class
+        other._single = self._single.copy()  # noqa: SLF001
         return other
 
     def add(self, samples: Samples, *, continues: bool = False) -> None:
@@ -113,6 +116,7 @@ class Prescan:
             )
             _scan_currents(i_dq[run], rows[run], self._extremes, self._step_square)
             self._steps += run.stop - run.start - 1
+        self._single.add(samples, i_dq, jumps[:, 1], continues=continues)
         self._amplitudes.add(rows[new])
         self._jumps.add(jumps[new])
 
@@ -174,6 +178,7 @@ class Prescan:
             self._on_rotation,
             lambda: degree_findings(runs, self._usual) if runs else iter(()),
             self._on_trajectory,
+            lambda: self._single.findings(self._usual),
             lambda: waveform_findings(runs, self._usual) if runs else iter(()),
             lambda: motion_findings(runs) if runs else iter(()),
             lambda: reading_findings(runs, self._usual) if runs else iter(()),

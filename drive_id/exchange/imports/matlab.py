@@ -11,7 +11,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, real
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
-from drive_id.files.machines.syre import read_syre
+from drive_id.files.machines.syre import check_unpacked_size, read_syre
 from drive_id.types import FloatArray
 
 
@@ -107,6 +107,7 @@ def load(source: Source) -> Mapping[str, Any]:
     from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
 
     try:
+        check_unpacked_size(source.path)
         content: Mapping[str, Any] = loadmat(source.path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise ConfigurationError(f"'{source.path}' has MATLAB's version 7.3: save it with '-v7'.") from error

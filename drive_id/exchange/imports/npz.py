@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import SCALARS, MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
+from drive_id.files.inputs.archive import DAMAGED, read_arrays
+from drive_id.files.inputs.input_file import open_input
 from drive_id.types import FloatArray
 
 _SCALARS = {
@@ -112,9 +113,9 @@ def real(path: Path, name: str, value: Any) -> FloatArray:
 
 def _arrays(path: Path) -> dict[str, Any]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        with open_input(path) as stream:
+            return dict(read_arrays(stream))
+    except DAMAGED as error:
         raise ConfigurationError(
             f"'{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it with numpy.savez."
         ) from error

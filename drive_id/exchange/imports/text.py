@@ -12,6 +12,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, ordered, turning_points
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
+from drive_id.files.inputs.input_file import read_input, reason
 from drive_id.types import FloatArray
 
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_q", "inside")
@@ -102,13 +103,10 @@ def _matrices(source: Source, psi_q_file: Path) -> MapPoints:
 def _lines(path: Path) -> tuple[list[str], dict[str, Any]]:
     """Return the lines that are not empty, and what comments tell of the machine."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ConfigurationError(f"'{path}' has more than 500 MB: that is no map, check the path.")
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_input(path, _MOST_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            f"'{path}' cannot be read as text ({type(error).__name__}): check the file."
-        ) from error
+        said = reason(error) if isinstance(error, OSError) else "it is not in UTF-8"
+        raise ConfigurationError(f"'{path}' cannot be read as text ({said}): check the file.") from error
     lines = [line for line in text.splitlines() if line.strip()]
     told: dict[str, Any] = {}
     for line in lines:

@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from drive_id.errors import BagError, ConfigurationError, OutputError
+from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.types import GroundTruth
 
 _ARRAYS = ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage")
 _NUMBERS = ("resistance", "i_max", "pole_pairs")
-_ERRORS = (
-    ConfigurationError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    OSError,
-    MemoryError,
-    NotImplementedError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_LARGEST = 1 << 27
+_ERRORS = (ConfigurationError, *DAMAGED)
 
 
 def encode_truth(truth: GroundTruth) -> bytes:
@@ -49,19 +38,19 @@ def decode_truth(data: bytes, where: str) -> GroundTruth:
         When ``data``, from the recording ``where``, were not written by :func:`encode_truth`.
     """
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name], float) for name in _ARRAYS}
-            details = json.loads(str(file["details"]))
-            if not isinstance(details, dict):
-                raise TypeError
-            return GroundTruth(
-                machine=str(file["machine"]),
-                resistance=float(file["resistance"]),
-                i_max=float(file["i_max"]),
-                pole_pairs=int(file["pole_pairs"]),
-                details=details,
-                **arrays,
-            )
+        file = read_arrays(data, (*_ARRAYS, *_NUMBERS, "machine", "details"), largest=_LARGEST)
+        arrays = {name: np.asarray(file[name], float) for name in _ARRAYS}
+        details = json.loads(str(file["details"]))
+        if not isinstance(details, dict):
+            raise TypeError
+        return GroundTruth(
+            machine=str(file["machine"]),
+            resistance=float(file["resistance"]),
+            i_max=float(file["i_max"]),
+            pole_pairs=int(file["pole_pairs"]),
+            details=details,
+            **arrays,
+        )
     except _ERRORS as error:
         raise BagError(
             f"The ground truth attached to {where} cannot be read: simulate again, or remove the attachment."

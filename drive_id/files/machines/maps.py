@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import os
 import tempfile
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drive_id.errors import ConfigurationError, OutputError
+from drive_id.files.inputs.archive import DAMAGED, read_arrays
+from drive_id.files.inputs.input_file import check_input, open_input, reason
 from drive_id.files.machines.syre import read_syre
 from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
+_LARGEST, _MOST_POLE_PAIRS = 1 << 28, 1000
+"""Bytes of a machine file, and of its arrays."""
 _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
 
 
@@ -55,8 +57,13 @@ def read_machine(
         When the file is not a machine file, a value is missing or wrong, or the axes are oriented differently.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ConfigurationError(f"There is no machine file '{path}': check the path.")
+    try:
+        check_input(path, _LARGEST)
+    except FileNotFoundError as error:
+        raise ConfigurationError(f"There is no machine file '{path}': check the path.") from error
+    except (OSError, ValueError) as error:
+        why = reason(error) if isinstance(error, OSError) else error
+        raise ConfigurationError(f"Machine file '{path}' cannot be read ({why}): check the path.") from error
     if path.suffix.lower() == ".npz":
         values = _read_npz(path)
     elif path.suffix.lower() == ".mat":
@@ -117,19 +124,15 @@ def write_machine(path: str | os.PathLike[str], machine_map: MachineMap) -> None
 def _read_npz(path: Path) -> dict[str, Any]:
     wanted = (*_ARRAYS, *_ARRAYS_THETA, "R", "pole_pairs", "i_max", "u_dc")
     try:
-        with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
-            names = {name.removesuffix(".npy"): name for name in archive.namelist()}
-            return {key: _read_member(archive, names[key]) for key in wanted if key in names}
-    except Exception as error:  # zipfile and numpy raise many types on damaged files
+        with open_input(path, _LARGEST) as stream:
+            return dict(read_arrays(stream, wanted, largest=_LARGEST))
+    except DAMAGED as error:
+        if str(error).startswith("it would unpack"):
+            raise ConfigurationError(f"Machine file '{path}' is too large ({error}): resample its maps.") from error
         raise ConfigurationError(
             f"Machine file '{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it "
             "again with numpy.savez."
         ) from error
-
-
-def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    with archive.open(name) as stream:
-        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def _build(path: Path, values: dict[str, Any]) -> MachineMap:
@@ -145,7 +148,7 @@ def _build(path: Path, values: dict[str, Any]) -> MachineMap:
     _check_orientation(path, arrays)
     arrays = _mirrored(path, arrays)
     scalars = {key: _scalar(path, key, values[key]) for key in ("R", "pole_pairs", "i_max", "u_dc") if key in values}
-    if scalars["pole_pairs"] != round(scalars["pole_pairs"]):
+    if scalars["pole_pairs"] not in range(1, _MOST_POLE_PAIRS + 1):
         raise ConfigurationError(
             f"'pole_pairs' in machine file '{path}' is {scalars['pole_pairs']}: give a whole number."
         )
@@ -173,7 +176,7 @@ def _array(path: Path, key: str, value: Any) -> FloatArray:
     found = np.asarray(value)
     if found.dtype.kind not in "fiu":
         raise ConfigurationError(f"'{key}' in machine file '{path}' is of type {found.dtype}: give real numbers.")
-    return found.astype(np.float64)
+    return found.astype(np.float64, copy=False)
 
 
 def _scalar(path: Path, key: str, value: Any) -> float:

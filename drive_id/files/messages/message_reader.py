@@ -40,6 +40,8 @@ DECODE_ERRORS = (
     RecursionError,
 )
 """What a :data:`Reader` raises when a message does not fit its type."""
+_LARGEST_MESSAGE = 1 << 24
+"""Bytes of a message that is read through its definition, which takes a Python object for each element."""
 STAMP_LIMIT = 2**61
 """Largest stamp, ns (73 years): differences of larger ones could overflow."""
 
@@ -137,6 +139,8 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
     factor = STAMP_UNITS[source.stamp_unit]
 
     def read(message: RawMessage) -> MessageSamples:
+        if len(message.data) > _LARGEST_MESSAGE:
+            raise ValueError(f"it has {len(message.data)} bytes")
         try:
             decoded = store.deserialize_cdr(message.data, type_name)
         except SerdeError as error:

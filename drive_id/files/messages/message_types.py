@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,3}", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _ERRORS = (TypesysError, ValueError, LookupError, TypeError, AssertionError, RecursionError, SyntaxError, struct.error)
+_LONGEST, _MOST_FIELDS = 1 << 19, 10_000
+"""Characters of a definition, and its lines or semicolons: all messages of ROS have a hundredth of either."""
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -43,6 +45,9 @@ def typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
         shown = " ".join(name.split())[:80]
         raise MessageTypeError(f"{topic.name} is of type '{shown}', which is not a message type: name another topic.")
     try:
+        for text in (topic.definition, *signals.definitions.values()):
+            if len(text) > _LONGEST or max(map(text.count, "\n;")) > _MOST_FIELDS:
+                raise ValueError("it is too long")
         if name in signals.definitions or not topic.definition:
             store = _known(name, signals)
         else:

@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 import yaml
 
 from drive_id.errors import ConfigurationError
+from drive_id.files.inputs.input_file import read_text_input, reason
+from drive_id.files.inputs.yaml_tree import check_node, check_text
 from drive_id.files.messages.field_path import parse_field_path
-from drive_id.files.storage.container import reason
 from drive_id.settings import check, from_mapping, setting
 from drive_id.types import SCALARS
 
@@ -24,7 +25,7 @@ STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 ANGLE_UNITS = {"rad": 1.0, "deg": 0.017453292519943295, "rev": 6.283185307179586}
 SPEED_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "rev/s": 6.283185307179586, "rpm": 0.10471975511965977}
 TYPESTORES = ("humble", "iron", "jazzy", "kilted", "latest")
-_LARGEST_FILE = 1 << 20
+_LARGEST_FILE, _MOST_ENTRIES = 1 << 20, 10_000
 _SECTIONS = ("currents", "voltages", "resolver", "reference")
 _BY_DC_LINK = "dc_link_voltage"
 
@@ -228,9 +229,7 @@ def read_signals(path: Path) -> SignalMap:
         Naming file, section, line and field of what is wrong.
     """
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise ConfigurationError(f"{path} is too large for a signals file: give a YAML file of a few lines.")
-        text = path.read_text(encoding="utf-8")
+        text = read_text_input(path, _LARGEST_FILE)
     except OSError as error:
         raise ConfigurationError(f"Signals file {path} cannot be read ({reason(error)}): check the path.") from error
     except ValueError as error:
@@ -317,20 +316,27 @@ _Loader.add_implicit_resolver(
 
 def _parsed_yaml(text: str, where: str) -> tuple[dict[str, Any], dict[str, int]]:
     """Return the top-level mapping and the line of each of its sections; refuses keys that are given twice."""
-    loader = _Loader(text)
+    loader = None
     try:
+        check_text(text, _MOST_ENTRIES)
+        loader = _Loader(text)
         node = loader.get_single_node()
+        if node is not None:
+            check_node(node, _MOST_ENTRIES)
         lines: dict[str, int] = {}
         if isinstance(node, yaml.MappingNode):
             lines = {str(key.value): key.start_mark.line + 1 for key, _ in node.value}
             _refuse_duplicates(node, where)
         tree = loader.construct_document(node) if node is not None else {}
     except (yaml.YAMLError, ValueError, RecursionError) as error:
+        if isinstance(error, ValueError) and not isinstance(error, UnicodeError):
+            raise ConfigurationError(f"{where} cannot be read as YAML ({error}): correct it.") from error
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         raise ConfigurationError(f"{where} is not YAML{line}: correct its indentation and punctuation.") from error
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     if not isinstance(tree, dict):
         raise ConfigurationError(f"{where} is not a mapping: it needs the sections currents, voltages and resolver.")
     return {str(key): value for key, value in tree.items()}, lines

@@ -11,6 +11,8 @@ from drive_id.errors import BagError, DriveIdError
 from drive_id.files.storage.bag import Bag, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
 
+_LONGEST_SENTENCE = 2000
+
 
 @dataclass(frozen=True)
 class BagInfo:
@@ -89,11 +91,14 @@ def bag_info(path: Path) -> BagInfo:
 
 @contextmanager
 def printable_errors() -> Iterator[None]:
-    """Replace unprintable characters in errors, which damaged bags have in their names."""
+    """Replace unprintable characters in errors, and cut long ones: damaged bags have such names."""
     try:
         yield
     except DriveIdError as error:
-        text = "".join(character if character.isprintable() else " " for character in str(error))
+        said = str(error)
+        if len(said) > _LONGEST_SENTENCE:
+            said = f"{said[: _LONGEST_SENTENCE - 200]} ... {said[-200:]}"
+        text = "".join(character if character.isprintable() else " " for character in said)
         if text == str(error):
             raise
         raise type(error)(text) from error

@@ -132,11 +132,14 @@ class BagFacts:
     files : tuple of Path
     truth : GroundTruth or None
     warnings : tuple of str
+    checked : bool
+        Whether checksums covered all of it.
     """
 
     files: tuple[Path, ...]
     truth: GroundTruth | None
     warnings: tuple[str, ...]
+    checked: bool
 
 
 def bag_pieces(
@@ -183,7 +186,7 @@ def bag_pieces(
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
-        return BagFacts(bag.files, truth, (*bag.warnings, *warnings))
+        return BagFacts(bag.files, truth, (*bag.warnings, *warnings), bag.checked)
 
 
 @contextmanager

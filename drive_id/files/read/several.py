@@ -71,6 +71,12 @@ class SeveralBags:
         moved = [overlap_warning(self._bags[k]) for k in self._several.moved]
         return (*(f"{path}: {text}" for path, facts in known for text in facts.warnings), *moved)
 
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """Paths of the bags without checksums."""
+        known = zip(self._bags, self._facts, strict=True)
+        return tuple(str(path) for path, facts in known if not facts.checked)
+
     def read_whole(self) -> None:
         """From now on, read the bag that raised UnusualError as a whole."""
         self._whole.add(self._number)

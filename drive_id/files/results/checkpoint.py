@@ -11,8 +11,6 @@ import io
 import json
 import os
 import time
-import zipfile
-import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -26,6 +24,8 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import below, prefixed
 from drive_id.errors import DriveIdError
+from drive_id.files.inputs.archive import DAMAGED, LARGEST, read_arrays
+from drive_id.files.inputs.input_file import open_input
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.storage.bag import storage_files
 
@@ -33,21 +33,7 @@ FORMAT = "drive_id/checkpoint"
 FORMAT_VERSION = 4
 INTERVAL = 5.0
 """Time between two checkpoints, s; what is read sooner leaves none."""
-_DAMAGE = (
-    DriveIdError,
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    EOFError,
-    MemoryError,
-    RecursionError,
-    OverflowError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_DAMAGE = (DriveIdError, *DAMAGED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +85,8 @@ class Checkpoint:
     def load(self) -> Progressed | None:
         """Return where an earlier call with the same bags and settings was, if it left a checkpoint."""
         try:
-            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
-                state = {name: file[name] for name in file.files}
+            with open_input(self.path, LARGEST) as stream:
+                state = read_arrays(stream)
             header = json.loads(str(state["header"]))
             if header["format"] != FORMAT:
                 self._usable = False  # somebody else's

@@ -15,9 +15,12 @@ from drive_id.core.result.diagnostics import Comparison, Diagnostics
 from drive_id.core.validation.residuals import AngleBins, TimeBins
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import ResultError
+from drive_id.files.inputs.archive import read_arrays
+from drive_id.files.inputs.input_file import open_input
 from drive_id.types import FloatArray
 
 DIAGNOSTICS = "diagnostics.npz"
+_LARGEST = 1 << 27
 _FORMAT_VERSION = 1
 _NUMBERS = (
     "resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error", "residual_rms", "mad_d", "mad_q",
@@ -69,12 +72,12 @@ def read_diagnostics(directory: Path, shape: tuple[int, ...]) -> Diagnostics | N
         :func:`~drive_id.files.results.identification.read_results`.
     """
     path = directory / DIAGNOSTICS
-    if not path.is_file():
+    if not path.exists():
         return None
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        if int(file["format_version"]) > _FORMAT_VERSION:
-            return None
-        arrays = {name: np.asarray(file[name]) for name in file.files}
+    with open_input(path, _LARGEST) as stream:
+        arrays = read_arrays(stream, largest=_LARGEST)
+    if int(arrays["format_version"]) > _FORMAT_VERSION:
+        return None
     return _diagnostics(arrays, shape)
 
 

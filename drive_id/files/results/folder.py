@@ -9,10 +9,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from drive_id.errors import OutputError
+from drive_id.files.inputs.input_file import read_text_input
 
 FORMAT = "drive_id/identification"
 MARKER = "identification.json"
 """The file by which a folder is known as a result of a fit, and the format that it names."""
+LARGEST_MARKER = 1 << 23
+"""Bytes."""
 
 
 def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, kind: str = FORMAT) -> None:
@@ -159,7 +162,7 @@ def is_result(path: Path) -> bool:
 def is_ours(marker: Path, kind: str = FORMAT) -> bool:
     """Tell whether a JSON file names a format of ours."""
     try:
-        tree = json.loads(marker.read_text(encoding="utf-8"))
+        tree = json.loads(read_text_input(marker, LARGEST_MARKER))
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(tree, dict) and tree.get("format") == kind

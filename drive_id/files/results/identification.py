@@ -10,8 +10,6 @@ import io
 import json
 import math
 import platform
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
@@ -27,8 +25,10 @@ from drive_id.core.result.diagnostics import Diagnostics
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
+from drive_id.files.inputs.archive import DAMAGED, read_arrays
+from drive_id.files.inputs.input_file import NotAFileError, open_input, read_text_input, reason
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
-from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
+from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
 
 FORMAT_VERSION = 1
@@ -43,10 +43,8 @@ _UNITS = {
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
-_DAMAGE = (
-    DriveIdError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError,
-    RecursionError, NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+_LARGEST = 1 << 27
+_DAMAGE = (DriveIdError, *DAMAGED)
 
 
 @dataclass(frozen=True)
@@ -146,11 +144,11 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     """
     where = directory / MARKER
     try:
-        if not where.is_file():
+        if not where.exists():
             raise ResultError(
                 f"{directory} is not a result folder (it has no {MARKER}): give a folder that 'drive-id fit' wrote."
             )
-        tree = json.loads(where.read_text(encoding="utf-8"))
+        tree = json.loads(read_text_input(where, LARGEST_MARKER))
         if not isinstance(tree, dict) or tree["format"] != FORMAT:
             raise TypeError("another format")
         if int(tree["format_version"]) > FORMAT_VERSION:
@@ -165,9 +163,8 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     except ResultError:
         raise
     except _DAMAGE as error:
-        raise ResultError(
-            f"The result folder {directory} is damaged ({error!r:.99}): fit the recording again."
-        ) from error
+        said = reason(error) if isinstance(error, NotAFileError) else f"{error!r:.99}"
+        raise ResultError(f"The result folder {directory} is damaged ({said}): fit the recording again.") from error
 
 
 def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
@@ -181,9 +178,9 @@ def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
     try:
         return read_diagnostics(directory, flux_map.psi_d.shape)
     except _DAMAGE as error:
-        reason = str(error) if isinstance(error, ResultError) else type(error).__name__
+        said = str(error) if isinstance(error, ResultError) else type(error).__name__
         raise ResultError(
-            f"{directory / DIAGNOSTICS} is damaged ({reason}): delete it to use the result without it, or fit the "
+            f"{directory / DIAGNOSTICS} is damaged ({said}): delete it to use the result without it, or fit the "
             "recording again."
         ) from error
 
@@ -279,8 +276,9 @@ _PHASES = ("voltage_a", "voltage_b", "voltage_c")
 
 
 def _read_flux_map(path: Path) -> FluxMap:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {entry.name: np.asarray(file[entry.name]) for entry in fields(FluxMap)}
+    with open_input(path, _LARGEST) as stream:
+        file = read_arrays(stream, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
+    arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
     shape = (len(arrays["i_d"]), len(arrays["i_q"]))
     if min(shape) < 4 or any(values.shape != shape for name, values in arrays.items() if not name.startswith("i_")):
         raise ValueError(f"{_NPZ} has arrays that do not fit its axes")
@@ -291,10 +289,11 @@ def _read_flux_map(path: Path) -> FluxMap:
 
 def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes | None:
     """Read the joint errors, which results of earlier versions do not have."""
-    with np.load(path, allow_pickle=False) as file:
-        if not any(name in file for name in _MODES):
-            return None
-        found = {name[6:]: np.asarray(file[name]) for name in _MODES}
+    with open_input(path, _LARGEST) as stream:
+        file = read_arrays(stream, _MODES, largest=_LARGEST)
+    if not any(name in file for name in _MODES):
+        return None
+    found = {name[6:]: np.asarray(file[name]) for name in _MODES}
     count = len(found["resistance"])
     shapes = {"psi_d": (count, *shape), "psi_q": (count, *shape), "inverter_voltage": (count, points)}
     if any(x.shape != shapes.get(name, (count,)) or not np.isfinite(x).all() for name, x in found.items()):
@@ -304,8 +303,9 @@ def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes |
 
 
 def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
-    with np.load(path, allow_pickle=False) as file:
-        orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
+    with open_input(path, _LARGEST) as stream:
+        file = read_arrays(stream, ("order", *_AMPLITUDES), largest=_LARGEST)
+    orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
     if any(values.shape != (len(orders), *shape) for values in amplitudes):
         raise ValueError(f"{_HARMONICS} has amplitudes that do not fit the flux map")
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
@@ -322,13 +322,13 @@ def _identification(
     report: dict[str, Any] = {
         entry.name: _number(metrics[entry.name], unknown.get(entry.name, np.nan))
         if entry.type == "float"
-        else metrics[entry.name]
+        else int(metrics[entry.name])
         for entry in fields(FitReport)
         if entry.name != "warnings"
     }
     return IdentifiedDrive(
         method=str(tree["method"]),
-        i_max=float(tree["i_max"]),
+        i_max=_positive(tree, "i_max"),
         resistance=_number(tree["resistance"]),  # unknown in some imported maps
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
         voltage_error=float(tree["voltage_error"]),
@@ -367,13 +367,21 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         machine=str(tree["machine"]),
         nrmse=None if None in nrmse else (float(nrmse[0]), float(nrmse[1])),
         warnings=tuple(map(str, tree["warnings"])),
-        pole_pairs=tree.get("pole_pairs"),
-        u_dc=tree.get("u_dc"),
+        pole_pairs=None if tree.get("pole_pairs") is None else int(_positive(tree, "pole_pairs")),
+        u_dc=None if tree.get("u_dc") is None else _positive(tree, "u_dc"),
         speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
-        duration=tree.get("duration"),
+        duration=None if not tree.get("duration") else _positive(tree, "duration"),
         date=str(tree.get("date", "")),
         versions=dict(tree["versions"]),
     )
+
+
+def _positive(tree: Mapping[str, Any], name: str) -> float:
+    """Return a number that is finite and positive."""
+    value = tree[name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
+        raise ValueError(f"{name} is {value!r:.40}")
+    return float(value)
 
 
 def _earlier(directory: Path) -> list[str]:

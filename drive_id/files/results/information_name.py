@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from drive_id.files.inputs.input_file import open_input
+
 SUFFIX = ".info"
 _ZIP_MAGIC = b"PK"
 
@@ -13,7 +15,7 @@ def is_information(path: Path) -> bool:
     try:
         if not path.is_file():
             return path.suffix == SUFFIX and not path.exists()
-        with path.open("rb") as file:
+        with open_input(path) as file:
             return path.suffix == SUFFIX or file.read(2) == _ZIP_MAGIC
-    except OSError:
+    except (OSError, ValueError):
         return False

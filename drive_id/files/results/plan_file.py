@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drive_id.core.planning.planner import Candidate, Plan
+from drive_id.files.inputs.input_file import open_input
 from drive_id.files.results.folder import check_absent, replace_file
 
 _HEADER = "# Planned by drive-id plan"
@@ -93,8 +94,8 @@ def check_plan_output(path: Path) -> None:
         When there is something else than an earlier plan.
     """
     try:
-        with path.open(encoding="utf-8") as opened:
-            if opened.read(len(_HEADER)) == _HEADER:
+        with open_input(path) as opened:
+            if opened.read(len(_HEADER)) == _HEADER.encode():
                 return
     except (OSError, ValueError):
         pass  # not ours

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
+from drive_id.files.inputs.input_file import open_input, reason
 from drive_id.files.storage.container import (
     MCAP_MAGIC,
     ROSBAG1_MAGIC,
@@ -20,9 +21,11 @@ from drive_id.files.storage.container import (
     RawMessage,
     Storage,
     TopicInfo,
+    UnpackBudget,
     decompress,
+    file_size,
+    has_checksum,
     read_magic,
-    reason,
     unpack_file,
 )
 from drive_id.files.storage.mcap import McapStorage
@@ -45,6 +48,8 @@ class Bag:
     metadata : BagMetadata or None
     compression : str
         Of the files as a whole, or within them; empty for none.
+    packed_with_checksum : bool
+        Whether all files are compressed as a whole, with a checksum of their content.
     """
 
     def __init__(
@@ -54,13 +59,16 @@ class Bag:
         storages: tuple[Storage, ...],
         metadata: BagMetadata | None,
         compression: str,
+        packed_with_checksum: bool = False,
     ) -> None:
         self.path = path
         self.files = files
         self.storages = storages
         self.metadata = metadata
         self.compression = compression
+        self._packed_with_checksum = packed_with_checksum
         self.topics = self._merged_topics()
+        self._budget = UnpackBudget(sum(file_size(file) for file in files))
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics``, file by file in order of arrival.
@@ -71,6 +79,7 @@ class Bag:
             When a file is damaged, or holds more or fewer messages than declared.
         """
         found: Counter[str] = Counter()
+        self._budget.restart()
         for storage in self.storages:
             for message in storage.messages(topics):
                 found[message.topic] += 1
@@ -94,6 +103,11 @@ class Bag:
                 )
 
     @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        return self._packed_with_checksum or all(storage.checked for storage in self.storages)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about files that were not completed but can be read."""
         return tuple(storage.warning for storage in self.storages if storage.warning)
@@ -103,7 +117,9 @@ class Bag:
         if message.data[:4] != ZSTD_MAGIC:
             return message
         try:
-            return message._replace(data=decompress(bytes(message.data), "zstd"))
+            plain = decompress(bytes(message.data), "zstd")
+            self._budget.take(len(plain))
+            return message._replace(data=plain)
         except ValueError as error:
             raise TruncatedBagError(
                 f"The message on {message.topic} logged at {message.log_time} ns in {self.path} cannot be decompressed "
@@ -161,17 +177,18 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
     files, metadata = storage_files(path)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_")))
-        storages, kinds = [], set()
+        storages, kinds, sealed = [], set(), True
         for number, file in enumerate(files):
             target = folder / str(number)
             target.mkdir()
             plain, kind = unpack_file(file, target)
             storages.append(open_storage(plain, file, stack, salvage=salvage))
             kinds.add(kind and f"{kind} (file)")
+            sealed = sealed and has_checksum(read_magic(file, file), kind)
         if metadata and metadata.message_compression:
             kinds.add(f"{metadata.message_compression} (message)")
         compressions = (*sorted({storage.compression for storage in storages}), *sorted(kinds))
-        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, compressions)))
+        yield Bag(path, files, tuple(storages), metadata, "+".join(filter(None, compressions)), sealed)
 
 
 def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = False) -> Storage:
@@ -224,12 +241,13 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     metadata = read_metadata(path / "metadata.yaml")
     files = tuple(path / name for name in metadata.files)
     for file in files:
-        if not file.is_file():
+        if not _is_file(file):
             raise NotABagError(
-                f"metadata.yaml of {path} names {file.name}, which is not there: complete the folder, or rewrite "
+                f"metadata.yaml of {path} names {file.name[:80]}, which is not there: complete the folder, or rewrite "
                 "metadata.yaml with 'ros2 bag reindex'."
             )
-    left = [entry.name for entry in present if entry not in files]
+    named = set(files)
+    left = [entry.name for entry in present if entry not in named]
     if left:
         raise NotABagError(
             f"{path} holds {left[0]}, which its metadata.yaml does not name: rewrite metadata.yaml with "
@@ -264,6 +282,14 @@ def _readable(path: Path) -> Iterator[None]:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
 
 
+def _is_file(path: Path) -> bool:
+    """Tell whether there is a regular file; a name that the system refuses is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def _present(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
@@ -292,7 +318,7 @@ def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
     """
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             while going_on() and (piece := stream.read(1 << 20)):
                 digest.update(piece)
     except OSError as error:

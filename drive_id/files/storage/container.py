@@ -11,6 +11,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from drive_id.errors import BagError, NotABagError, TruncatedBagError
+from drive_id.files.inputs.input_file import NotAFileError, check_input, open_input, reason, shown_size
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
@@ -20,6 +21,11 @@ ROSBAG1_MAGIC = b"#ROSBAG"
 TRUTH_ATTACHMENT = "ground_truth.npz"
 """Name of the attachment that holds the truth of a simulation."""
 
+LARGEST_CHUNK = 1 << 27
+"""Largest chunk, message or record that is unpacked or read at once, bytes."""
+_UNPACKED, _RATIO = 1 << 28, 100
+"""A recording may unpack to so many bytes, and to so many more for each of its own."""
+_LZ4_FLAGS = 4
 _PIECE = 1 << 20
 _AT_ONCE = 1 << 24
 """Bytes of memory that are taken on a declared size alone."""
@@ -77,6 +83,11 @@ class Storage(Protocol):
     """A sentence about a file that was not completed but can be read; else empty."""
 
     @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        ...
+
+    @property
     def progress(self) -> float:
         """Part of the file that has been read, 0 to 1; 0 if unknown."""
         ...
@@ -97,17 +108,36 @@ class Storage(Protocol):
 def read_magic(path: Path, shown: Path) -> bytes:
     """Return the first bytes of a file; NotABagError when it cannot be read."""
     try:
-        if not path.is_file():
-            raise NotABagError(f"{shown} is not a file: give a rosbag2 file or folder.")
-        with path.open("rb") as stream:
-            return stream.read(16)
+        with open_input(path) as stream:
+            return stream.read(18)
+    except NotAFileError as error:
+        raise NotABagError(f"{shown} is not a file ({reason(error)}): give a rosbag2 file or folder.") from error
     except OSError as error:
         raise NotABagError(f"{shown} cannot be read ({reason(error)}): check the path and its permissions.") from error
 
 
-def reason(error: OSError) -> str:
-    """Return the system's reason in words, without error number and path."""
-    return error.strerror or type(error).__name__
+class UnpackBudget:
+    """Counts what a file unpacks to, so that some kB of it cannot take gigabytes and minutes.
+
+    Parameters
+    ----------
+    size : int
+        Of the file, bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._limit = _UNPACKED + _RATIO * size
+        self._taken = 0
+
+    def restart(self) -> None:
+        """Read the file from its beginning again."""
+        self._taken = 0
+
+    def take(self, count: int) -> None:
+        """Note further bytes; ValueError when there are too many."""
+        self._taken += count
+        if self._taken > self._limit:
+            raise ValueError(f"it unpacks to more than {shown_size(self._limit)}, too much for its size")
 
 
 def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
@@ -125,7 +155,12 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
         return path, ""
     kind = "zstd" if magic.startswith(ZSTD_MAGIC) else "lz4"
     target = folder / path.stem
-    with path.open("rb") as stream, target.open("wb") as out:
+    try:
+        stream = open_input(path)
+    except OSError as error:
+        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
+    budget = UnpackBudget(file_size(path))
+    with stream, target.open("wb") as out:
         try:
             source: BinaryIO
             if kind == "zstd":
@@ -133,6 +168,7 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
             else:
                 source = lz4.frame.LZ4FrameFile(stream)
             while piece := source.read(_PIECE):
+                _take(budget, len(piece), path)
                 out.write(piece)
         except _DECOMPRESSION_ERRORS as error:
             raise TruncatedBagError(
@@ -143,6 +179,23 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
                 f"{path} cannot be decompressed into {folder} ({reason(error)}): make room there, or set TMPDIR."
             ) from error
     return target, kind
+
+
+def has_checksum(data: bytes, kind: str) -> bool:
+    """Tell whether compressed data, of which these are the first bytes, carry a checksum of their content."""
+    if kind == "zstd":
+        try:
+            return bool(zstandard.get_frame_parameters(data).has_checksum)
+        except zstandard.ZstdError:
+            return False
+    return kind == "lz4" and len(data) > _LZ4_FLAGS and bool(data[_LZ4_FLAGS] & 4)
+
+
+def _take(budget: UnpackBudget, count: int, path: Path) -> None:
+    try:
+        budget.take(count)
+    except ValueError as error:
+        raise TruncatedBagError(f"{path} is not a recording, for {error}: give the recording itself.") from error
 
 
 def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
@@ -160,7 +213,7 @@ def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
         try:
             for piece in _pieces(data, kind, size):
                 total += len(piece)
-                if total > (1 << 30 if size is None else size):
+                if total > (LARGEST_CHUNK if size is None else size):
                     raise ValueError("its compressed data are larger than declared")
                 pieces.append(piece)
         except (zstandard.ZstdError, RuntimeError, EOFError) as error:
@@ -194,6 +247,12 @@ def _pieces(data: bytes, kind: str, size: int | None) -> Iterator[bytes]:
 def file_size(path: Path) -> int:
     """Return the size of a file in bytes, 0 if unknown."""
     try:
-        return path.stat().st_size
+        return check_input(path)
     except OSError:
         return 0
+
+
+def full_type(name: str) -> str:
+    """Write ``package/Name`` as ``package/msg/Name``."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name

@@ -24,7 +24,18 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, StreamReader
 
 from drive_id.errors import BagError, MessageCountError, NotABagError, TruncatedBagError
-from drive_id.files.storage.container import MCAP_MAGIC, RawMessage, TopicInfo, decompress, file_size, reason
+from drive_id.files.inputs.input_file import open_input, reason, shown_size
+from drive_id.files.storage.container import (
+    LARGEST_CHUNK,
+    MCAP_MAGIC,
+    RawMessage,
+    TopicInfo,
+    UnpackBudget,
+    decompress,
+    file_size,
+    full_type,
+    has_checksum,
+)
 
 RECORD = struct.Struct("<BQ")
 """Opcode and length, before the content of each record."""
@@ -35,7 +46,9 @@ RECORDER_LIBRARY = "drive_id recorder"
 
 _FOOTER = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER.size + len(MCAP_MAGIC)
-_LARGEST_CHUNK = 1 << 30
+_LARGEST_RECORD = LARGEST_CHUNK + (1 << 20)
+_MOST_DEFINED = 1 << 18
+"""Schemas and channels in one file; both have numbers of 16 bits."""
 _LARGEST_BREAK = 1 << 22
 _BUFFER = 1 << 20
 _NEVER_WRITTEN = 0
@@ -78,8 +91,10 @@ class McapFile:
         self.begin, self.end = 0, 0
         """Where the record begins that was read last or could not be read, and where it ends as it declares."""
         self._position = 0
+        self._budget = UnpackBudget(self.size)
+        self._unchecked = self._whole_checked = False
         try:
-            self._stream = path.open("rb", buffering=_BUFFER)
+            self._stream = open_input(path, buffering=_BUFFER)
         except OSError as error:
             raise NotABagError(f"{shown} cannot be read ({reason(error)}): check its permissions.") from error
 
@@ -134,11 +149,16 @@ class McapFile:
         """
         if begin == end:
             return
+        self._budget.restart()
+        self._unchecked = False
         for position, record in self.read_records(begin):
             if isinstance(record, records.DataEnd):
+                self._whole_checked = bool(record.data_section_crc) and begin == len(MCAP_MAGIC)
                 return
             if isinstance(record, records.Footer):
                 raise DamageError("the end of its data is missing")
+            if isinstance(record, records.Message):
+                self._unchecked = True
             yield position, record
             if self.end == end:
                 return
@@ -160,6 +180,21 @@ class McapFile:
             raise DamageError("the checksum of its data is wrong") from error
         except _PARSE_ERRORS as error:
             raise RecordError(f"the record at byte {self.begin} is damaged") from error
+
+    def unpack(self, chunk: records.Chunk, position: int) -> bytes:
+        """Unpack the records of a chunk at byte ``position``; see :func:`plain_chunk`."""
+        try:
+            self._budget.take(chunk.uncompressed_size)
+        except ValueError as error:
+            raise BreakError(str(error)) from error
+        if not chunk.uncompressed_crc and not has_checksum(chunk.data[:18], chunk.compression):
+            self._unchecked = True
+        return plain_chunk(chunk, position)
+
+    @property
+    def checked(self) -> bool:
+        """Whether checksums covered all messages read since the beginning."""
+        return self._whole_checked or not self._unchecked
 
     def footer(self) -> int:
         """Check the end of the file and return where its summary begins (0: none)."""
@@ -189,6 +224,8 @@ class McapFile:
             raise BreakError(f"it breaks off at byte {self.begin}")
         if self.begin + RECORD.size + length > self.size:
             raise broken
+        if length > _LARGEST_RECORD:
+            raise BreakError(f"the record at byte {self.begin} declares {shown_size(length)}")
         self.end = self.begin + RECORD.size + length
 
     def _seek(self, position: int) -> None:
@@ -199,8 +236,8 @@ class McapFile:
 def plain_chunk(chunk: records.Chunk, position: int) -> bytes:
     """Unpack the records of a chunk at byte ``position`` and check their checksum."""
     try:
-        if chunk.uncompressed_size > _LARGEST_CHUNK:
-            raise ValueError(f"it declares {chunk.uncompressed_size} bytes")
+        if chunk.uncompressed_size > LARGEST_CHUNK:
+            raise ValueError(f"it declares {shown_size(chunk.uncompressed_size)}")
         plain = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
         if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
             raise ValueError("its checksum is wrong")
@@ -209,13 +246,22 @@ def plain_chunk(chunk: records.Chunk, position: int) -> bytes:
     return plain
 
 
-def chunk_records(chunk: bytes, position: int) -> Iterator[records.McapRecord]:
-    """Yield the messages, schemas and channels in the unpacked chunk at byte ``position``; messages are not copied."""
+def chunk_records(chunk: bytes, position: int, known: set[bytes] | None = None) -> Iterator[records.McapRecord]:
+    """Yield the messages, schemas and channels in the unpacked chunk at byte ``position``; messages are not copied.
+
+    Parameters
+    ----------
+    chunk : bytes
+    position : int
+    known : set of bytes, optional
+        Schemas and channels seen before, which are skipped; extended.
+    """
+    known = set() if known is None else known
     plain, inner = memoryview(chunk), 0
     while inner < len(plain):
         body = inner + RECORD.size
         opcode, length = RECORD.unpack_from(plain, inner) if body <= len(plain) else (0, 0)
-        if body + length > len(plain):
+        if body + length > len(plain) or opcode == _NEVER_WRITTEN:
             raise DamageError(f"the chunk at byte {position} is damaged (it ends within a record)")
         inner = body + length
         if opcode == Opcode.MESSAGE:
@@ -224,10 +270,15 @@ def chunk_records(chunk: bytes, position: int) -> Iterator[records.McapRecord]:
             channel, sequence, log_time, publish_time = MESSAGE.unpack_from(plain, body)
             data = cast(bytes, plain[body + MESSAGE.size : inner])
             yield records.Message(channel, log_time, data, publish_time, sequence)
-        elif opcode == Opcode.SCHEMA:
-            yield _parsed(records.Schema, plain[body:inner], position)
-        elif opcode == Opcode.CHANNEL:
-            yield _parsed(records.Channel, plain[body:inner], position)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            content = bytes(plain[body - RECORD.size : inner])
+            if content in known:
+                continue
+            known.add(content)
+            if len(known) > _MOST_DEFINED:
+                raise DamageError(f"the chunk at byte {position} is damaged (it defines too many channels)")
+            kind = records.Schema if opcode == Opcode.SCHEMA else records.Channel
+            yield _parsed(kind, content[RECORD.size :], position)
 
 
 def _parsed(kind: type[Parsed], body: bytes | memoryview, position: int) -> Parsed:
@@ -320,13 +371,18 @@ class McapStorage:
             for position, record in self._file.data(end=self._break):
                 if isinstance(record, records.Chunk):
                     if self._may_hold(position, channels):
-                        yield PlainChunk(plain_chunk(record, position), position)
+                        yield PlainChunk(self._file.unpack(record, position), position)
                 elif isinstance(record, records.Message):
                     head = RECORD.pack(Opcode.MESSAGE, MESSAGE.size + len(record.data))
                     head += MESSAGE.pack(record.channel_id, record.sequence, record.log_time, record.publish_time)
                     yield PlainChunk(head + record.data, position)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
+
+    @property
+    def checked(self) -> bool:
+        """Whether checksums covered all that has been read so far."""
+        return self._file.checked
 
     @property
     def progress(self) -> float:
@@ -457,7 +513,7 @@ class McapStorage:
             schema = self._schemas.get(channel.schema_id)
             before = infos.get(channel.topic)
             count = None if self._counts is None else self._counts[key] + ((before.count or 0) if before else 0)
-            name = "" if schema is None else _full_type(schema.name)
+            name = "" if schema is None else full_type(schema.name)
             if before is not None and before.type_name != name:
                 name = f"{before.type_name} and {name}"
             infos[channel.topic] = TopicInfo(
@@ -474,12 +530,13 @@ class McapStorage:
 
     def _scan(self, wanted: Collection[int] | None) -> Iterator[tuple[int, records.McapRecord]]:
         """Yield position and record in file order, chunks unpacked if they may hold ``wanted`` channels (None: all)."""
+        known: set[bytes] = set()
         for position, record in self._file.data(end=self._break):
             if not isinstance(record, records.Chunk):
                 yield position, record
             elif wanted is None or self._may_hold(position, wanted):
                 self._compressions.add(record.compression)
-                for inner in chunk_records(plain_chunk(record, position), position):
+                for inner in chunk_records(self._file.unpack(record, position), position, known):
                     yield position, inner
 
     def _may_hold(self, position: int, channels: Collection[int]) -> bool:
@@ -497,9 +554,3 @@ class McapStorage:
         return TruncatedBagError(
             f"{self._shown} is not a complete recording, for {why}: recover it first with 'drive-id recover'."
         )
-
-
-def _full_type(name: str) -> str:
-    """Write ``package/Name`` as ``package/msg/Name``."""
-    package, _, rest = name.partition("/")
-    return f"{package}/msg/{rest}" if rest and "/" not in rest else name

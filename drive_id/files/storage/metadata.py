@@ -11,10 +11,13 @@ from typing import Any
 import yaml
 
 from drive_id.errors import NotABagError
-from drive_id.files.storage.container import reason
+from drive_id.files.inputs.input_file import check_input, read_text_input, reason
+from drive_id.files.inputs.yaml_tree import load_yaml
+from drive_id.files.storage.container import full_type
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
-_LARGEST = 1 << 26
+_LARGEST = 1 << 23
+_MOST_FILES, _MOST_TOPICS = 20_000, 20_000
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,8 @@ def read_metadata(path: Path) -> BagMetadata:
     """
     advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
     try:
+        check_input(path, _LARGEST)
         state = path.stat()
-        if state.st_size > _LARGEST:
-            raise ValueError("it is too large")
         return _parsed(path, state.st_mtime_ns, state.st_size)
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): {advice}") from error
@@ -51,20 +53,25 @@ def read_metadata(path: Path) -> BagMetadata:
 @lru_cache(maxsize=8)
 def _parsed(path: Path, _time: int, _size: int) -> BagMetadata:
     """Parse the file once as long as it does not change: PyYAML takes longer than reading some seconds of samples."""
-    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    tree = load_yaml(read_text_input(path, _LARGEST))
     information = _item(tree, "rosbag2_bagfile_information", dict)
     files = _item(information, "relative_file_paths", list)
     if not files or not all(isinstance(name, str) and PurePosixPath(name).name for name in files):
         raise ValueError("relative_file_paths is not a list of file names")
+    if len(files) > _MOST_FILES:
+        raise ValueError(f"it names {len(files)} files")
     counts: dict[str, int] = {}
     types: dict[str, str] = {}
-    for entry in _item(information, "topics_with_message_count", list):
+    topics = _item(information, "topics_with_message_count", list)
+    if len(topics) > _MOST_TOPICS:
+        raise ValueError(f"it names {len(topics)} topics")
+    for entry in topics:
         topic = _item(entry, "topic_metadata", dict)
         name = _item(topic, "name", str)
         counts[name] = counts.get(name, 0) + _item(entry, "message_count", int)
-        types[name] = _item(topic, "type", str)
-    by_message = str(information.get("compression_mode")).lower() == "message"
-    compression = str(information.get("compression_format")) if by_message else ""
+        types[name] = full_type(_item(topic, "type", str))
+    mode, form = information.get("compression_mode"), information.get("compression_format")
+    compression = form if isinstance(mode, str) and mode.lower() == "message" and isinstance(form, str) else ""
     names = tuple(PurePosixPath(name).name for name in files)
     return BagMetadata(names, counts, types, compression)
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+import time
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
-from drive_id.files.storage.container import RawMessage, TopicInfo, file_size
+from drive_id.files.inputs.input_file import open_input, shown_size
+from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, TopicInfo, file_size, full_type
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
-_INT64 = 2**63
+_MOST_TOPICS = 1 << 16
+_LONGEST_TEXT = 1 << 22
+_STEPS, _PATIENCE, _BYTES_PER_SECOND = 100_000, 20.0, 1e7
+"""Steps of sqlite between two looks at the clock while the file is opened, and how long that may take, s."""
 
 
 class SqliteStorage:
@@ -27,6 +32,7 @@ class SqliteStorage:
     """
 
     kind = "sqlite3"
+    checked = False
     compression = ""
     damage = ""
     warning = ""
@@ -50,7 +56,7 @@ class SqliteStorage:
             raise NotABagError(f"{shown} cannot be opened ({error}): check its permissions.") from error
         try:
             self._check_size(path)
-            self._open()
+            self._open_within(_PATIENCE + file_size(path) / _BYTES_PER_SECOND)
         except _SQL_ERRORS as error:
             self._database.close()
             raise self._damaged(error) from error
@@ -97,7 +103,7 @@ class SqliteStorage:
 
     def _check_size(self, path: Path) -> None:
         """Compare the size of the file with its header: sqlite itself reads missing pages as zeros."""
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             head = stream.read(100)
         if len(head) < 100:
             raise sqlite3.DatabaseError("it breaks off within its header")
@@ -106,8 +112,18 @@ class SqliteStorage:
         if size == 0 or file_size(path) % size or file_size(path) < pages * size:
             raise sqlite3.DatabaseError("it breaks off before its end")
 
+    def _open_within(self, seconds: float) -> None:
+        """Open the file, and give up when sqlite takes far too long."""
+        end = time.monotonic() + seconds
+        self._database.set_progress_handler(lambda: time.monotonic() > end, _STEPS)
+        try:
+            self._open()
+        finally:
+            self._database.set_progress_handler(None, 0)
+
     def _open(self) -> None:
-        tables = {row[0] for row in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        query = "SELECT name FROM sqlite_master WHERE type = 'table' AND length(sql) < 4096 LIMIT 1000"
+        tables = {row[0] for row in self._database.execute(query)}
         if not {"topics", "messages"} <= tables:
             raise NotABagError(
                 f"{self._shown} is a sqlite3 file without the tables 'topics' and 'messages': give a rosbag2 recording."
@@ -115,11 +131,18 @@ class SqliteStorage:
         check = self._database.execute("PRAGMA quick_check(1)").fetchone()
         if check is None or check[0] != "ok":
             raise sqlite3.DatabaseError("its structure is inconsistent")
+        for table in tables & {"topics", "messages", "message_definitions"}:
+            self._check_stored(table)
         rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
         if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
             raise sqlite3.DatabaseError("its table of topics holds other values than text")
         self._keys: dict[int, str] = {row[0]: row[1] for row in rows}
-        counts = dict(self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+        groups = "SELECT topic_id, count(*), max(length(data)) FROM messages GROUP BY topic_id"
+        found = self._database.execute(f"{groups} LIMIT {_MOST_TOPICS + 1}").fetchall()
+        longest = max((length for _, _, length in found if isinstance(length, int)), default=0)
+        if longest > LARGEST_CHUNK:
+            raise sqlite3.DatabaseError(f"it holds a message of {shown_size(longest)}")
+        counts = {key: count for key, count, _ in found}
         if not set(counts) <= set(self._keys):
             raise MessageCountError(
                 f"{self._shown} holds messages that belong to none of its topics: copy it again from its origin."
@@ -129,11 +152,24 @@ class SqliteStorage:
         for key, name, type_name, encoding in rows:
             before = infos[name].count or 0 if name in infos else 0
             form, text = definitions.get(type_name, ("", ""))
-            infos[name] = TopicInfo(name, type_name, before + counts.get(key, 0), encoding, form, text)
+            infos[name] = TopicInfo(name, full_type(type_name), before + counts.get(key, 0), encoding, form, text)
         self.topics = tuple(infos.values())
         first, last = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
         if isinstance(first, int) and isinstance(last, int):
             self.start, self.end = first, last
+
+    def _check_stored(self, table: str) -> None:
+        """Refuse tables whose rows are computed as they are read, and texts that no recording has."""
+        columns = self._database.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        (sql,) = self._database.execute("SELECT sql FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        if any(column[6] for column in columns) or str(sql).lstrip().upper().startswith("CREATE VIRTUAL"):
+            raise sqlite3.DatabaseError(f"its table {table} is computed, not recorded")
+        if table == "messages":
+            return
+        lengths = ", ".join(f'max(length("{column[1]}"))' for column in columns[:20] if '"' not in column[1])
+        count, *longest = self._database.execute(f"SELECT count(*), {lengths} FROM {table}").fetchone()
+        if count > _MOST_TOPICS or any(isinstance(length, int) and length > _LONGEST_TEXT for length in longest):
+            raise sqlite3.DatabaseError(f"its table {table} is too large")
 
     def _definitions(self) -> dict[str, tuple[str, str]]:
         rows = self._database.execute(

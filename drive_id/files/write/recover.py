@@ -13,9 +13,10 @@ from mcap import records
 from mcap.writer import CompressionType, Writer
 
 from drive_id.errors import EmptyTopicError, NotABagError
+from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.bag import present_files
 from drive_id.files.storage.container import MCAP_MAGIC, read_magic, unpack_file
-from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records, plain_chunk
+from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
 
@@ -154,7 +155,10 @@ class _Copy:
         """Copy one record; a damaged one is left out and named."""
         try:
             if isinstance(record, records.Chunk):
-                for inner in list(chunk_records(plain_chunk(record, position), position)):
+                plain = self._file.unpack(record, position)
+                for _ in chunk_records(plain, position):
+                    pass  # all of it or nothing
+                for inner in chunk_records(plain, position):
                     self._copy_content(inner, position)
             else:
                 self._copy_content(record, position)
@@ -204,15 +208,16 @@ class _Copy:
 
 def _offered_qos(text: str) -> list[Any]:
     try:
-        profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
+        profiles = load_yaml(text)
+    except (yaml.YAMLError, ValueError):
         return []
     return profiles if isinstance(profiles, list) else []
 
 
 def _distro(text: str) -> str:
     try:
-        tree = yaml.safe_load(text)
-    except yaml.YAMLError:
+        tree = load_yaml(text)
+    except (yaml.YAMLError, ValueError):
         return ""
-    return str(tree.get("ros_distro") or "") if isinstance(tree, dict) else ""
+    distro = tree.get("ros_distro") if isinstance(tree, dict) else ""
+    return distro if isinstance(distro, str) else ""

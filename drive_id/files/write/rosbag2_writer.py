@@ -23,8 +23,9 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from drive_id.errors import OutputError
+from drive_id.files.inputs.input_file import reason
 from drive_id.files.messages.messages import DEFINITIONS, schema_text, type_hash
-from drive_id.files.storage.container import MCAP_MAGIC, reason
+from drive_id.files.storage.container import MCAP_MAGIC
 from drive_id.files.storage.mcap import RECORDER_LIBRARY, McapStorage
 from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_information, write_metadata
 

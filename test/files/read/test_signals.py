@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +109,7 @@ def test_units():
         (VALID, "- 1\n", r"f is not a mapping"),
         (VALID, "currents: 3\n", r"f, line 1, section 'currents' is not a mapping"),
         (VALID, "", r"f has no section 'currents'"),
-        (VALID, "a: &x {b: *x}\n", r"f has a section 'a'|f is not YAML"),
+        (VALID, "a: &x {b: *x}\n", r"f cannot be read as YAML \(it contains itself\)"),
         (VALID, "!!python/object/apply:os.getcwd []\n", r"f is not YAML"),
     ],
 )
@@ -127,6 +128,12 @@ def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
     with pytest.raises(ConfigurationError, match="not a text file"):
         read_signals(tmp_path / "binary.yaml")
+    (tmp_path / "control.yaml").write_bytes(bytes(range(32)))
+    with pytest.raises(ConfigurationError, match="is not YAML"):
+        read_signals(tmp_path / "control.yaml")
+    os.mkfifo(tmp_path / "fifo.yaml")
+    with pytest.raises(ConfigurationError, match="it is a FIFO, not a file"):
+        read_signals(tmp_path / "fifo.yaml")
     (tmp_path / "large.yaml").write_bytes(b" " * (2 << 20))
     with pytest.raises(ConfigurationError, match="too large"):
         read_signals(tmp_path / "large.yaml")

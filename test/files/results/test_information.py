@@ -59,8 +59,15 @@ def changed(encoded: bytes, **changes) -> bytes:
             del arrays[name]
         else:
             arrays[name] = change
+    return signed(arrays)
+
+
+def signed(arrays: dict[str, np.ndarray], **header) -> bytes:
+    """Return a file of these members with the digest that they need."""
+    tree = json.loads(str(arrays.pop("header"))) | header
+    tree["sha256"] = information._digest(tree, arrays)
     stream = io.BytesIO()
-    np.savez(stream, **arrays)
+    np.savez(stream, **arrays, header=np.array(json.dumps(tree)))
     return stream.getvalue()
 
 
@@ -201,6 +208,62 @@ def test_another_kind_of_file(data):
 def test_content_that_does_not_fit(encoded, change):
     with pytest.raises(InformationError, match=r"^x is not an information file of drive_id, or it is damaged: .*\.$"):
         decode_information(changed(encoded, **change), "x")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"i_max": float("nan")}, "its i_max is nan"),
+        ({"i_max": -180.0}, "its i_max is -180.0"),
+        ({"i_max": float("inf")}, "its i_max is inf"),
+        ({"samples": -1}, "its number of samples is -1"),
+        ({"samples": 0}, "its number of samples is 0"),
+        ({"samples": 1e5}, "its number of samples is"),
+        ({"last_stamp": 1 << 63}, "its last stamp"),
+        ({"validation_periods": [0.0]}, "its sample period is 0.0"),
+        ({"ranges": [[-1.0, float("nan")], [-1.0, 1.0]]}, "its map has no range"),
+    ],
+)
+def test_numbers_that_no_recording_gives(encoded, change, said):
+    with pytest.raises(InformationError, match=said):
+        decode_information(changed(encoded, header=lambda header: header.update(change)), "x")
+
+
+def test_stamps_that_are_no_whole_numbers(encoded):
+    with pytest.raises(InformationError, match="its stamps are no whole numbers"):
+        decode_information(changed(encoded, **{"validation/0/stamp": np.full(20000, np.nan)}), "x")
+
+
+@pytest.mark.parametrize("name", ["evidence/samples", "evidence/_turn_square", "evidence/information/blocks"])
+def test_sums_that_no_recording_gives(encoded, name):
+    with np.load(io.BytesIO(encoded)) as file:
+        value = file[name].copy()
+    value[...] = -1 if value.dtype.kind == "i" else np.nan
+    with pytest.raises(InformationError, match=name.removeprefix("evidence/")):
+        decode_information(changed(encoded, **{name: value}), "x")
+
+
+@pytest.mark.parametrize("name", ["evidence/information/blocks", "evidence/samples", "validation/0/i_abc", "further"])
+def test_whatever_is_changed_shows_in_the_digest(encoded, name):
+    with np.load(io.BytesIO(encoded)) as file:
+        arrays = dict(file.items())
+    arrays[name] = arrays[name] * 1.001 if name in arrays else np.zeros(3)
+    arrays[name] = arrays[name].astype(np.asarray(arrays[name]).dtype)
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    with pytest.raises(InformationError, match="its content does not match its digest"):
+        decode_information(stream.getvalue(), "x")
+
+
+def test_sums_of_many_splines_are_written_so_that_they_can_be_read(simulation):
+    """Nearly all of them are zero, and compressed they would look like an attack."""
+    settings = FitSettings("joint", i_max=300.0, splines_d=24, splines_q=24)
+    evidence = Evidence.within(settings, 300.0)
+    evidence.add(simulation.samples)
+    whole = Accumulated(evidence, (), (), {}, None, len(simulation.samples), 1, ("x.db3",))
+    found = decode_information(encode_information(whole), "x").accumulated
+    assert found.evidence.information.total.shape == (1155, 1155)
+    assert found.unchecked == ("x.db3",)
 
 
 def test_a_newer_version_is_named(encoded):

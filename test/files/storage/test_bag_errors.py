@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import time
@@ -103,12 +104,12 @@ def test_paths_that_are_no_bag(tmp_path):
     refused(tmp_path / "a", NotABagError, "without an .mcap")
 
 
-@pytest.mark.parametrize("call", ["open", "iterdir"])
-def test_unreadable_files(bag, monkeypatch, call):
+@pytest.mark.parametrize(("module", "call"), [(os, "open"), (Path, "iterdir")])
+def test_unreadable_files(bag, monkeypatch, module, call):
     def denied(*_args: object, **_options: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, call, denied)
+    monkeypatch.setattr(module, call, denied)
     refused(bag, NotABagError, "Permission denied")
 
 
@@ -134,6 +135,33 @@ def test_devices_are_no_bags():
 def test_damaged_metadata(bag, text, said):
     (bag / "metadata.yaml").write_text(text)
     refused(bag, NotABagError, said)
+
+
+def test_names_in_metadata_that_no_file_can_have(bag):
+    edit(bag, lambda tree: tree.update(relative_file_paths=["x" * 300 + ".mcap"]))
+    refused(bag, NotABagError, "which is not there")
+    edit(bag, lambda tree: tree.update(relative_file_paths=["a\0b"]))
+    refused(bag, NotABagError, "which is not there")
+    edit(bag, lambda tree: tree.update(relative_file_paths=["x.mcap"] * 30_000))
+    refused(bag, NotABagError, "it names 30000 files")
+
+
+def test_type_names_of_old_metadata(bag):
+    """As in bags of the first distributions: ``package/Name`` for ``package/msg/Name``."""
+
+    def shorten(tree):
+        for entry in tree["topics_with_message_count"]:
+            entry["topic_metadata"]["type"] = entry["topic_metadata"]["type"].replace("/msg/", "/")
+
+    edit(bag, shorten)
+    assert len(read_recording(bag).samples) == len(make_samples())
+    write_recording(bag.parent / "other", make_samples())
+    target = sqlite_copy(bag.parent / "other", bag.parent / "sqlite")
+    (file,) = target.glob("*.db3")
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE topics SET type = replace(type, '/msg/', '/')")
+    database.close()
+    assert len(read_recording(target).samples) == len(make_samples())
 
 
 def edit(bag: Path, change: Callable[[dict], None]) -> None:

@@ -1,0 +1,351 @@
+"""Damaged and hostile inputs through the command line: no crash, no hang, no traceback, no silent wrong map.
+
+    python benchmarks/fuzz.py --seconds 60               a random slice, other inputs each time
+    python benchmarks/fuzz.py --seconds 300 --seed 1     the same inputs each time, as far as the time reaches
+    python benchmarks/fuzz.py --replay sample_mcap:123   one input again; what is left of it is printed
+    python benchmarks/fuzz.py --bombs                    the inputs that are made to exhaust the reader
+
+Each input is given to ``drive-id`` in a process of its own, which is measured: more than 10 s of processor time or
+300 MB over what the program takes anyway is a finding, like any other end than a result or one sentence. A fit that
+succeeds on a damaged recording must give the map of the good one, within 4 standard errors or 1 %, or warn.
+Findings are written to ``fuzz_findings.json``, each with the command that repeats it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from fuzz_inputs import BOMBS, KINDS, Case, make_corpus
+from scipy.interpolate import RegularGridInterpolator
+
+from drive_id.cli import app
+from drive_id.live.memory import return_free_memory
+
+PROCESSOR, WALL, MEMORY = 10.0, 90.0, 300e6
+"""Budget of one input: s of processor time, s until it is taken for a hang, bytes over those of the good inputs."""
+SIGMAS, SHARE = 4.0, 0.01
+OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one sentence", "left behind", "wrong map")
+
+
+@dataclass(frozen=True)
+class Ran:
+    """How ``drive-id`` ended: exit code (negative: signal), output, processor time, s, and further memory, bytes."""
+
+    code: int
+    out: str
+    err: str
+    processor: float
+    memory: float
+    hung: bool = False
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with the end of one input."""
+
+    outcome: str
+    kind: str
+    number: int
+    damage: str
+    arguments: tuple[str, ...]
+    said: str
+    repeat: str
+
+
+# -- one input ---------------------------------------------------------------------------------------------------------
+
+
+def run(arguments: tuple[str, ...], folder: Path) -> Ran:
+    """Run the command line in a forked process, from a folder."""
+    return_free_memory()  # of making the input; it would hide what the reader takes
+    base = _resident()
+    start = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        _child(arguments, folder)
+    hung = False
+    while True:
+        found, status, used = os.wait4(child, os.WNOHANG)
+        if found:
+            break
+        if not hung and time.monotonic() - start > WALL:
+            os.kill(child, signal.SIGKILL)
+            hung = True
+        time.sleep(0.002)
+    out, err = ((folder / name).read_text(errors="replace") for name in (".out.txt", ".err.txt"))
+    code = os.waitstatus_to_exitcode(status)
+    return Ran(code, out, err, used.ru_utime + used.ru_stime, max(used.ru_maxrss * 1024 - base, 0), hung)
+
+
+def _child(arguments: tuple[str, ...], folder: Path) -> None:
+    """Be ``drive-id``; does not return."""
+    try:
+        os.chdir(folder)
+        for descriptor, name in ((1, ".out.txt"), (2, ".err.txt")):
+            os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
+        virtual = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        resource.setrlimit(resource.RLIMIT_AS, (virtual + (4 << 30), resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        sys.argv = ["drive-id", *arguments]
+        code = 0
+        try:
+            app.main()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 1
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException:  # noqa: BLE001  # whatever it is, it is a finding
+        import traceback  # noqa: PLC0415
+
+        traceback.print_exc()
+        sys.stderr.flush()
+        code = 70
+    os._exit(code)
+
+
+def _resident() -> float:
+    return float(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+
+
+def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, str]:
+    """Return the outcome that is a finding, and what was said; empty texts for a good end."""
+    said = (ran.err or ran.out).strip()[-600:]
+    lines = ran.err.strip().splitlines()
+    sentence = len(lines) == 1 and lines[0].startswith("drive-id: ") and lines[0].endswith(".")
+    wrong = _differs(folder / "out", good) if ran.code == 0 and good else ""
+    checks = {
+        "hang": ran.hung,
+        "traceback": "Traceback" in ran.err or "MemoryError" in ran.err,
+        "crash": ran.code not in (0, 1, 2),
+        "over time": ran.processor > PROCESSOR,
+        "over memory": ran.memory > MEMORY,
+        "not one sentence": ran.code == 1 and not sentence,
+        "left behind": ran.code == 1 and case.arguments[0] == "fit" and (folder / "out").exists(),
+        "wrong map": bool(wrong),
+    }
+    found = next((outcome for outcome, holds in checks.items() if holds), "")
+    return found, f"exit code {ran.code}, {ran.processor:.1f} s, {ran.memory * 1e-6:.0f} MB: {wrong or said}"
+
+
+def _differs(found: Path, good: Path) -> str:
+    """Say how a map differs from the good one beyond its errors without any further warning; empty if it does not."""
+    trees = [json.loads((path / "identification.json").read_text()) for path in (found, good)]
+    warnings, usual = ({re.sub(r"[0-9.]+", "#", text) for text in tree["warnings"]} for tree in trees)
+    if warnings - usual:
+        return ""
+    with np.load(found / "flux_map.npz") as new, np.load(good / "flux_map.npz") as old:
+        grid = np.stack(np.meshgrid(old["i_d"], old["i_q"], indexing="ij"), axis=-1)
+        inside = old["inside"] & (np.hypot(grid[..., 0], grid[..., 1]) <= old["i_max"])
+        worst = 0.0
+        for axis in "dq":
+            psi, sigma = (
+                RegularGridInterpolator((new["i_d"], new["i_q"]), new[f"{name}_{axis}"], bounds_error=False)(grid)
+                for name in ("psi", "sigma")
+            )
+            allowed = np.maximum(
+                SIGMAS * np.fmax(sigma, old[f"sigma_{axis}"]), SHARE * np.abs(old[f"psi_{axis}"][inside]).max()
+            )
+            off = np.abs(psi - old[f"psi_{axis}"]) / allowed
+            worst = max(worst, float(np.nanmax(off[inside], initial=0.0)))
+    return f"the map is {worst:.2f} times as far off as allowed, without a further warning" if worst > 1 else ""
+
+
+# -- workers -----------------------------------------------------------------------------------------------------------
+
+
+class Worker:
+    """Tries inputs one after the other, each in a fork of this process, which has loaded everything before."""
+
+    def __init__(self, corpus: Path) -> None:
+        self._corpus = corpus
+        self._scratch = Path(tempfile.mkdtemp(prefix="fuzz-", dir=corpus.parent))
+        os.environ["TMPDIR"] = str(self._scratch)
+        tempfile.tempdir = None
+
+    def warm_up(self) -> None:
+        """Use everything once in this process, which compiles and loads it; the forks then have it."""
+        import drive_id  # noqa: PLC0415  # the environment is set by now
+
+        self._good("nocrc.mcap", "joint")
+        drive_id.load(self._corpus / "result")
+        drive_id.simulate(self._corpus / "machine.npz", 0.05)
+
+    def _good(self, name: str, method: str) -> Path:
+        """Return the result of a good input."""
+        import drive_id  # noqa: PLC0415  # as above
+
+        if name in ("packed.mcap.zstd", "sqlite.db3"):  # the same samples without a truth
+            name = "nocrc.mcap"
+        target = self._scratch / f"{name.replace('/', '_')}_{method}"
+        if not target.exists():
+            drive_id.fit(self._corpus / name, method=method).save(target)
+        return target
+
+    def close(self) -> None:
+        """Remove what it wrote."""
+        shutil.rmtree(self._scratch, ignore_errors=True)
+
+    def attempt(self, kind: str, number: int, *, show: bool = False) -> Finding | None:
+        """Make one input and try it."""
+        folder = self._scratch / "case"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        if kind == "bomb":
+            name, make = list(BOMBS.items())[number]
+            case = Case(kind, number, name, make(self._corpus, folder))
+        else:
+            rng = random.Random(f"{kind}:{number}")
+            case = Case(kind, number, *KINDS[kind](self._corpus, folder, rng))
+        good = self._good(*case.compare.split()) if case.compare else None
+        ran = run(case.arguments, folder)
+        if show:
+            print(case, f"exit code {ran.code}, {ran.processor:.2f} s, {ran.memory * 1e-6:.0f} MB", ran.err, sep="\n")
+        outcome, said = judged(ran, case, folder, good)
+        if not outcome:
+            return None
+        repeat = f"python benchmarks/fuzz.py --replay {kind}:{number}"
+        return Finding(outcome, kind, number, case.damage[:300], case.arguments, said, repeat)
+
+
+def _work(corpus: Path, first: int, step: int, end: float, results: Any) -> None:
+    """Try inputs of all kinds in turn until the time is over."""
+    with patch("drive_id.fitting.result.pictures", return_value={}):  # drawing takes longer than all else
+        worker = Worker(corpus)
+        try:
+            worker.warm_up()
+            for number in range(first, 1 << 40, step):
+                for kind in KINDS:
+                    if time.time() > end:
+                        return
+                    results.put((kind, worker.attempt(kind, number)))
+        finally:
+            worker.close()
+            results.put(None)
+
+
+def fuzz(corpus: Path, seconds: float, seed: int, jobs: int) -> Iterator[tuple[str, Finding | None]]:
+    """Yield kind and finding of each input that was tried.
+
+    Parameters
+    ----------
+    corpus : Path
+    seconds : float
+        Without warming up.
+    seed : int
+        First number.
+    jobs : int
+        Processes.
+    """
+    context = multiprocessing.get_context("spawn")
+    results: Any = context.Queue()
+    end = time.time() + seconds
+    workers = [context.Process(target=_work, args=(corpus, seed + k, jobs, end, results)) for k in range(jobs)]
+    for worker in workers:
+        worker.start()
+    left = jobs
+    while left:
+        result = results.get()
+        if result is None:
+            left -= 1
+        else:
+            yield result
+    for worker in workers:
+        worker.join()
+
+
+# -- command line ------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Try inputs, report, and exit with code 1 when there is a finding."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long to try random inputs")
+    parser.add_argument("--seed", type=int, default=None, help="first number; default: another one each time")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--replay", metavar="KIND:NUMBER", help="try one input again")
+    parser.add_argument(
+        "--bombs", metavar="WORD", nargs="?", const="", help="try the inputs made to exhaust the reader, all or some"
+    )
+    parser.add_argument("--count", type=int, help="try so many inputs of each kind, one after the other, and no more")
+    parser.add_argument("--findings", type=Path, default=Path("fuzz_findings.json"))
+    parser.add_argument("--keep", type=Path, help="leave the corpus in this folder, and take it from there")
+    options = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with tempfile.TemporaryDirectory(prefix="drive_id-fuzz-") as temporary:
+        corpus = (options.keep or Path(temporary) / "corpus").absolute()
+        if not (corpus / "machine.npz").exists():
+            corpus.mkdir(parents=True)
+            make_corpus(corpus)
+        findings: list[Finding] = []
+        tried: Counter[str] = Counter()
+        for kind, finding in _attempts(corpus, options):
+            tried[kind] += 1
+            if finding is not None:
+                findings.append(finding)
+                print(f"{finding.outcome}: {finding.repeat}\n  {finding.damage}\n  {finding.said}", flush=True)
+    report(findings, tried)
+    if findings:
+        options.findings.write_text(json.dumps([asdict(finding) for finding in findings], indent=1))
+        raise SystemExit(1)
+
+
+def _attempts(corpus: Path, options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
+    """Yield kind and finding of each input that the options ask for."""
+    if options.replay:
+        kind, _, number = options.replay.partition(":")
+        return _singly(corpus, [(kind, int(number))], show=True)
+    chosen = [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs is not None and options.bombs in name]
+    if chosen and not options.count:
+        return _singly(corpus, chosen, show=False)
+    seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
+    print(f"Numbers from {seed}", flush=True)
+    if options.count:
+        chosen += [(kind, seed + k) for k in range(options.count) for kind in KINDS]
+        return _singly(corpus, chosen, show=False)
+    return fuzz(corpus, options.seconds, seed, options.jobs)
+
+
+def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Iterator[tuple[str, Finding | None]]:
+    """Try inputs one after the other."""
+    with patch("drive_id.fitting.result.pictures", return_value={}):
+        worker = Worker(corpus)
+        try:
+            worker.warm_up()
+            for kind, number in chosen:
+                yield kind, worker.attempt(kind, number, show=show)
+        finally:
+            worker.close()
+
+
+def report(findings: list[Finding], tried: Counter[str]) -> None:
+    """Print inputs and findings by kind."""
+    outcomes = Counter((finding.kind, finding.outcome) for finding in findings)
+    print(f"| {'kind':14} | inputs | " + " | ".join(OUTCOMES) + " |")
+    print("|---" * (2 + len(OUTCOMES)) + "|")
+    for kind in tried:
+        counts = " | ".join(str(outcomes[kind, outcome]) for outcome in OUTCOMES)
+        print(f"| {kind:14} | {tried[kind]} | {counts} |")
+    totals = " | ".join(str(sum(finding.outcome == outcome for finding in findings)) for outcome in OUTCOMES)
+    print(f"| {'all':14} | {sum(tried.values())} | {totals} |")
+
+
+if __name__ == "__main__":
+    main()

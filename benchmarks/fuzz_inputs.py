@@ -1,0 +1,707 @@
+"""Inputs for ``fuzz.py``: good ones of every kind, ways to damage them, and inputs made to exhaust the reader.
+
+Everything follows from a kind and a number, so that a finding is reproduced by naming both.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import shutil
+import sqlite3
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import drive_id
+from drive_id.bench.machines import machine_map
+from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.fit_settings import FitSettings
+from drive_id.files.machines.maps import write_machine
+from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
+from drive_id.files.results import information
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import accumulate_bags
+from drive_id.fitting.sources import Sources
+
+SECONDS = 1.5
+TRAJECTORY = Lissajous(frequency_d=7.3, frequency_q=2.3)
+LARGE = [b"\xff" * 8, bytes(8), (1 << 40).to_bytes(8, "little"), (1 << 31).to_bytes(8, "little"), b"\x7f\xc0\0\0" * 2]
+_JOINT = ("--method", "joint")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One input, ready to be given to the command line.
+
+    Parameters
+    ----------
+    kind : str
+    number : int
+    damage : str
+        What was done to it, in words.
+    arguments : tuple of str
+        Of ``drive-id``; relative to the folder of the case.
+    compare : str
+        Name of the good input with whose map a map from this one must agree; empty: no map to compare.
+    """
+
+    kind: str
+    number: int
+    damage: str
+    arguments: tuple[str, ...]
+    compare: str = ""
+
+
+# -- good inputs -------------------------------------------------------------------------------------------------------
+
+
+def make_corpus(folder: Path) -> None:
+    """Write one good input of every kind into a folder."""
+    samples = drive_id.simulate("ipm", SECONDS, seed=7, noise=1e-3, trajectory=TRAJECTORY)
+    write_recording(folder / "ours", samples, samples.truth, compression="zstd", chunk_size=60_000)
+    write_recording(folder / "plain", samples, compression="", chunk_size=60_000)
+    _copy_mcap(folder / "ours", folder / "nocrc.mcap")
+    _copy_sqlite(folder / "ours", folder / "sqlite")
+    shutil.move(str(next((folder / "sqlite").glob("*.db3"))), folder / "sqlite.db3")
+    packed = zstandard.ZstdCompressor().compress((folder / "nocrc.mcap").read_bytes())
+    (folder / "packed.mcap.zstd").write_bytes(packed)
+    accumulate_bags(Sources([folder / "ours"]), folder / "ours.info", FitSettings(method="joint"))
+    drive_id.fit(folder / "ours", method="joint", output=folder / "result")
+    for picture in (folder / "result").glob("*.png"):
+        picture.unlink()
+    write_machine(folder / "machine.npz", machine_map("ipm"))
+    (folder / "signals.yaml").write_text(_SIGNALS, encoding="utf-8")
+    (folder / "config.yaml").write_text("method: joint\nsplines_d: 8\ni_max: 180.0\nharmonic_orders: [6, 12]\n")
+
+
+_SIGNALS = "".join(
+    f"{section}:\n  topic: {topic}\n  stamp: header\n  sample_period: sample_period\n  first_sample: first_sample\n"
+    f"  {fields}\n"
+    for section, topic, fields in (
+        ("currents", "phase_currents", "fields: [a, b, c]"),
+        ("voltages", "phase_voltages", "fields: [a, b, c]\n  scale: 1.0"),
+        ("resolver", "resolver", "angle: angle\n  speed: speed\n  angle_unit: rad"),
+    )
+)
+
+
+def _copy_mcap(bag: Path, target: Path) -> None:
+    """Copy a bag without any checksum, as fast recorders write it."""
+    with target.open("wb") as stream, AnyReader([bag]) as reader:
+        writer = McapWriter(stream, chunk_size=60_000, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start("ros2")
+        keys = {}
+        for name, info in reader.topics.items():
+            kind = str(info.msgtype)
+            schema = writer.register_schema(kind, "ros2msg", schema_text(kind).encode())
+            keys[name] = writer.register_channel(name, "cdr", schema)
+        for connection, time, raw in reader.messages():
+            writer.add_message(keys[connection.topic], time, bytes(raw), time)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _copy_sqlite(bag: Path, target: Path) -> None:
+    store = message_typestore()
+    with AnyReader([bag]) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        keys = {
+            name: writer.add_connection(name, str(info.msgtype), typestore=store)
+            for name, info in reader.topics.items()
+        }
+        for connection, time, raw in reader.messages():
+            writer.write(keys[connection.topic], time, raw)
+
+
+# -- damage ------------------------------------------------------------------------------------------------------------
+
+
+def damaged(data: bytes, rng: random.Random) -> tuple[bytes, str]:
+    """Return a damaged copy, and what was done to it."""
+    out, said = bytearray(data), []
+    for _ in range(rng.choice((1, 1, 1, 2, 5))):
+        at, length = rng.randrange(max(len(out), 1)), rng.choice((1, 4, 16, 300, 4096))
+        way = rng.randrange(8)
+        if way in (0, 1):
+            bit = rng.randrange(8)
+            out[at : at + 1] = bytes([out[at] ^ (1 << bit)]) if out else b""
+            said.append(f"bit {bit} of byte {at} flipped")
+        elif way == 2:
+            del out[at:]
+            said.append(f"cut at {at}")
+        elif way == 3:
+            large = rng.choice(LARGE)
+            out[at : at + len(large)] = large
+            said.append(f"{large.hex()} at {at}")
+        elif way == 4:
+            del out[at : at + length]
+            said.append(f"{length} bytes removed at {at}")
+        elif way == 5:
+            out[at:at] = rng.randbytes(length)
+            said.append(f"{length} random bytes inserted at {at}")
+        elif way == 6:
+            out[at : at + length] = bytes(min(length, len(out) - at))
+            said.append(f"{length} bytes zeroed at {at}")
+        else:
+            source = rng.randrange(max(len(out), 1))
+            out[at : at + length] = out[source : source + length]
+            said.append(f"{length} bytes copied from {source} to {at}")
+    return bytes(out), ", ".join(said)
+
+
+def _damaged_text(text: str, rng: random.Random) -> tuple[str, str]:
+    """Return a text with tokens replaced, lines moved, or pieces of YAML that have a meaning."""
+    lines, said = text.splitlines(), []
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        at = rng.randrange(len(lines))
+        way = rng.randrange(5)
+        if way == 0:
+            lines[at] = lines[at][: rng.randrange(len(lines[at]) + 1)] + rng.choice(_TOKENS)
+        elif way == 1:
+            key, _, _ = lines[at].partition(":")
+            lines[at] = f"{key}: {rng.choice(_TOKENS)}"
+        elif way == 2:
+            lines.insert(at, rng.choice(lines))
+        elif way == 3:
+            del lines[at]
+            lines = lines or [""]
+        else:
+            lines[at] = " " * rng.randrange(9) + lines[at].strip()
+        said.append(f"line {at}: {lines[min(at, len(lines) - 1)][:60]!r}")
+    return "\n".join(lines), "; ".join(said)
+
+
+_TOKENS = (
+    "", "~", "{}", "[]", "-1", "1e400", ".nan", ".inf", "0", "9" * 5000, "1:" * 3000 + "1", "'", '"', "&a *a", "*b",
+    "!!binary x", "!!python/object:os.system x", "\x00", "\u202e", "x" * 5000, "[" * 3000, "[a, b]", "{a: {b: c}}",
+    "true", "2020-01-01", "a[0]", "a[::0]", "a[999999999999]", "state.current[0", "dc_link_voltage", "log_time",
+    "/dev/zero", "| \n  x", "<<: {a: b}", "../../etc/passwd",
+)  # fmt: skip
+
+
+def _flipped_sample(folder: Path, source: Path, rng: random.Random) -> str:
+    """Flip one bit in the values of one sample in a container without checksums."""
+    data = bytearray(source.read_bytes())
+    with AnyReader([source]) as reader:
+        messages = [(c.topic, bytes(raw)) for c, _, raw in reader.messages() if c.topic != "/current_reference"]
+    topic, raw = messages[rng.randrange(len(messages))]
+    start = data.find(raw)
+    at, bit = rng.randrange(len(raw) // 2, len(raw)), rng.randrange(8)
+    assert start >= 0
+    data[start + at] ^= 1 << bit
+    (folder / source.name).write_bytes(bytes(data))
+    return f"bit {bit} of byte {at} in a message on {topic} flipped"
+
+
+def _flipped_sqlite(folder: Path, source: Path, rng: random.Random) -> str:
+    """Flip one bit in a message of a sqlite3 file."""
+    target = folder / source.name
+    shutil.copy(source, target)
+    with sqlite3.connect(target) as database:
+        rows = database.execute("SELECT id, data FROM messages").fetchall()
+        key, raw = rows[rng.randrange(len(rows))]
+        at, bit = rng.randrange(len(raw)), rng.randrange(8)
+        changed = raw[:at] + bytes([raw[at] ^ (1 << bit)]) + raw[at + 1 :]
+        database.execute("UPDATE messages SET data = ? WHERE id = ?", (changed, key))
+    database.close()
+    return f"bit {bit} of byte {at} in message {key} flipped"
+
+
+def _changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[bytes, str]:
+    """Return an npz with a changed array or header; ``signed`` renews the digest of an information file."""
+    with np.load(path, allow_pickle=False) as file:
+        arrays: dict[str, Any] = dict(file.items())
+    name = rng.choice(sorted(arrays))
+    array = arrays[name]
+    way = rng.randrange(7)
+    odd = rng.choice((np.nan, np.inf, -1, 0, 1e300, -(2**62)))
+    if name == "header":
+        tree = json.loads(str(array))
+        key = rng.choice(sorted(tree))
+        tree[key] = rng.choice((None, -1, float("nan"), [], {}, "x", 10**30, [[1, 2]], True, 1e-300))
+        arrays["header"], said = np.array(json.dumps(tree)), f"{key} of the header is {tree[key]!r}"
+    elif way == 0:
+        del arrays[name]
+        said = f"without {name}"
+    elif way == 1:
+        arrays[name], said = array[..., :-1] if array.ndim else np.array([array]), f"{name} of another shape"
+    elif way == 2 and array.dtype.kind in "fiu" and array.size:
+        array = array.astype(np.float64).reshape(-1)
+        array[rng.randrange(len(array))] = odd
+        arrays[name], said = array.reshape(arrays[name].shape), f"{name} holds {odd}"
+    elif way == 3 and array.dtype.kind in "fiu":
+        with np.errstate(all="ignore"):
+            arrays[name], said = (array * odd).astype(array.dtype), f"{name} multiplied by {odd}"
+    elif way == 4:
+        arrays[name], said = array.astype("U") if array.dtype.kind != "U" else np.zeros(3), f"{name} of another type"
+    elif way == 5:
+        arrays["other"], said = np.zeros(1 << 20), "with a further array"
+    else:
+        arrays[name], said = np.zeros((3, 0, 2)), f"{name} empty"
+    if signed and "header" in arrays:
+        tree = json.loads(str(arrays.pop("header")))
+        tree["sha256"] = information._digest(tree, arrays)  # noqa: SLF001  # as one who knows the format can
+        arrays["header"] = np.array(json.dumps(tree))
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue(), said
+
+
+# -- kinds -------------------------------------------------------------------------------------------------------------
+
+Kind = Callable[[Path, Path, random.Random], tuple[str, tuple[str, ...], str]]
+"""Writes a case into a folder, from the corpus: returns the damage, the arguments, and what to compare with."""
+
+
+def _command(rng: random.Random, name: str, *, full: bool = True) -> tuple[str, ...]:
+    """Return ``info`` or a fit by one of the methods."""
+    if rng.random() < 0.25:
+        return ("info", name)
+    method = rng.choices(("joint", "psm", "full"), (6, 2, 1 if full else 0))[0]
+    return ("fit", name, "--output", "out", "--method", method)
+
+
+def _compare(arguments: tuple[str, ...], good: str) -> str:
+    return f"{good} {arguments[-1]}" if arguments[0] == "fit" else ""
+
+
+def _of_bytes(name: str) -> Kind:
+    def make(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+        source = corpus / name
+        data, said = damaged(source.read_bytes(), rng)
+        (folder / source.name).write_bytes(data)
+        arguments = _command(rng, source.name)
+        if rng.random() < 0.1 and source.suffix == ".mcap":
+            return said, ("recover", source.name, "--output", "out"), ""
+        return said, arguments, _compare(arguments, name)
+
+    return make
+
+
+def _of_sample(name: str) -> Kind:
+    flip = _flipped_sqlite if name.endswith(".db3") else _flipped_sample
+
+    def make(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+        said = flip(folder, corpus / name, rng)
+        method = rng.choices(("joint", "psm", "full"), (6, 2, 1))[0]
+        arguments = ("fit", name, "--output", "out", "--method", method)
+        return said, arguments, _compare(arguments, name)
+
+    return make
+
+
+def _metadata(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    shutil.copytree(corpus / "ours", folder / "ours")
+    file = folder / "ours" / "metadata.yaml"
+    text = file.read_text(encoding="utf-8")
+    if rng.random() < 0.5:
+        data, said = damaged(text.encode(), rng)
+    else:
+        changed, said = _damaged_text(text, rng)
+        data = changed.encode("utf-8", "surrogatepass")
+    file.write_bytes(data)
+    arguments = _command(rng, "ours", full=False)
+    return said, arguments, _compare(arguments, "ours")
+
+
+def _information(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    source = corpus / "ours.info"
+    if rng.random() < 0.3:
+        data, said = damaged(source.read_bytes(), rng)
+    else:
+        signed = rng.random() < 0.7
+        data, said = _changed_arrays(source, rng, signed=signed)
+        said += ", signed" if signed else ""
+    (folder / "ours.info").write_bytes(data)
+    if rng.random() < 0.3:
+        return said, ("info", "ours.info"), ""
+    return said, ("fit", "ours.info", "--output", "out"), ""
+
+
+def _machine(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    source = corpus / "machine.npz"
+    data, said = damaged(source.read_bytes(), rng) if rng.random() < 0.3 else _changed_arrays(source, rng, signed=False)
+    (folder / "machine.npz").write_bytes(data)
+    return said, ("simulate", "--machine", "machine.npz", "--output", "bag", "--seconds", "0.05"), ""
+
+
+def _result(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    shutil.copytree(corpus / "result", folder / "result")
+    file = folder / "result" / rng.choice(("identification.json", "flux_map.npz"))
+    if file.suffix == ".npz" and rng.random() < 0.7:
+        data, said = _changed_arrays(file, rng, signed=False)
+    elif rng.random() < 0.5:
+        data, said = damaged(file.read_bytes(), rng)
+    else:
+        tree = json.loads((folder / "result" / "identification.json").read_text())
+        file = folder / "result" / "identification.json"
+        key = rng.choice(sorted(tree))
+        tree[key] = rng.choice((None, -1, "x", [], {}, 1e308, [None], "9" * 4000, {"a": 1}, True))
+        data, said = json.dumps(tree).encode(), f"{key} is {str(tree[key])[:40]!r}"
+    file.write_bytes(data)
+    return said, ("info", "result"), ""
+
+
+def _signals(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    changed, said = _damaged_text((corpus / "signals.yaml").read_text(), rng)
+    (folder / "signals.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
+    link = folder / "ours"
+    link.symlink_to(corpus / "ours")
+    return said, ("fit", "ours", "--signals", "signals.yaml", "--output", "out", *_JOINT), ""
+
+
+def _config(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    changed, said = _damaged_text((corpus / "config.yaml").read_text(), rng)
+    (folder / "config.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
+    (folder / "ours").symlink_to(corpus / "ours")
+    return said, ("fit", "ours", "--config", "config.yaml", "--output", "out"), ""
+
+
+def _schema(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
+    """Write a bag whose message definitions are damaged: nobody's messages, then, and read by their definition."""
+    with AnyReader([corpus / "ours"]) as reader, (folder / "odd.mcap").open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        keys, said = {}, []
+        for name, info in reader.topics.items():
+            kind = str(info.msgtype)
+            text = schema_text(kind)
+            if kind in BLOCK_FIELDS and rng.random() < 0.6:
+                text, what = _damaged_text(text, rng)
+                said.append(f"{name}: {what}")
+            data = text.encode("utf-8", "replace")
+            keys[name] = writer.register_channel(name, "cdr", writer.register_schema(kind, "ros2msg", data))
+        for count, (connection, time, raw) in enumerate(reader.messages()):
+            if count > 60:
+                break
+            writer.add_message(keys[connection.topic], time, bytes(raw), time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    arguments = ("fit", "odd.mcap", "--output", "out", *_JOINT)
+    return " | ".join(said), arguments, ""
+
+
+KINDS: dict[str, Kind] = {
+    "mcap": _of_bytes("ours/ours_0.mcap"),
+    "mcap_plain": _of_bytes("plain/plain_0.mcap"),
+    "mcap_nocrc": _of_bytes("nocrc.mcap"),
+    "mcap_packed": _of_bytes("packed.mcap.zstd"),
+    "sqlite": _of_bytes("sqlite.db3"),
+    "sample_mcap": _of_sample("nocrc.mcap"),
+    "sample_sqlite": _of_sample("sqlite.db3"),
+    "metadata": _metadata,
+    "information": _information,
+    "machine": _machine,
+    "result": _result,
+    "signals": _signals,
+    "config": _config,
+    "schema": _schema,
+}
+
+
+# -- made to exhaust ---------------------------------------------------------------------------------------------------
+
+
+def zeros(size: int, head: bytes = b"") -> bytes:
+    """Return zstd of a text and ``size`` zeros."""
+    packer = zstandard.ZstdCompressor().compressobj()
+    parts = [packer.compress(head)] + [packer.compress(bytes(1 << 24)) for _ in range(size >> 24)]
+    return b"".join(parts) + packer.flush()
+
+
+def mcap_of_chunks(count: int, size: int, content: bytes = b"") -> bytes:
+    """Return an MCAP file of chunks that unpack to zeros, or to ``content``."""
+
+    def record(opcode: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", opcode, len(body)) + body
+
+    packed = zstandard.ZstdCompressor().compress(content) if content else zeros(size)
+    size = len(content) or size
+    chunk = struct.pack("<QQQII", 0, 1, size, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    magic = b"\x89MCAP0\r\n"
+    parts = [magic, record(1, struct.pack("<II", 0, 0)), record(6, chunk) * count, record(15, bytes(4))]
+    return b"".join([*parts, record(2, bytes(20)), magic])
+
+
+Bomb = Callable[[Path, Path], tuple[str, ...]]
+"""Writes an input into a folder, from the corpus, and returns the arguments."""
+
+_FIT = ("--output", "out", *_JOINT)
+
+
+def _fifo_metadata(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag").mkdir()
+    os.mkfifo(folder / "bag" / "metadata.yaml")
+    (folder / "bag" / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    return ("info", "bag")
+
+
+def _fifo_bag(_: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "bag.mcap")
+    return ("fit", "bag.mcap", *_FIT)
+
+
+def _fifo_information(_: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "x.info")
+    return ("fit", "x.info", *_FIT)
+
+
+def _fifo_config(corpus: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "x.yaml")
+    return ("fit", str(corpus / "ours"), "--config", "x.yaml", *_FIT)
+
+
+def _fifo_signals(corpus: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "x.yaml")
+    return ("fit", str(corpus / "ours"), "--signals", "x.yaml", *_FIT)
+
+
+def _fifo_machine(_: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "x.npz")
+    return ("simulate", "--machine", "x.npz", "--output", "bag")
+
+
+def _fifo_map(corpus: Path, folder: Path) -> tuple[str, ...]:
+    shutil.copytree(corpus / "result", folder / "r")
+    (folder / "r" / "flux_map.npz").unlink()
+    os.mkfifo(folder / "r" / "flux_map.npz")
+    return ("info", "r")
+
+
+def _fifo_marker(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "r").mkdir()
+    os.mkfifo(folder / "r" / "identification.json")
+    return ("info", "r")
+
+
+def _fifo_output(corpus: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / "x.info")
+    return ("accumulate", str(corpus / "ours"), "--output", "x.info")
+
+
+def _fifo_checkpoint(corpus: Path, folder: Path) -> tuple[str, ...]:
+    os.mkfifo(folder / ".out.checkpoint")
+    return ("fit", str(corpus / "ours"), *_FIT)
+
+
+def _device_metadata(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag").mkdir()
+    (folder / "bag" / "metadata.yaml").symlink_to("/dev/zero")
+    (folder / "bag" / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    return ("info", "bag")
+
+
+def _device_signals(corpus: Path, _: Path) -> tuple[str, ...]:
+    return ("fit", str(corpus / "ours"), "--signals", "/dev/zero", *_FIT)
+
+
+def _circular_link(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag.mcap").symlink_to("bag.mcap")
+    return ("fit", "bag.mcap", *_FIT)
+
+
+def _dangling_link(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag").mkdir()
+    (folder / "bag" / "metadata.yaml").symlink_to("nowhere")
+    (folder / "bag" / "bag_0.mcap").symlink_to("nowhere")
+    return ("fit", "bag", *_FIT)
+
+
+def _sparse_bag(_: Path, folder: Path) -> tuple[str, ...]:
+    with (folder / "bag.mcap").open("wb") as stream:
+        stream.write(b"\x89MCAP0\r\n" + struct.pack("<BQ", 5, 1 << 36))
+        stream.truncate(1 << 38)
+    return ("fit", "bag.mcap", *_FIT)
+
+
+def _sparse_information(_: Path, folder: Path) -> tuple[str, ...]:
+    with (folder / "x.info").open("wb") as stream:
+        stream.write(b"PK\3\4")
+        stream.truncate(1 << 38)
+    return ("fit", "x.info", *_FIT)
+
+
+def _chunk(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag.mcap").write_bytes(mcap_of_chunks(1, 1 << 30))
+    return ("fit", "bag.mcap", *_FIT)
+
+
+def _chunks(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag.mcap").write_bytes(mcap_of_chunks(200, 1 << 26))
+    return ("fit", "bag.mcap", *_FIT)
+
+
+def _chunk_of_channels(_: Path, folder: Path) -> tuple[str, ...]:
+    record = struct.pack("<BQ", 3, 14) + struct.pack("<HI", 1, 0) + struct.pack("<II", 0, 0)
+    (folder / "bag.mcap").write_bytes(mcap_of_chunks(1, 0, record * 4_000_000))
+    return ("info", "bag.mcap")
+
+
+def _packed_file(_: Path, folder: Path) -> tuple[str, ...]:
+    (folder / "bag.mcap.zstd").write_bytes(zeros(2 << 30, head=b"\x89MCAP0\r\n"))
+    return ("fit", "bag.mcap.zstd", *_FIT)
+
+
+def _zipped(name: str, member: str, count: int) -> Bomb:
+    def make(corpus: Path, folder: Path) -> tuple[str, ...]:
+        source = {"x.info": "ours.info", "x.npz": "machine.npz"}[name]
+        shutil.copy(corpus / source, folder / name)
+        with (
+            zipfile.ZipFile(folder / name, "a", zipfile.ZIP_DEFLATED) as archive,
+            archive.open(f"{member}.npy", "w", force_zip64=True) as stream,
+        ):
+            header = io.BytesIO()
+            np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (count,)})
+            stream.write(header.getvalue())
+            for _ in range(count // (1 << 20)):
+                stream.write(bytes(8 << 20))
+        if name == "x.info":
+            return ("fit", name, *_FIT)
+        return ("simulate", "--machine", name, "--output", "bag")
+
+    return make
+
+
+def _huge_machine(_: Path, folder: Path) -> tuple[str, ...]:
+    n, k = 1000, 60
+    with zipfile.ZipFile(folder / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        shapes = {"id": (n,), "iq": (n,), "psi_d": (n, n), "psi_q": (n, n), "R": (), "pole_pairs": ()}
+        shapes |= {"theta_e_deg": (k,), "psi_d_theta": (n, n, k), "psi_q_theta": (n, n, k)}
+        for name, shape in shapes.items():
+            with archive.open(f"{name}.npy", "w") as stream:
+                header = io.BytesIO()
+                np.lib.format.write_array_header_1_0(header, {"descr": "|i1", "fortran_order": False, "shape": shape})
+                stream.write(header.getvalue() + bytes(int(np.prod(shape))))
+    return ("simulate", "--machine", "x.npz", "--output", "bag")
+
+
+def _xz_machine(_: Path, folder: Path) -> tuple[str, ...]:
+    with zipfile.ZipFile(folder / "x.npz", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("id.npy", bytes(1 << 26))
+    return ("simulate", "--machine", "x.npz", "--output", "bag")
+
+
+def _matlab(_: Path, folder: Path) -> tuple[str, ...]:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    size = 1 << 30
+    element = struct.pack("<II", 14, size) + struct.pack("<IIII", 6, 8, 6, 0) + struct.pack("<IIii", 5, 8, 1, size)
+    packer = zlib.compressobj()
+    packed = packer.compress(element + struct.pack("<II", 1, 10) + b"motorModel".ljust(16, b"\0"))
+    packed += packer.compress(struct.pack("<II", 9, size - 64))
+    packed += b"".join(packer.compress(bytes(1 << 24)) for _ in range(size >> 24)) + packer.flush()
+    (folder / "x.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    return ("simulate", "--machine", "x.mat", "--output", "bag")
+
+
+def _definition(text: str) -> Bomb:
+    def make(_: Path, folder: Path) -> tuple[str, ...]:
+        with (folder / "bag.mcap").open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start("ros2")
+            for topic in ("phase_currents", "phase_voltages", "resolver"):
+                kind = writer.register_schema("odd_msgs/msg/Odd", "ros2msg", text.encode())
+                writer.add_message(writer.register_channel(f"/{topic}", "cdr", kind), 1, b"\0\1\0\0" + bytes(64), 1)
+            writer.finish()  # type: ignore[no-untyped-call]
+        return ("fit", "bag.mcap", *_FIT)
+
+    return make
+
+
+def _metadata_text(text: str) -> Bomb:
+    def make(corpus: Path, folder: Path) -> tuple[str, ...]:
+        shutil.copytree(corpus / "ours", folder / "bag")
+        (folder / "bag" / "metadata.yaml").write_text(text)
+        return ("fit", "bag", *_FIT)
+
+    return make
+
+
+def _yaml_option(option: str, text: str) -> Bomb:
+    def make(corpus: Path, folder: Path) -> tuple[str, ...]:
+        (folder / "x.yaml").write_text(text)
+        return ("fit", str(corpus / "ours"), option, "x.yaml", *_FIT)
+
+    return make
+
+
+def _marker(text: str) -> Bomb:
+    def make(corpus: Path, folder: Path) -> tuple[str, ...]:
+        shutil.copytree(corpus / "result", folder / "r")
+        (folder / "r" / "identification.json").write_text(text)
+        return ("info", "r")
+
+    return make
+
+
+def _blob(_: Path, folder: Path) -> tuple[str, ...]:
+    with sqlite3.connect(folder / "x.db3") as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER,"
+            " data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL)"
+        )
+        topics = ("/phase_currents", "/phase_voltages", "/resolver")
+        for key, name in enumerate(topics):
+            database.execute("INSERT INTO topics VALUES(?, ?, 'a_msgs/msg/B', 'cdr')", (key, name))
+            database.execute("INSERT INTO messages(topic_id, timestamp) VALUES(?, 1)", (key,))
+    database.close()
+    return ("fit", "x.db3", *_FIT)
+
+
+_HEAD = "rosbag2_bagfile_information:\n  version: 9\n  topics_with_message_count: []\n  relative_file_paths:\n"
+_LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n"
+_LAUGHS += "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
+_MERGES = "b0: &b0 {x: 1}\n" + "".join(f"b{k}: &b{k} {{<<: [*b{k - 1}, *b{k - 1}]}}\n" for k in range(1, 40))
+
+BOMBS: dict[str, Bomb] = {
+    "fifo as metadata.yaml": _fifo_metadata,
+    "fifo as a bag": _fifo_bag,
+    "fifo as an information file": _fifo_information,
+    "fifo as settings": _fifo_config,
+    "fifo as a signals file": _fifo_signals,
+    "fifo as a machine file": _fifo_machine,
+    "fifo as flux_map.npz": _fifo_map,
+    "fifo as identification.json": _fifo_marker,
+    "fifo as the output": _fifo_output,
+    "fifo as a checkpoint": _fifo_checkpoint,
+    "metadata.yaml is /dev/zero": _device_metadata,
+    "a signals file is /dev/zero": _device_signals,
+    "a link to itself": _circular_link,
+    "dangling links": _dangling_link,
+    "a sparse bag of 256 GB": _sparse_bag,
+    "a sparse information file of 256 GB": _sparse_information,
+    "a chunk of 1 GB of zeros": _chunk,
+    "200 chunks of 64 MB of zeros": _chunks,
+    "a chunk of 4 million channels": _chunk_of_channels,
+    "an .mcap.zstd that unpacks to 2 GB": _packed_file,
+    "an information file with a member of 3 GB": _zipped("x.info", "unknown", 400 << 20),
+    "a machine file with a member of 3 GB": _zipped("x.npz", "psi_d_theta", 400 << 20),
+    "a machine file of int8 that becomes 1 GB": _huge_machine,
+    "a machine file packed by LZMA": _xz_machine,
+    "a .mat that unpacks to 1 GB": _matlab,
+    "a definition with 8 MB of comments": _definition("# a comment of some length\n" * 300_000 + "float64 x\n"),
+    "a definition with 20 000 fields": _definition("".join(f"float64 field_{k}\n" for k in range(20_000))),
+    "a definition of 200 000 empty lines": _definition("\n" * 200_000),
+    "metadata.yaml with 100 000 names": _metadata_text(_HEAD + "".join(f"  - x_{k}.mcap\n" for k in range(100_000))),
+    "metadata.yaml with a name of 300 characters": _metadata_text(_HEAD + f"  - {'x' * 300}.mcap\n"),
+    "metadata.yaml nested 100 000 deep": _metadata_text("[" * 100_000),
+    "metadata.yaml of aliases": _metadata_text(_LAUGHS + _HEAD + "  - *a11\n"),
+    "metadata.yaml of merges": _metadata_text(_MERGES),
+    "signals of aliases": _yaml_option("--signals", _LAUGHS + "typestore: *a11\n"),
+    "settings of aliases": _yaml_option("--config", _LAUGHS + "method: *a11\n"),
+    "settings with a long number": _yaml_option("--config", "i_max: 1" + ":1" * 400_000),
+    "identification.json nested 1 million deep": _marker("[" * 1_000_000),
+    "identification.json with a number of 8 million digits": _marker('{"format": ' + "9" * 8_000_000 + "}"),
+    "a computed column of 900 MB in sqlite": _blob,
+}

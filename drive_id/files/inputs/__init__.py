@@ -1,0 +1,1 @@
+"""The gate for all input files: regular files of bounded size, archives and YAML of bounded content."""

@@ -1,0 +1,120 @@
+"""Arrays of ``.npz`` files, read only after what they declare was found to be affordable.
+
+A zip archive of some kB can declare and unpack gigabytes. So all sizes are added up first, and each array's header is
+compared with the size of its member before memory is taken for the array.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+import zipfile
+import zlib
+from collections.abc import Collection
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.files.inputs.input_file import shown_size
+
+DAMAGED = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError,
+    NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
+"""What reading a damaged archive, and what is made of its arrays, may raise."""
+UNPACKED = 1 << 25
+"""Bytes that an archive of any size may unpack to."""
+RATIO = 16
+"""Further bytes that it may unpack to for each of its own."""
+LARGEST = 1 << 30
+"""Bytes to which none may unpack."""
+_LARGEST_DIRECTORY = 1 << 20
+_END, _END_SIZE = b"PK\5\6", 22
+_PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def unpacked_limit(size: int, largest: int = LARGEST) -> int:
+    """Return to how many bytes an archive of ``size`` bytes may unpack."""
+    return min(UNPACKED + RATIO * size, largest)
+
+
+def read_arrays(
+    source: BinaryIO | bytes, names: Collection[str] | None = None, *, largest: int = LARGEST
+) -> dict[str, NDArray[Any]]:
+    """Read arrays of an ``.npz`` file.
+
+    Parameters
+    ----------
+    source : stream or bytes
+    names : collection of str, optional
+        Arrays to read if they are there; default: all.
+    largest : int
+        Most bytes, as arrays of 64-bit numbers, in all.
+
+    Returns
+    -------
+    dict of str to array
+
+    Raises
+    ------
+    ValueError
+        When it declares more than :func:`unpacked_limit` allows, or other arrays than of plain numbers or texts.
+    Exception
+        Others of :data:`DAMAGED`, when it is no such file.
+    """
+    stream = io.BytesIO(source) if isinstance(source, bytes) else source
+    limit = unpacked_limit(_checked_size(stream), largest)
+    with zipfile.ZipFile(stream) as archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        if len(members) < len(archive.infolist()):
+            raise ValueError("it holds two arrays of one name")
+        chosen = {name: info for name, info in members.items() if names is None or name in names}
+        _afford(sum(info.file_size for info in chosen.values()), limit)
+        _afford(sum(_declared(archive, name, info) for name, info in chosen.items()), limit)
+        found = {}
+        for name, info in chosen.items():
+            with archive.open(info) as member:
+                found[name] = np.lib.format.read_array(member, allow_pickle=False)
+    return found
+
+
+def _afford(size: int, limit: int) -> None:
+    if size > limit:
+        raise ValueError(f"it would unpack to {shown_size(size)}")
+
+
+def _checked_size(stream: BinaryIO) -> int:
+    """Return the size of an archive; ValueError when its table of contents is too large to be read."""
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(max(0, size - (1 << 16) - _END_SIZE))
+    tail = stream.read()
+    at = tail.rfind(_END)
+    if at < 0 or len(tail) < at + _END_SIZE:
+        raise zipfile.BadZipFile("it has no table of contents")
+    (directory,) = struct.unpack_from("<I", tail, at + 12)
+    if directory > _LARGEST_DIRECTORY:
+        raise ValueError("its table of contents is too large")
+    stream.seek(0)
+    return size
+
+
+def _declared(archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> int:
+    """Return how many bytes an array takes as 64-bit numbers or as text, after a look at its header."""
+    if info.compress_type not in _PLAIN:
+        raise ValueError(f"'{name[:40]}' is compressed in an unknown way")
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version == (1, 0):
+            shape, _, kind = np.lib.format.read_array_header_1_0(member)
+        elif version == (2, 0):
+            shape, _, kind = np.lib.format.read_array_header_2_0(member)
+        else:
+            raise ValueError(f"'{name[:40]}' is an array of an unknown version")
+        count, position = math.prod(shape), member.tell()
+    if kind.hasobject or any(length < 0 for length in shape):
+        raise ValueError(f"'{name[:40]}' holds objects")
+    if position + count * kind.itemsize != info.file_size:
+        raise ValueError(f"'{name[:40]}' is not of the size that it declares")
+    return count * max(kind.itemsize, 8)

@@ -1,0 +1,102 @@
+"""YAML of bounded size: read by libyaml where it is there, and refused where aliases would multiply it.
+
+Nine lines of aliases of aliases stand for a billion entries ("billion laughs"), which take no memory until something
+prints them or merges them; a number of a million digits takes minutes to convert.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+MOST_ENTRIES = 300_000
+"""Scalars, lists and mappings in one file, aliases counted with what they stand for."""
+_DEEPEST = 100
+_LONGEST_SEXAGESIMAL = 64
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_SHORT = 1 << 14
+_FASTEST = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def load_yaml(text: str, most: int = MOST_ENTRIES) -> Any:
+    """Return a YAML document as plain values.
+
+    Parameters
+    ----------
+    text : str
+    most : int
+        Entries.
+
+    Raises
+    ------
+    yaml.YAMLError
+        When it is not YAML.
+    ValueError
+        When it is too large, or nested too deeply.
+    """
+    check_text(text, most)
+    loader = _FASTEST(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        check_node(node, most)
+        return loader.construct_document(node)
+    finally:
+        loader.dispose()
+
+
+def check_text(text: str, most: int = MOST_ENTRIES) -> None:
+    """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses.
+
+    Raises
+    ------
+    yaml.YAMLError
+        When it is not YAML.
+    ValueError
+        When it has more entries, or nests them too deeply.
+    """
+    try:
+        _check_events(text, most, _FASTEST)
+    except yaml.YAMLError:
+        if len(text) < _SHORT:
+            _check_events(text, most, yaml.SafeLoader)  # tells the line better than libyaml
+        raise
+
+
+def _check_events(text: str, most: int, loader: type) -> None:
+    depth = count = 0
+    for event in yaml.parse(text, Loader=loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+            continue
+        count += 1
+        if depth > _DEEPEST:
+            raise ValueError("it is nested too deeply")
+        if count > most:
+            raise ValueError("it has too many entries")
+
+
+def check_node(node: yaml.Node, most: int = MOST_ENTRIES) -> None:
+    """Raise ValueError for a document whose aliases stand for more entries, or that holds an endless number."""
+    if _entries(node, {}) > most:
+        raise ValueError("its aliases stand for too many entries")
+
+
+def _entries(node: yaml.Node, known: dict[int, int]) -> int:
+    """Return the number of entries of a node, aliases followed; ``known`` are those of nodes seen before."""
+    if id(node) in known:
+        if known[id(node)] == 0:
+            raise ValueError("it contains itself")
+        return known[id(node)]
+    if isinstance(node, yaml.ScalarNode):
+        if node.tag in _NUMBERS and ":" in node.value and len(node.value) > _LONGEST_SEXAGESIMAL:
+            raise ValueError("it holds a number of many digits")  # 1:30:15 is one, converted in quadratic time
+        return 1
+    known[id(node)] = 0
+    inner = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+    known[id(node)] = 1 + sum(_entries(part, known) for part in inner)
+    return known[id(node)]

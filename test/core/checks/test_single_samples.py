@@ -1,0 +1,79 @@
+"""One wrong sample among many is found where it is; nothing else is taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import cut
+
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
+from drive_id.core.checks.prescan import Prescan
+from drive_id.fitting.simulated import run_experiment
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return run_experiment(machine_map("pmsyrm"), SimulationSettings(current_noise=1e-3), seconds=1.0).samples
+
+
+def single(samples, pieces=None):
+    prescan = Prescan()
+    if pieces is None:
+        prescan.add(samples)
+    else:
+        for start in range(0, len(samples), pieces):
+            piece, continues = cut(samples, start, min(start + pieces, len(samples)))
+            prescan.add(piece, continues=continues)
+    return [finding for finding in prescan.copy().findings() if finding.code == "single_sample"]
+
+
+def with_flipped(samples, name, at, bit):
+    """Flip a bit of a float32."""
+    values = getattr(samples, name).astype(np.float32)
+    values.reshape(len(values), -1)[at, -1:].view(np.uint32)[...] ^= np.uint32(1 << bit)
+    return replace(samples, **{name: values.astype(np.float64)})
+
+
+def test_good_samples_are_told_nothing(samples):
+    assert single(samples) == []
+
+
+@pytest.mark.parametrize("at", [2, 3, 4711, 4999, 5000, 5001, 5002, 9997])
+@pytest.mark.parametrize("pieces", [None, 5000, 1667])
+@pytest.mark.parametrize(("name", "error"), [("i_abc", 4.0), ("angle", 0.06)])
+def test_a_wrong_sample_is_located_wherever_pieces_end(samples, at, pieces, name, error):
+    values = getattr(samples, name).copy()
+    values.reshape(len(values), -1)[at, -1] -= error
+    (finding,) = single(replace(samples, **{name: values}), pieces)
+    assert finding.values["samples"] == 1
+    assert finding.values["time"] == pytest.approx((samples.stamp[at] - samples.stamp[0]) * 1e-9, abs=1e-9)
+    assert finding.values["size"] == pytest.approx(error * (2 / 3 if name == "i_abc" else 1.0), rel=0.1)
+    assert ("phase c" if name == "i_abc" else "angle") in finding.message
+
+
+def test_a_jump_of_the_angle_by_a_turn_is_none(samples):
+    angle = samples.angle.copy()
+    angle[5000] += 2 * np.pi
+    assert single(replace(samples, angle=angle)) == []
+
+
+@pytest.mark.parametrize("bit", [31, 23, 22])
+def test_flipped_bits_of_large_currents(samples, bit):
+    at = int(np.abs(samples.i_abc[100:, 2]).argmax()) + 100
+    (finding,) = single(with_flipped(samples, "i_abc", at, bit))
+    assert finding.values["time"] == pytest.approx(at * 1e-4, abs=1e-6)
+
+
+def test_steps_are_no_single_samples(samples):
+    """Held references that step, as in a test of inductances."""
+    i_abc = samples.i_abc + np.where(np.arange(len(samples))[:, None] // 500 % 2, [1.0, -0.5, -0.5], 0.0)
+    assert single(replace(samples, i_abc=i_abc)) == []
+
+
+def test_noise_that_is_everywhere_is_none(samples):
+    rng = np.random.default_rng(2)
+    i_abc = samples.i_abc + rng.choice([0.0, 2.0], size=samples.i_abc.shape, p=[0.98, 0.02])
+    assert single(replace(samples, i_abc=i_abc)) == []

@@ -1,0 +1,206 @@
+"""Files that unpack to far more than they are: refused before they take the memory."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import tracemalloc
+from pathlib import Path
+
+import pytest
+import zstandard
+from bag_samples import make_samples
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from drive_id.errors import BagError, MessageTypeError, TruncatedBagError
+from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, schema_text
+from drive_id.files.read.info import bag_info
+from drive_id.files.read.reader import read_recording
+from drive_id.files.storage import container
+from drive_id.files.storage.bag import open_bag
+from drive_id.files.write.recover import recover_bag
+from drive_id.files.write.writer import write_recording
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def zeros(size: int, head: bytes = b"") -> bytes:
+    packer = zstandard.ZstdCompressor().compressobj()
+    parts = [packer.compress(head)] + [packer.compress(bytes(1 << 22)) for _ in range(size >> 22)]
+    return b"".join(parts) + packer.flush()
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def of_chunks(packed: bytes, size: int, count: int = 1) -> bytes:
+    chunk = struct.pack("<QQQII", 0, 1, size, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    parts = [MAGIC, record(1, bytes(8)), record(6, chunk) * count, record(15, bytes(4)), record(2, bytes(20)), MAGIC]
+    return b"".join(parts)
+
+
+def peak(action, path: Path, kind: type[BagError], said: str) -> float:
+    """Return the memory that a refusal takes, bytes."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(kind, match=said):
+            action(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("action", [read_recording, recover_bag])
+def test_a_chunk_of_a_gigabyte(tmp_path, action):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(of_chunks(zeros(1 << 24), 1 << 30))
+    kind, said = (TruncatedBagError, "it unpacks to more than") if action is read_recording else (BagError, "unpacks")
+    assert peak(action, path, kind, said) < 5e7
+    assert not (tmp_path / "x_recovered").exists()
+
+
+def test_many_chunks_of_allowed_size(tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "_UNPACKED", 1 << 23)
+    path = tmp_path / "x.mcap"
+    unknown = record(0x80, bytes((1 << 22) - 9))
+    path.write_bytes(of_chunks(zstandard.compress(unknown), len(unknown), 50))
+    with pytest.raises(TruncatedBagError, match=r"it unpacks to more than .* MB, too much for its size"):
+        read_recording(path)
+
+
+def test_zeros_are_no_records(tmp_path):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(of_chunks(zeros(1 << 22), 1 << 22))
+    with pytest.raises(TruncatedBagError, match="ends within a record"):
+        read_recording(path)
+
+
+def test_the_same_channel_many_times_is_read_once(tmp_path):
+    channel = record(4, struct.pack("<HHI", 1, 0, 1) + b"x" + struct.pack("<I", 3) + b"cdr" + bytes(4))
+    path = tmp_path / "x.mcap"
+    path.write_bytes(of_chunks(zstandard.compress(channel * 1000), 1000 * len(channel)))
+    with open_bag(path) as bag:
+        assert list(bag.topics) == ["x"]
+
+
+@pytest.mark.parametrize("ending", [".mcap.zstd", ".db3.zstd"])
+def test_a_file_packed_as_a_whole(tmp_path, monkeypatch, ending):
+    monkeypatch.setattr(container, "_UNPACKED", 1 << 23)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    path = tmp_path / f"x{ending}"
+    path.write_bytes(zeros(1 << 26, MAGIC if "mcap" in ending else b"SQLite format 3\0"))
+    with pytest.raises(TruncatedBagError, match="it unpacks to more than"):
+        bag_info(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_message_packed_by_itself(tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "LARGEST_CHUNK", 1 << 22)
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2")
+        kinds = {"phase_currents": PHASE_CURRENTS, "phase_voltages": PHASE_VOLTAGES, "resolver": RESOLVER}
+        for topic, kind in kinds.items():
+            schema = writer.register_schema(kind, "ros2msg", schema_text(kind).encode())
+            writer.add_message(writer.register_channel(f"/{topic}", "cdr", schema), 1, zeros(1 << 24), 1)
+        writer.finish()
+    with pytest.raises(TruncatedBagError, match="cannot be decompressed"):
+        read_recording(path)
+
+
+def test_a_table_that_is_computed(tmp_path):
+    path = tmp_path / "x.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+        database.execute("CREATE TABLE messages(id, topic_id, timestamp, data AS (zeroblob(900000000)))")
+        database.execute("INSERT INTO topics VALUES(1, '/x', 'a/msg/B', 'cdr')")
+        database.execute("INSERT INTO messages VALUES(1, 1, 1)")
+    database.close()
+    with pytest.raises(TruncatedBagError, match="its table messages is computed, not recorded"):
+        bag_info(path)
+
+
+def test_a_message_that_is_too_large(tmp_path, monkeypatch):
+    monkeypatch.setattr("drive_id.files.storage.sqlite.LARGEST_CHUNK", 1000)
+    path = tmp_path / "x.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        database.execute("INSERT INTO topics VALUES(1, '/x', 'a/msg/B', 'cdr')")
+        database.execute("INSERT INTO messages VALUES(1, 1, 1, zeroblob(1001))")
+    database.close()
+    with pytest.raises(TruncatedBagError, match="it holds a message of 1 kB"):
+        bag_info(path)
+
+
+@pytest.mark.parametrize(
+    "text", ["# a comment\n" * 300_000, "".join(f"float64 field_{k}\n" for k in range(20_000)), "\n" * 200_000]
+)
+def test_definitions_that_are_too_long(tmp_path, text):
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        for topic in ("phase_currents", "phase_voltages", "resolver"):
+            schema = writer.register_schema("odd_msgs/msg/Odd", "ros2msg", text.encode())
+            writer.add_message(writer.register_channel(f"/{topic}", "cdr", schema), 1, bytes(64), 1)
+        writer.finish()
+    with pytest.raises(MessageTypeError, match="it is too long"):
+        read_recording(path)
+
+
+# -- checksums ---------------------------------------------------------------------------------------------------------
+
+
+def checked(path: Path) -> bool:
+    with open_bag(path) as bag:
+        for _ in bag.messages(frozenset(bag.topics)):
+            pass
+        return bag.checked
+
+
+@pytest.mark.parametrize(
+    ("compression", "crcs", "data_crcs", "chunks", "expected"),
+    [
+        (CompressionType.NONE, True, False, True, True),
+        (CompressionType.ZSTD, False, False, True, False),
+        (CompressionType.NONE, False, False, True, False),
+        (CompressionType.NONE, False, True, False, True),
+        (CompressionType.NONE, True, False, False, False),
+        (CompressionType.LZ4, False, False, True, False),
+    ],
+)
+def test_which_files_have_checksums(tmp_path, compression, crcs, data_crcs, chunks, expected):
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(
+            stream, compression=compression, enable_crcs=crcs, enable_data_crcs=data_crcs, use_chunking=chunks
+        )
+        writer.start("ros2")
+        schema = writer.register_schema(PHASE_CURRENTS, "ros2msg", schema_text(PHASE_CURRENTS).encode())
+        key = writer.register_channel("/x", "cdr", schema)
+        for k in range(100):
+            writer.add_message(key, k, bytes(1000), k)
+        writer.finish()
+    assert checked(path) == expected
+
+
+def test_a_checksum_around_all_of_a_file(tmp_path):
+    write_recording(tmp_path / "bag", make_samples())
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    assert checked(tmp_path / "bag")
+    for sealed in (False, True):
+        target = tmp_path / f"{sealed}.mcap.zstd"
+        bare = tmp_path / "bare.mcap"
+        with bare.open("wb") as stream:
+            writer = McapWriter(stream, enable_crcs=False, compression=CompressionType.NONE)
+            writer.start("ros2")
+            key = writer.register_channel("/x", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"float64 x"))
+            writer.add_message(key, 1, bytes(12), 1)
+            writer.finish()
+        target.write_bytes(zstandard.ZstdCompressor(write_checksum=sealed).compress(bare.read_bytes()))
+        assert checked(target) == sealed
+    assert file.exists()

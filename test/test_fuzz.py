@@ -1,0 +1,81 @@
+"""A small slice of the fuzzer, the same each time, and its judgement of ends that are none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+if sys.platform != "linux":
+    pytest.skip("the fuzzer measures processes by /proc", allow_module_level=True)
+
+
+@pytest.fixture
+def fuzz(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import fuzz
+
+    return fuzz
+
+
+def test_a_slice(tmp_path):
+    command = [sys.executable, BENCHMARKS / "fuzz.py", "--count", "1", "--seed", "0", "--bombs", "fifo"]
+    ran = subprocess.run(
+        [*command, "--findings", tmp_path / "f.json"], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    last = ran.stdout.splitlines()[-1]
+    assert last.split("|")[1].strip() == "all"
+    assert int(last.split("|")[2]) == 24  # one of each kind, and the FIFOs
+    assert not (tmp_path / "f.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("ran", "outcome"),
+    [
+        ({}, ""),
+        ({"code": 1, "err": "drive-id: It is none: give another.\n"}, ""),
+        ({"code": 1, "err": "drive-id: It is none: give another.\nAnd more.\n"}, "not one sentence"),
+        ({"code": 1, "err": ""}, "not one sentence"),
+        ({"code": 1, "err": "drive-id: No end"}, "not one sentence"),
+        ({"code": 70, "err": "Traceback (most recent call last):\n"}, "traceback"),
+        ({"code": -11}, "crash"),
+        ({"code": -9, "hung": True}, "hang"),
+        ({"processor": 11.0}, "over time"),
+        ({"memory": 4e8}, "over memory"),
+    ],
+)
+def test_ends_are_judged(fuzz, tmp_path, ran, outcome):
+    usual = {"code": 0, "out": "", "err": "", "processor": 1.0, "memory": 1e6}
+    case = fuzz.Case("mcap", 1, "", ("fit", "x"))
+    assert fuzz.judged(fuzz.Ran(**usual | ran), case, tmp_path, None)[0] == outcome
+
+
+@pytest.mark.parametrize(
+    ("factor", "warnings", "outcome"),
+    [(1.0, [], ""), (1.005, [], ""), (1.03, [], "wrong map"), (1.03, ["It is damaged at 3.2 s."], "")],
+)
+def test_maps_are_compared(fuzz, tmp_path, factor, warnings, outcome):
+    axis = np.linspace(-10.0, 10.0, 21)
+    psi = np.repeat(axis[:, None], 21, axis=1) * 1e-3
+    for name, scale, said in (("good", 1.0, ["Usual 1."]), ("out", factor, ["Usual 2.", *warnings])):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "identification.json").write_text(json.dumps({"warnings": said}))
+        np.savez(
+            tmp_path / name / "flux_map.npz", i_d=axis, i_q=axis, psi_d=scale * psi, psi_q=psi, i_max=10.0,
+            sigma_d=np.full((21, 21), 1e-6), sigma_q=np.full((21, 21), 1e-6), inside=np.ones((21, 21), bool),
+        )  # fmt: skip
+    case = fuzz.Case("mcap", 1, "", ("fit", "x"))
+    assert fuzz.judged(fuzz.Ran(0, "", "", 1.0, 1e6), case, tmp_path, tmp_path / "good")[0] == outcome
+
+
+def test_a_finding_names_what_repeats_it(fuzz):
+    finding = fuzz.Finding("crash", "mcap", 7, "cut", (), "", "python benchmarks/fuzz.py --replay mcap:7")
+    assert finding.repeat.endswith(f"{finding.kind}:{finding.number}")
+    assert set(fuzz.KINDS) >= {"mcap", "sqlite", "information", "machine", "result", "metadata", "signals"}

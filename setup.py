@@ -70,7 +70,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "files/messages/signals.schema.json"]},
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[
@@ -93,7 +93,7 @@ setup(
     extras_require={
         "containers": CONTAINERS,
         "fleet": FLEET,
-        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
+        "test": ["hypothesis>=6.98", "jsonschema>=4.18", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
     },
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,

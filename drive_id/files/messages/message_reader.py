@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,7 @@ from drive_id.errors import MessageTypeError
 from drive_id.files.messages.block_codec import decode_block
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
-from drive_id.files.messages.signals_file import (
-    STAMP_UNITS,
-    PhaseSource,
-    ReferenceSource,
-    RotorSource,
-    ScalarSource,
-    SignalMap,
-    TimeSource,
-)
+from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import IntArray
 
@@ -52,28 +44,20 @@ class MessageSamples:
     ----------
     stamp : int or (n,) int64
         Of the first sample or of each, ns.
-    first_sample : int or None
+    first_sample : int, (n,) int64 or None
+        Running count of the first sample, or of each.
     sample_period : float or None
         s.
     columns : tuple of (n,) float32 or float64
     """
 
     stamp: int | IntArray
-    first_sample: int | None
+    first_sample: int | IntArray | None
     sample_period: float | None
     columns: tuple[NDArray[np.floating], ...]
 
 
 Reader = Callable[[RawMessage], MessageSamples]
-
-
-def _value_paths(source: TimeSource) -> tuple[str, ...]:
-    if isinstance(source, RotorSource):
-        return (source.angle, source.speed) if source.speed else (source.angle,)
-    if isinstance(source, ScalarSource):
-        return (source.field,)
-    assert isinstance(source, (PhaseSource, ReferenceSource))
-    return source.fields
 
 
 def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
@@ -85,14 +69,15 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
     columns = block_columns(topic, source, signals)
     if columns is not None:
         return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
-    return _field_reader(topic.type_name, source, _value_paths(source), _typestore_for(topic, signals))
+    return _field_reader(topic.type_name, source, source.paths, _typestore_for(topic, signals))
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
     """Return the arrays of our own messages that hold the signal; ``None`` if it is not read from such messages."""
-    paths = _value_paths(source)
+    paths = source.paths
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
     usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
+    usual = usual and not source.equally_spaced
     usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
     if usual and _is_ours(topic, signals):
         return [arrays.index(path) for path in paths]
@@ -133,8 +118,8 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
     period = source.sample_period
     period_path = parse_field_path(period, "sample_period") if isinstance(period, str) else None
     count_path = parse_field_path(source.first_sample, "first_sample") if source.first_sample else None
-    stamp_path = parse_field_path("header.stamp" if source.stamp in ("header", "log_time") else source.stamp, "stamp")
-    factor = STAMP_UNITS[source.stamp_unit]
+    stamp_path = parse_field_path("header.stamp" if source.stamp in NAMED_STAMPS else source.stamp, "stamp")
+    by_log = source.stamp in ("log_time", "index")
 
     def read(message: RawMessage) -> MessageSamples:
         try:
@@ -144,7 +129,7 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
         columns = tuple(path.values(decoded) for path in values)
         if any(len(column) != len(columns[0]) for column in columns):
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
-        stamp = message.log_time if source.stamp == "log_time" else _time(stamp_path, decoded, factor)
+        stamp = message.log_time if by_log else _time(stamp_path, decoded, source.tick)
         if not isinstance(stamp, int) and len(stamp) != len(columns[0]):
             raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {len(columns[0])} samples")
         count = None if count_path is None else int(_one(count_path, decoded))
@@ -167,17 +152,38 @@ def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
     seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
     if isinstance(seconds, int) and isinstance(nanoseconds, int):
         return seconds * 1_000_000_000 + nanoseconds
-    if isinstance(found, int):
+    if isinstance(found, int) and float(factor).is_integer():
         return found * int(factor)
     raw = np.asarray(found)
-    if raw.dtype.kind in "iu":
+    exact = ticks_to_ns(raw if raw.dtype.kind in "iu" and raw.ndim < 2 else path.values(decoded), factor, path.text)
+    return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact
+
+
+def ticks_to_ns(raw: NDArray[Any], factor: float, name: str) -> IntArray:
+    """Return times as ns.
+
+    Parameters
+    ----------
+    raw : (n,) or () array of numbers
+    factor : float
+        ns per unit.
+    name : str
+        Of the field, for messages.
+
+    Raises
+    ------
+    FieldPathError
+        When they are too large, or not finite.
+    """
+    whole = raw.dtype.kind in "iu" and float(factor).is_integer()
+    if whole:
         limit = STAMP_LIMIT // int(factor)
         if raw.size and (int(raw.max()) > limit or int(raw.min()) < -limit):
-            raise FieldPathError(f"'{path.text}' is not a time")
+            raise FieldPathError(f"'{name}' is not a time")
         exact: IntArray = raw.astype(np.int64) * int(factor)
     else:
-        values = path.values(decoded) * factor
+        values = raw.astype(np.longdouble) * np.longdouble(factor)
         if not (np.abs(values) < STAMP_LIMIT).all():
-            raise FieldPathError(f"'{path.text}' is not a time")
+            raise FieldPathError(f"'{name}' is not a time")
         exact = np.rint(values).astype(np.int64)
-    return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact
+    return exact

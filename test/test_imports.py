@@ -57,7 +57,8 @@ FILES = {
     "storage": set(),
     "messages": {"storage"},
     "machines": set(),
-    "read": {"storage", "messages", "machines"},
+    "logs": {"storage"},
+    "read": {"storage", "messages", "machines", "logs"},
     "write": {"storage", "messages", "machines"},
     "results": {"storage", "messages", "machines", "read"},
 }
@@ -65,6 +66,7 @@ EVERY_CORE = below("core", *CORE)
 EVERY_FILE = below("files", *FILES)
 LIBRARY = EVERY_CORE | EVERY_FILE | {"drive_id.bench"}
 STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"}
+CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 
 ROOMS = {
     "drive_id": Room.of(
@@ -85,7 +87,9 @@ ROOMS = {
     "drive_id.bench": Room.of(NOUNS | below("core", "experiment", "maps", "numerics", "signals"), {"numpy", "scipy"}),
     "drive_id.files": Room.of(set(), set()),
     **{
-        f"drive_id.files.{name}": Room.of(NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms), STORED)
+        f"drive_id.files.{name}": Room.of(
+            NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms), STORED | (CONTAINERS if name == "logs" else set())
+        )
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -155,18 +155,7 @@ class SignalStream:
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences on how the time of the signals was found; after :meth:`whole`."""
-        found: dict[str, str] = {}
-        for builder in self._builders.values():
-            spacing = builder.spacing
-            if spacing is None or builder.topic in found:
-                continue
-            by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
-            lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
-            found[builder.topic] = (
-                f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
-                f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
-            )
-        return tuple(found.values())
+        return spacing_remarks(self._builders.values())
 
     def parts(self) -> Generator[SignalPart, None, None]:
         """Yield the signals part by part; for the errors, see :func:`extract_signals`.
@@ -498,3 +487,19 @@ def _unwrapped(stamp: IntArray, modulus: int, before: int | None) -> IntArray:
     ahead = np.diff(stamp, prepend=stamp[0] if before is None else before)
     rounds = np.cumsum(-np.floor_divide(ahead + modulus // 2, modulus))
     return np.asarray(stamp + rounds * modulus, np.int64)
+
+
+def spacing_remarks(builders: Iterable[SignalBuilder]) -> tuple[str, ...]:
+    """Return a sentence for each topic whose samples were taken as equally spaced."""
+    found: dict[str, str] = {}
+    for builder in builders:
+        spacing = builder.spacing
+        if spacing is None or builder.topic in found:
+            continue
+        by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
+        lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
+        found[builder.topic] = (
+            f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
+            f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
+        )
+    return tuple(found.values())

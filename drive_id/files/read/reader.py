@@ -15,9 +15,11 @@ from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
+from drive_id.files.logs.open_log import log_kind, open_log
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar
+from drive_id.files.read.column_stream import ColumnFile, ColumnStream
 from drive_id.files.read.conversion import conversions, rotor_at_currents, undecimated
 from drive_id.files.read.extraction import INTERPOLATED, SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
@@ -190,7 +192,12 @@ def bag_pieces(
 @contextmanager
 def _opened(
     path: Path, signals: SignalMap, namespace: str
-) -> Iterator[tuple[Bag, dict[str, TopicInfo], GroundTruth | None, SignalStream]]:
+) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, SignalStream | ColumnStream]]:
+    if log_kind(path):
+        with printable_errors(), open_log(path) as log:
+            columns = ColumnStream(log, signals)
+            yield ColumnFile(path), columns.topics, None, columns
+        return
     with printable_errors(), open_bag(path) as bag:
         topics = find_topics(bag, signals, namespace)
         data = bag.attachment(TRUTH_ATTACHMENT)
@@ -198,7 +205,7 @@ def _opened(
         yield bag, topics, truth, SignalStream(bag, signals, topics)
 
 
-def _joined_at_once(path: Path, stream: SignalStream, signals: SignalMap) -> JoinResult:
+def _joined_at_once(path: Path, stream: SignalStream | ColumnStream, signals: SignalMap) -> JoinResult:
     found = stream.whole()
     with _naming(path):
         resolver, said = rotor_at_currents(found, signals)
@@ -226,7 +233,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _joined(
     path: Path,
-    stream: SignalStream,
+    stream: SignalStream | ColumnStream,
     signals: SignalMap,
     topics: dict[str, TopicInfo],
     warnings: list[str],

@@ -1,0 +1,115 @@
+"""Tell by its content what a file of columns is, and open it with the library that reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from drive_id.errors import DriveIdError, NotABagError, TruncatedBagError
+from drive_id.files.logs.column_log import missing_library
+from drive_id.files.storage.container import LZ4_MAGIC, MCAP_MAGIC, ROSBAG1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, reason
+
+if TYPE_CHECKING:
+    from drive_id.files.logs.column_log import ColumnLog
+
+_BAGS = (MCAP_MAGIC, SQLITE_MAGIC, ROSBAG1_MAGIC, ZSTD_MAGIC, LZ4_MAGIC)
+_MAGIC = {
+    b"PAR1": "parquet",
+    b"TDSm": "tdms",
+    b"MDF     ": "mdf",
+    b"MATLAB 5.0 MAT-file": "mat",
+    b"MATLAB 7.3 MAT-file": "mat73",
+    b"\x89HDF\r\n\x1a\n": "hdf5",
+}
+_TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc")
+_NAMES = {
+    "csv": "CSV",
+    "parquet": "Parquet",
+    "tdms": "TDMS",
+    "mdf": "MDF",
+    "mat": "MATLAB",
+    "mat73": "MATLAB",
+    "hdf5": "HDF5",
+}
+
+
+def log_kind(path: Path) -> str:
+    """Return the kind of a file of columns, such as ``csv``; empty for anything else, such as a bag."""
+    try:
+        if not path.is_file():
+            return ""
+        with path.open("rb") as stream:
+            head = stream.read(32)
+    except OSError:
+        return ""
+    for magic, kind in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    text = path.suffix.lower() in _TEXT_ENDINGS and head and b"\0" not in head and not head.startswith(_BAGS)
+    return "csv" if text else ""
+
+
+@contextmanager
+def open_log(path: Path) -> Iterator[ColumnLog]:
+    """Open a file of columns; its content decides how, not its name.
+
+    Raises
+    ------
+    NotABagError
+        When it is none, or the library that reads it is not installed.
+    TruncatedBagError
+        When it is damaged.
+    """
+    kind = log_kind(path)
+    if not kind:
+        raise NotABagError(f"{path} is neither a bag nor a CSV, Parquet, MATLAB, MDF, TDMS or HDF5 file: check it.")
+    with _one_sentence(path, kind):
+        log = _opened(path, kind)
+    try:
+        with _one_sentence(path, kind):
+            yield log
+    finally:
+        log.close()
+
+
+@contextmanager
+def _one_sentence(path: Path, kind: str) -> Iterator[None]:
+    """Turn what the libraries raise for damaged files into one error."""
+    try:
+        yield
+    except (DriveIdError, GeneratorExit, KeyboardInterrupt):
+        raise
+    except ImportError as error:
+        raise missing_library(path, _NAMES[kind], error) from error
+    except OSError as error:
+        said = reason(error) if error.strerror else " ".join(str(error).split())[:160]
+        raise TruncatedBagError(f"{path} cannot be read as a {_NAMES[kind]} file ({said}): check the file.") from error
+    except Exception as error:  # the libraries raise anything from damaged files
+        said = " ".join(str(error).split())[:160] or type(error).__name__
+        raise TruncatedBagError(
+            f"{path} cannot be read as a {_NAMES[kind]} file ({said}): it is damaged or of another kind."
+        ) from error
+
+
+def _opened(path: Path, kind: str) -> ColumnLog:
+    if kind == "csv":
+        from drive_id.files.logs.tables import CsvLog  # noqa: PLC0415  # pandas takes a second to load
+
+        return CsvLog(path)
+    if kind == "parquet":
+        from drive_id.files.logs.tables import ParquetLog  # noqa: PLC0415  # likewise
+
+        return ParquetLog(path)
+    if kind == "mat":
+        from drive_id.files.logs.arrays import MatLog  # noqa: PLC0415  # likewise
+
+        return MatLog(path)
+    if kind in ("mat73", "hdf5"):
+        from drive_id.files.logs.arrays import Hdf5Log  # noqa: PLC0415  # likewise
+
+        return Hdf5Log(path, matlab=kind == "mat73")
+    from drive_id.files.logs.channels import MdfLog, TdmsLog  # noqa: PLC0415  # likewise
+
+    return MdfLog(path) if kind == "mdf" else TdmsLog(path)

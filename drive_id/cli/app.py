@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import drive_id
+from drive_id.cli.check import check_log
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
@@ -318,6 +319,9 @@ def recover(
         say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
 
+app.command(
+    name="check", epilog="Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml"
+)(check_log)
 app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
@@ -60,6 +60,60 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]
     yield from _offset(excerpts, i_max, declared)
     yield from _decimation(declared, runs)
     yield from _outliers(declared, runs, i_max)
+
+
+@dataclass(frozen=True)
+class LikelyReading:
+    """What explains the voltages best, tried on signals of unknown meaning.
+
+    Parameters
+    ----------
+    ratio : int
+        Factor on the angle; negative: it runs against the order of the phases.
+    angle_offset : float
+        To add to the angle then, rad.
+    certain_offset : bool
+        Whether a magnet shows it; without one it is known up to multiples of 90 degrees.
+    unexplained : float
+        Share of the voltage that a rough model leaves unexplained, 0 to 1.
+    i_max : float
+        Largest usual current, A.
+    """
+
+    ratio: int
+    angle_offset: float
+    certain_offset: bool
+    unexplained: float
+    i_max: float
+
+
+def likely_reading(
+    runs: Sequence[Samples], i_max: float, ratios: Sequence[int] | None = None
+) -> LikelyReading | None:
+    """Find the factor on the angle and its offset that explain the voltages best; None if nothing can be said.
+
+    Parameters
+    ----------
+    runs : sequence of Samples
+        Excerpts of one gap-free run each.
+    i_max : float
+        A.
+    ratios : sequence of int, optional
+        To try; default: 1 to 24 both ways.
+    """
+    excerpts = [Excerpt.of(run, i_max) for run in runs]
+    some = [excerpt.coarse() for excerpt in excerpts]
+    tried = ratios or [sign * k for k in range(1, _MULTIPLES + 1) for sign in (1, -1)]
+    fits = [fit for ratio in tried if (fit := rough_fit(some, Reading((ratio, 1)), (0.0, 1.0, -1.0))) is not None]
+    if not fits:
+        return None
+    least = min(fit.unexplained for fit in fits)
+    alike = [fit for fit in fits if fit.unexplained <= 1.02 * least]
+    best = rough_fit(excerpts, min(alike, key=lambda fit: abs(fit.reading.ratio[0])).reading)
+    if best is None:
+        return None
+    certain = abs(best.magnet) > _LEAST_MAGNET * best.inductance * i_max
+    return LikelyReading(best.reading.ratio[0], _offset_of(best, i_max), certain, best.unexplained, i_max)
 
 
 def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:

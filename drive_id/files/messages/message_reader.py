@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,14 +63,45 @@ Reader = Callable[[RawMessage], MessageSamples]
 
 def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
     """Return the function that reads one signal from a message of a topic."""
-    if topic.encoding != "cdr":
+    if topic.encoding == "cdr":
+        columns = block_columns(topic, source, signals)
+        if columns is not None:
+            return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
+    return _field_reader(decoder(topic, signals), source, source.paths)
+
+
+def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryview], object]:
+    """Return the function that decodes a message of a topic; it raises one of :data:`DECODE_ERRORS`.
+
+    Raises
+    ------
+    MessageTypeError
+        When the type or the encoding of the topic is not known.
+    """
+    name = topic.type_name
+    if topic.encoding == "json":
+        return _json_decoded
+    if topic.encoding not in ("cdr", "ros1"):
         raise MessageTypeError(
-            f"{topic.name} is encoded as '{topic.encoding}', not as CDR: record it with ROS 2, or convert the bag."
+            f"{topic.name} is encoded as '{topic.encoding}', not as CDR, ROS 1 or JSON: record it with ROS 2, or convert "
+            "the bag."
         )
-    columns = block_columns(topic, source, signals)
-    if columns is not None:
-        return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
-    return _field_reader(topic.type_name, source, source.paths, _typestore_for(topic, signals))
+    from rosbags.serde import SerdeError  # noqa: PLC0415  # not needed for bags of our own messages
+
+    store = _typestore_for(topic, signals)
+    deserialize = store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
+
+    def decode(data: bytes | memoryview) -> object:
+        try:
+            return deserialize(data, name)
+        except SerdeError as error:
+            raise ValueError(str(error)) from error
+
+    return decode
+
+
+def _json_decoded(data: bytes | memoryview) -> object:
+    return json.loads(bytes(data))
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
@@ -110,10 +142,10 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
     return read
 
 
-def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], store: Typestore) -> Reader:
-    """Read any message through its definition and the paths of a signals file."""
-    from rosbags.serde import SerdeError  # noqa: PLC0415  # as above
-
+def _field_reader(
+    decode: Callable[[bytes | memoryview], object], source: TimeSource, paths: tuple[str, ...]
+) -> Reader:
+    """Read any decoded message through the paths of a signals file."""
     values = [parse_field_path(path, "fields") for path in paths]
     period = source.sample_period
     period_path = parse_field_path(period, "sample_period") if isinstance(period, str) else None
@@ -122,10 +154,7 @@ def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], st
     by_log = source.stamp in ("log_time", "index")
 
     def read(message: RawMessage) -> MessageSamples:
-        try:
-            decoded = store.deserialize_cdr(message.data, type_name)
-        except SerdeError as error:
-            raise ValueError(str(error)) from error
+        decoded = decode(message.data)
         columns = tuple(path.values(decoded) for path in values)
         if any(len(column) != len(columns[0]) for column in columns):
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
@@ -149,7 +178,10 @@ def _one(path: FieldPath, decoded: object) -> float:
 def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
     """Return the time at a path, ns: one for a stamp or number, one per sample for an array of numbers."""
     found = path.find(decoded)
-    seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
+    if isinstance(found, dict):  # a time in JSON
+        seconds, nanoseconds = found.get("sec"), found.get("nanosec", found.get("nsec"))
+    else:
+        seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
     if isinstance(seconds, int) and isinstance(nanoseconds, int):
         return seconds * 1_000_000_000 + nanoseconds
     if isinstance(found, int) and float(factor).is_integer():

@@ -286,6 +286,14 @@ class RotorSource(TimeSource):
     speed_scale: float = setting(1.0, "Factor to the unit; may be negative")
     mechanical: bool = setting(False, "Angle and speed are those of the shaft, and pole_pairs turns them electrical")
     pole_pairs: int | None = setting(None, "Needed for a mechanical angle", minimum=1, maximum=1000)
+    smoothing: float | None = setting(
+        None,
+        "Duration over which the angle is smoothed, and the speed derived from it, for encoders of few counts: short "
+        "against changes of the speed",
+        unit="s",
+        minimum=1e-6,
+        maximum=1.0,
+    )
     interpolate: bool = setting(
         False, "The angle is sampled at another rate than the currents: interpolate it by its own motion"
     )
@@ -432,4 +440,5 @@ class SignalMap:
         """Whether a log must be read as a whole, for its time, angle or voltages depend on all of it."""
         rotor = self.resolver
         spaced = any(source.equally_spaced for source in self.sources().values())
-        return spaced or rotor.interpolate or not isinstance(rotor.speed, str) or self.voltages.decimation > 1
+        moved = rotor.interpolate or rotor.smoothing is not None or not isinstance(rotor.speed, str)
+        return spaced or moved or self.voltages.decimation > 1

@@ -10,6 +10,7 @@ from drive_id.core import frames
 from drive_id.core.signals.decimated import mean_voltages
 from drive_id.core.signals.join import ToPhases
 from drive_id.core.signals.rotor_interpolation import interpolated_rotor
+from drive_id.core.signals.rotor_smoothing import smoothed_rotor
 from drive_id.core.signals.signal import Signal
 from drive_id.files.messages.signal_sources import ROTOR_SPEED, PhaseSource, SignalMap
 from drive_id.types import FloatArray, Samples
@@ -55,15 +56,22 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
         order = np.argsort(speed.stamp, kind="stable")
         values = np.interp(rotor.stamp, speed.stamp[order], speed.values[order, 0] * signals.resolver.speed_factor)
         rotor = replace(rotor, values=np.column_stack([rotor.values[:, 0], values]))
+    remarks = []
+    if signals.resolver.smoothing is not None:
+        rotor, change = smoothed_rotor(rotor, signals.resolver.smoothing)
+        remarks = [
+            f"The angle of {rotor.name} was smoothed over {signals.resolver.smoothing * 1e3:.3g} ms, by "
+            f"{change * 1e3:.2g} mrad rms, and the speed is that of the smoothed angle."
+        ]
     if not signals.resolver.interpolate:
-        return rotor, []
+        return rotor, remarks
     moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))
     said = (
         f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated: every second of its "
         f"samples is found from the others within {moved.error * 1e3:.2g} mrad rms, which bounds the error. It counts "
         "as an error of the angle, which the standard errors do not include."
     )
-    return moved.signal, [said]
+    return moved.signal, [*remarks, said]
 
 
 def undecimated(samples: Samples, signals: SignalMap) -> Samples:

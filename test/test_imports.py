@@ -88,14 +88,16 @@ ROOMS = {
     "drive_id.files": Room.of(set(), set()),
     **{
         f"drive_id.files.{name}": Room.of(
-            NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms), STORED | (CONTAINERS if name == "logs" else set())
+            NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms),
+            STORED | (CONTAINERS if name == "logs" else set()),
         )
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
+    "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting"},
+        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.inspection"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
@@ -107,7 +109,9 @@ ROOMS = {
         {"numpy", "rich", *ROS},
     ),
     "drive_id.cli": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.report"},
+        NOUNS
+        | LIBRARY
+        | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.inspection", "drive_id.report"},
         {"typer", "rich", "yaml"},
     ),
 }

@@ -12,6 +12,7 @@ import typer
 
 import drive_id
 from drive_id.cli.check import check_log
+from drive_id.cli.convert import convert_log
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
@@ -320,8 +321,10 @@ def recover(
 
 
 app.command(
-    name="check", epilog="Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml"
+    name="check",
+    epilog="Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml",
 )(check_log)
+app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
 app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",

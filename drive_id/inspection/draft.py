@@ -27,7 +27,11 @@ _SAME_RATE = 0.005
 _LARGEST_DUTY = 1.17
 _MOST_TRIED = 12
 _GOOD, _POOR = 0.15, 0.35
+_NAME = 0.1
+"""Share of the voltage, unexplained, that weighs as much as one hint of a name."""
 _PERIODS = (5e-7, 0.05)
+_NO_OFFSET = 0.035
+"""Estimated offset, rad, that is not told from none."""
 _COARSE, _SMOOTHING = 1e-3, 0.003
 """Electrical angle of one count, rad, from which the angle is smoothed, and for how long, s."""
 
@@ -193,8 +197,8 @@ def _as_current(found: _Group) -> float:
 
 
 def _as_voltage(found: _Group) -> float:
-    score = _hints(found, "voltage") - _hints(found, "current") + 0.2 * _hints(found, "reference")
-    return score + 0.5 * (found.group.frame == "abc")
+    score = _hints(found, "voltage") - _hints(found, "current")
+    return score + 0.5 * (found.group.frame == "abc") + 0.1 * len(found.values.T)
 
 
 def _as_angle(found: _Angle) -> float:
@@ -239,7 +243,7 @@ def _chosen(
             found = _read(i, u, angle, dc)
             if found is None:
                 continue
-            likely = found.reading.unexplained - 0.02 * (_as_current(i) + _as_voltage(u) + _as_angle(angle))
+            likely = found.reading.unexplained - _NAME * (_as_current(i) + _as_voltage(u) + _as_angle(angle))
             if best is None or likely < best[0]:
                 best = likely, found
             if found.reading.unexplained < _GOOD and _as_current(i) > 1.5 and _as_voltage(u) > 1:
@@ -264,9 +268,9 @@ def _read(i: _Group, u: _Group, angle: _Angle, dc: tuple[Table, str] | None) -> 
             continue
         if samples is None:
             continue
-        i_max = float(np.quantile(np.abs(frames.space_vector(samples.i_abc)), 0.999))
+        largest = float(np.quantile(np.abs(frames.space_vector(samples.i_abc)), 0.999))
         in_rotor = "dq" in (i.group.frame, u.group.frame)
-        found = likely_reading(_runs(samples), i_max, (1,) if in_rotor else ratios) if i_max > 0 else None
+        found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
         if found is not None and (best is None or found.unexplained < best.reading.unexplained):
             best = _Choice(i, u, angle, found, turn, modulus, samples)
     return best
@@ -324,7 +328,9 @@ def _samples(
     u_s = _rotated(u, u_values, theta)
     if dc is not None and np.abs(u.values).max() < _LARGEST_DUTY:
         table, name = dc
-        u_s = u_s * np.interp((clock - clock[0]).astype(float), (table.stamp - clock[0]).astype(float), table.columns[name])
+        u_s = u_s * np.interp(
+            (clock - clock[0]).astype(float), (table.stamp - clock[0]).astype(float), table.columns[name]
+        )
     inside = (clock >= max(angle.table.stamp[0], at[0])) & (clock <= min(angle.table.stamp[-1], at[-1]))
     if inside.sum() < 200:
         return None
@@ -347,7 +353,9 @@ def _runs(samples: Samples) -> list[Samples]:
     """Return some gap-free excerpts, spread over the samples."""
     long = sorted((run for run in samples.runs() if run.stop - run.start >= 64), key=lambda run: run.start - run.stop)
     pieces = [
-        samples.part(start, min(start + _SPAN, run.stop)) for run in long[:20] for start in range(run.start, run.stop, _SPAN)
+        samples.part(start, min(start + _SPAN, run.stop))
+        for run in long[:20]
+        for start in range(run.start, run.stop, _SPAN)
     ]
     pieces = [piece for piece in pieces if len(piece) >= 64]
     every = -(-len(pieces) // _SPANS)
@@ -400,7 +408,9 @@ class _Writer:
                 _, unit = time_column(table) or ("", "s")
                 found += [f"  stamp: {_quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
         period, jitter = table.period, table.jitter
-        counts = [name for name, x in table.columns.items() if table.block == 1 and is_count(x) and name != table.stamp_source]
+        counts = [
+            name for name, x in table.columns.items() if table.block == 1 and is_count(x) and name != table.stamp_source
+        ]
         if counts:
             found.append(f"  first_sample: {_quoted(counts[0])}")
         if period is not None and jitter is not None and jitter > _JITTER * period * table.block:
@@ -416,13 +426,22 @@ class _Writer:
         i = self._choice.currents
         lines = [f"  fields: {_listed(i.group.names)}", *_frame(i)]
         label = " ".join(i.group.names).lower()
-        if "[ma]" in label or "(ma)" in label:
-            lines.append("  scale: 0.001                    # mA")
+        scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
+        scale *= self._choice.reading.voltage_sign
+        if scale != 1.0:
+            lines.append(f"  scale: {scale:g}")
         return ["currents:", *self._time(i.table, lines)]
 
     def _voltages(self) -> list[str]:
         u = self._choice.voltages
-        lines = [f"  fields: {_listed(u.group.names)}", *_frame(u)]
+        reading, names = self._choice.reading, u.group.names
+        if u.group.frame == "abc" and len(names) == 3:
+            names = tuple(u.group.names[k] for k in reading.voltage_order)
+            if names != u.group.names:
+                self._doubt(f"The voltages explain the currents only in the order {', '.join(names)}: compare the wiring.")
+            if reading.voltage_sign < 0:
+                self._doubt("Currents and voltages have opposite signs: currents must be positive into the machine.")
+        lines = [f"  fields: {_listed(names)}", *_frame(u)]
         low, high = float(u.values.min()), float(u.values.max())
         percent = low >= 0 and _LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
         if max(-low, high) <= _LARGEST_DUTY or percent:
@@ -430,7 +449,9 @@ class _Writer:
             range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
             dc = _dc_link(self._tables)
             if dc is None:
-                lines.append(f"  scale: {share * 100:g}                      # EDIT: duty cycles, so {share:g} times the DC-link voltage, V")
+                lines.append(
+                    f"  scale: {share * 100:g}                      # EDIT: duty cycles, so {share:g} times the DC-link voltage, V"
+                )
                 self._doubt(
                     f"The voltages are duty cycles from {range_}, and no DC-link voltage is in the log: set scale of the "
                     f"voltages to {share:g} times that voltage (written for 100 V)."
@@ -443,7 +464,9 @@ class _Writer:
         elif not suggests(u.label, "voltage"):
             self._doubt(f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names.")
         if u.group.frame == "dq":
-            lines.append("  angle_advance: 0.0              # EDIT if the drive transforms them back with an angle ahead: often 1.5")
+            lines.append(
+                "  angle_advance: 0.0              # EDIT if the drive transforms them back with an angle ahead: often 1.5"
+            )
             self._doubt("The voltages are d and q components: set angle_advance if the drive compensates its delay.")
         rate = u.table.period
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
@@ -484,7 +507,10 @@ class _Writer:
             offset = 0.0
         else:
             offset = reading.angle_offset
-            said = "estimated; method full corrects some degrees" if offset else "no offset was found"
+            if reading.voltage_sign < 0:  # written as a sign of the currents, which turns the axes by half a turn
+                offset -= float(np.copysign(np.pi, offset))
+            offset = offset if abs(offset) > _NO_OFFSET else 0.0
+            said = "estimated; method full corrects the rest" if offset else "no offset was found"
             lines.append(f"  angle_offset: {offset:.4g}          # {said}")
             if not reading.certain_offset:
                 self._doubt(
@@ -493,12 +519,16 @@ class _Writer:
                 )
         coarse = 2 * np.pi * pole_pairs / choice.turn if unit == "counts" else 0.0
         if coarse > _COARSE:
-            lines.append(f"  smoothing: {_SMOOTHING:g}                # s: one count is {coarse * 1e3:.2g} mrad electrical")
+            lines.append(
+                f"  smoothing: {_SMOOTHING:g}                # s: one count is {coarse * 1e3:.2g} mrad electrical"
+            )
         else:
             lines += self._speed(pole_pairs)
         rate = angle.table.period
         if angle.table is not choice.currents.table and rate and abs(rate / self._period - 1) > _SAME_RATE:
-            lines.append(f"  interpolate: true               # recorded every {rate * 1e6:.4g} us, the currents every {self._period * 1e6:.4g} us")
+            lines.append(
+                f"  interpolate: true               # recorded every {rate * 1e6:.4g} us, the currents every {self._period * 1e6:.4g} us"
+            )
         return ["resolver:", *self._time(angle.table, lines)]
 
     def _speed(self, pole_pairs: int) -> list[str]:
@@ -565,7 +595,17 @@ def _frame(found: _Group) -> list[str]:
 
 def _quoted(name: str) -> str:
     """Return a name as YAML takes it, quoted unless it is a plain word."""
-    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in ("y", "n", "yes", "no", "on", "off", "true", "false", "null"):
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in (
+        "y",
+        "n",
+        "yes",
+        "no",
+        "on",
+        "off",
+        "true",
+        "false",
+        "null",
+    ):
         return name
     return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 

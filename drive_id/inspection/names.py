@@ -67,11 +67,13 @@ def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
 
 def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
     for name in names:
-        for match in re.finditer(r"\[(\d+)\]", name):
-            k = int(match.group(1))
-            three = tuple(f"{name[: match.start()]}[{k + j}]{name[match.end() :]}" for j in range(3))
+        for match in re.finditer(r"\d+", name):
+            width = len(match.group())
+            three = tuple(
+                f"{name[: match.start()]}{int(match.group()) + j:0{width}d}{name[match.end() :]}" for j in range(3)
+            )
             if known.issuperset(three):
-                yield NameGroup(three, "abc", name[: match.start()] + name[match.end() :])
+                yield NameGroup(three, "abc", f"{name[: match.start()]} {name[match.end() :]}")
         for three, stem in _replaced(name):
             if known.issuperset(three):
                 yield NameGroup(three, "abc", stem)
@@ -99,6 +101,10 @@ def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
         for one, other, frame in _PAIRS:
             for match in re.finditer(one, name.lower()):
                 capital = name[match.start()].isupper()
-                second = name[: match.start()] + (other.upper() if capital and len(other) == 1 else other) + name[match.end() :]
+                second = (
+                    name[: match.start()]
+                    + (other.upper() if capital and len(other) == 1 else other)
+                    + name[match.end() :]
+                )
                 if second in known and second != name:
                     yield NameGroup((name, second), frame, f"{name[: match.start()]} {name[match.end() :]}")

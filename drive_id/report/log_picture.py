@@ -10,7 +10,6 @@ from drive_id.report.panels import NORMAL, name
 from drive_id.report.plots import rendered
 
 
-
 def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
     """Draw an overview.
 

@@ -124,7 +124,9 @@ class Overviewing:
         elif not piece.continues:
             self._lost += int(samples.stamp[0]) - self._last - round(1e9 * self._period)
         starts = samples.run_starts[1:]
-        self._lost += int(np.sum(samples.stamp[starts] - samples.stamp[starts - 1])) - round(1e9 * self._period) * len(starts)
+        self._lost += int(np.sum(samples.stamp[starts] - samples.stamp[starts - 1])) - round(1e9 * self._period) * len(
+            starts
+        )
         self._last = int(samples.stamp[-1])
         self._runs += len(samples.run_starts) - skip
         speed = samples.speed[skip:]

@@ -101,7 +101,9 @@ def likely_counts(turns: float, moved: float) -> list[tuple[int, int]]:
     """
     pairs = [(count, turns * count / moved) for count in _FULL_COUNTS]
     good = [(count, round(abs(p)), abs(abs(p) - round(abs(p))) / max(abs(p), 1)) for count, p in pairs]
-    likely = sorted((away, pole_pairs, count) for count, pole_pairs, away in good if 1 <= pole_pairs <= 24 and away < 0.03)
+    likely = sorted(
+        (away, pole_pairs, count) for count, pole_pairs, away in good if 1 <= pole_pairs <= 24 and away < 0.03
+    )
     return [(count, pole_pairs) for _, pole_pairs, count in likely]
 
 

@@ -53,9 +53,7 @@ class MdfLog:
         if column.name == OWN_TIME:
             seconds = self._file.get_master(number, record_offset=at.start, record_count=count)
             return np.rint(np.asarray(seconds, np.longdouble) * 1_000_000_000).astype(np.int64)
-        signal = self._file.get(
-            group=number, index=self._channels[column], record_offset=at.start, record_count=count
-        )
+        signal = self._file.get(group=number, index=self._channels[column], record_offset=at.start, record_count=count)
         return np.asarray(signal.samples)
 
     def close(self) -> None:

@@ -134,7 +134,9 @@ def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
     dates = pd.to_datetime(found, errors="coerce", utc=True, format="ISO8601")
     if dates.notna().all():
         return np.asarray(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64))
-    raise MessageTypeError(f"Column '{name}' of {path} holds no numbers, such as '{found.iloc[0]!s:.40}': name another.")
+    raise MessageTypeError(
+        f"Column '{name}' of {path} holds no numbers, such as '{found.iloc[0]!s:.40}': name another."
+    )
 
 
 def csv_dialect(path: Path) -> CsvDialect:

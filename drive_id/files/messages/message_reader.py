@@ -142,9 +142,7 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
     return read
 
 
-def _field_reader(
-    decode: Callable[[bytes | memoryview], object], source: TimeSource, paths: tuple[str, ...]
-) -> Reader:
+def _field_reader(decode: Callable[[bytes | memoryview], object], source: TimeSource, paths: tuple[str, ...]) -> Reader:
     """Read any decoded message through the paths of a signals file."""
     values = [parse_field_path(path, "fields") for path in paths]
     period = source.sample_period

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, EmptyTopicError, MessageTypeError, MissingTopicError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog, Rows, find_column
+from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
+from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder, SignalPart, spacing_remarks
 from drive_id.files.storage.container import TopicInfo
@@ -146,6 +148,24 @@ class ColumnStream:
                 ) from error
             if len(piece.columns[0]):
                 yield name, piece
+
+
+def largest_reference(path: Path, signals: SignalMap) -> float | None:
+    """Return the largest amplitude of the current references of a file of columns, A; None if it has none."""
+    source = signals.reference
+    if source is None:
+        return None
+    with open_log(path) as log:
+        try:
+            section = _located(log, source, "reference")
+        except MissingTopicError:
+            return None
+        largest = 0.0
+        for rows in log.parts(section.columns):
+            values = in_si_units(list(_piece(rows, section).columns), source)
+            amplitude = np.hypot(*values.T)
+            largest = max(largest, float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude))))
+    return largest
 
 
 def _located(log: ColumnLog, source: TimeSource, name: str) -> _Section:

@@ -104,7 +104,7 @@ class Contents:
     @property
     def is_bag(self) -> bool:
         """Whether its tables are topics."""
-        return bool(self.tables) and "/" in self.tables[0].kind
+        return bool(set(self.kind.split("+")) & {"mcap", "sqlite3", "rosbag1"})
 
 
 def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:

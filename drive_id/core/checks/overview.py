@@ -95,8 +95,8 @@ class Overview:
         if self.coverage < _LEAST_COVERAGE:
             yield Finding(
                 "coverage",
-                f"The currents visit {100 * self.coverage:.0f} % of the disc of {self.i_max:.4g} A: the map will hold only "
-                "there; drive a trajectory that fills the disc, such as a Lissajous figure.",
+                f"The currents visit {100 * self.coverage:.0f} % of the disc of {self.i_max:.4g} A: the map will hold "
+                "only there; drive a trajectory that fills the disc, such as a Lissajous figure.",
                 {"coverage": self.coverage, "i_max": self.i_max},
             )
 

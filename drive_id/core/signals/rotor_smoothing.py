@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from drive_id.core.signals.signal import Signal
@@ -41,7 +43,7 @@ def smoothed_rotor(rotor: Signal, duration: float) -> tuple[Signal, float]:
     angle = np.empty(len(stamp))
     speed = np.empty(len(stamp))
     square = 0.0
-    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+    for start, stop in itertools.pairwise(starts):
         raw = np.unwrap(values[start:stop, 0])
         angle[start:stop], speed[start:stop] = _parabolas(raw, half, period * 1e-9)
         square += float(np.sum((angle[start:stop] - raw) ** 2))

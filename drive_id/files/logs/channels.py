@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ class MdfLog:
         from asammdf import MDF  # noqa: PLC0415  # takes seconds to load
 
         self.path = path
-        self._file = MDF(str(path))
+        self._stream = path.open("rb")
+        self._file: Any = opened_by(MDF, self._stream)
         self._numbers: dict[str, int] = {}
         self._channels: dict[Column, int] = {}
         groups = []
@@ -59,6 +60,7 @@ class MdfLog:
     def close(self) -> None:
         """Release the file."""
         self._file.close()
+        self._stream.close()
 
 
 class TdmsLog:
@@ -71,7 +73,8 @@ class TdmsLog:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
 
         self.path = path
-        self._file = TdmsFile.open(str(path))
+        self._stream = path.open("rb")
+        self._file: Any = opened_by(TdmsFile.open, self._stream)
         groups = []
         for group in self._file.groups():
             columns, rows, timed = {}, 0, False
@@ -102,3 +105,13 @@ class TdmsLog:
     def close(self) -> None:
         """Release the file."""
         self._file.close()
+        self._stream.close()
+
+
+def opened_by(library: Callable[[BinaryIO], Any], stream: BinaryIO) -> Any:
+    """Return what a library makes of a file, which is closed if it refuses it."""
+    try:
+        return library(stream)
+    except BaseException:
+        stream.close()
+        raise

@@ -60,15 +60,28 @@ class Rows(NamedTuple):
 class ColumnLog(Protocol):
     """One file of columns, open for reading."""
 
-    kind: str
-    """Such as ``csv`` or ``mdf``."""
-    path: Path
-    bounded: bool
-    """Whether the file is read part by part; otherwise it is held in memory as a whole."""
-    groups: tuple[ColumnGroup, ...]
+    @property
+    def kind(self) -> str:
+        """Such as ``csv`` or ``mdf``."""
+        ...
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        ...
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the file is read part by part; otherwise it is held in memory as a whole."""
+        ...
+
+    @property
+    def groups(self) -> tuple[ColumnGroup, ...]:
+        """Its columns."""
+        ...
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part; groups of different length advance together in time."""
+        """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time."""
         ...
 
     def close(self) -> None:
@@ -108,8 +121,8 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
     guess = f", did you mean '{meant[0]}'" if meant else ""
     shown = ", ".join(known_names[:_MOST_NAMED]) + (", ..." if len(known_names) > _MOST_NAMED else "")
     raise MissingTopicError(
-        f"{log.path} has no column '{name}' for the {wanted_for}{guess} (it has {shown or 'none at all'}): name another "
-        "one in the signals file."
+        f"{log.path} has no column '{name}' for the {wanted_for}{guess} (it has {shown or 'none at all'}): name "
+        "another one in the signals file."
     )
 
 

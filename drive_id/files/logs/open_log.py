@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drive_id.errors import DriveIdError, NotABagError, TruncatedBagError
-from drive_id.files.logs.column_log import missing_library
+from drive_id.files.logs.column_log import ROWS, missing_library
 from drive_id.files.storage.container import LZ4_MAGIC, MCAP_MAGIC, ROSBAG1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, reason
 
 if TYPE_CHECKING:
-    from drive_id.files.logs.column_log import ColumnLog
+    from drive_id.files.logs.column_log import Column, ColumnLog, Rows
 
 _BAGS = (MCAP_MAGIC, SQLITE_MAGIC, ROSBAG1_MAGIC, ZSTD_MAGIC, LZ4_MAGIC)
 _MAGIC = {
@@ -68,10 +68,32 @@ def open_log(path: Path) -> Iterator[ColumnLog]:
     with _one_sentence(path, kind):
         log = _opened(path, kind)
     try:
-        with _one_sentence(path, kind):
-            yield log
+        yield _Guarded(log)
     finally:
         log.close()
+
+
+class _Guarded:
+    """A log whose reading raises our errors only."""
+
+    def __init__(self, log: ColumnLog) -> None:
+        self._log = log
+        self.kind, self.path, self.bounded, self.groups = log.kind, log.path, log.bounded, log.groups
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part."""
+        with _one_sentence(self.path, self.kind):
+            parts = self._log.parts(wanted, rows)
+        while True:
+            with _one_sentence(self.path, self.kind):
+                part = next(parts, None)
+            if part is None:
+                return
+            yield part
+
+    def close(self) -> None:
+        """Release the file."""
+        self._log.close()
 
 
 @contextmanager
@@ -79,7 +101,7 @@ def _one_sentence(path: Path, kind: str) -> Iterator[None]:
     """Turn what the libraries raise for damaged files into one error."""
     try:
         yield
-    except (DriveIdError, GeneratorExit, KeyboardInterrupt):
+    except DriveIdError:
         raise
     except ImportError as error:
         raise missing_library(path, _NAMES[kind], error) from error

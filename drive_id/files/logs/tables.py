@@ -18,6 +18,8 @@ from drive_id.errors import MessageTypeError
 from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows
 
 _HEAD = 1 << 16
+_EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+"""Pandas 3 reads every digit without being asked."""
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
 
 
@@ -70,8 +72,8 @@ class CsvLog:
                 skipinitialspace=True,
                 encoding="utf-8-sig",
                 encoding_errors="replace",
-                float_precision="round_trip",
                 index_col=False,
+                **_EXACT,
             )
             for chunk in chunks:
                 values = {column: self._numbers(chunk, column.name) for column in wanted}

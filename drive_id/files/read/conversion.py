@@ -59,10 +59,11 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
     remarks = []
     if signals.resolver.smoothing is not None:
         rotor, change = smoothed_rotor(rotor, signals.resolver.smoothing)
-        remarks = [
+        said = (
             f"The angle of {rotor.name} was smoothed over {signals.resolver.smoothing * 1e3:.3g} ms, by "
             f"{change * 1e3:.2g} mrad rms, and the speed is that of the smoothed angle."
-        ]
+        )
+        remarks = [said]
     if not signals.resolver.interpolate:
         return rotor, remarks
     moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))

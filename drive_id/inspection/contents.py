@@ -153,10 +153,8 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
 def _of_topics(bag: Bag, signals: SignalMap) -> Iterator[Table]:
     readers = {name: _TopicReader(topic, signals) for name, topic in bag.topics.items()}
     usable = {name for name, reader in readers.items() if not reader.problem}
-    seen = 0
-    for message in bag.messages(frozenset(usable)):
+    for seen, message in enumerate(bag.messages(frozenset(usable)), 1):
         reader = readers[message.topic]
-        seen += 1
         if len(reader.logged) < ROWS and not reader.problem:
             reader.add(bytes(message.data), message.log_time)
         if seen >= _MOST_MESSAGES or all(len(readers[name].logged) >= ROWS for name in usable):

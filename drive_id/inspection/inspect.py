@@ -161,9 +161,9 @@ def _time_findings(contents: Contents) -> Iterator[Finding]:
             continue
         yield Finding(
             "stamp_jitter",
-            f"The time between the {'messages' if contents.is_bag else 'rows'} of {table.name or 'the table'} varies by "
-            f"{jitter * 1e6:.3g} us rms around {period * table.block * 1e6:.5g} us: if the samples are equally spaced, set "
-            "equally_spaced: true in the signals file, with first_sample if there is a count.",
+            f"The time between the {'messages' if contents.is_bag else 'rows'} of {table.name or 'the table'} varies "
+            f"by {jitter * 1e6:.3g} us rms around {period * table.block * 1e6:.5g} us: if the samples are equally "
+            "spaced, set equally_spaced: true in the signals file, with first_sample if there is a count.",
             {"jitter": jitter, "period": period},
         )
     if not contents.bounded:

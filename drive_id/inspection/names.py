@@ -9,10 +9,10 @@ from dataclasses import dataclass
 _PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
 _PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
 _WORDS = {
-    "current": ("i", "is", "im", "iabc", "idq", "cur", "curr", "current", "currents", "amp", "amps", "ampere", "strom", "a"),
-    "voltage": ("u", "v", "us", "vs", "uabc", "vabc", "udq", "vdq", "volt", "volts", "voltage", "voltages", "duty", "pwm",
-                "dutycycle", "spannung", "mod", "modulation"),
-    "reference": ("ref", "reference", "set", "setpoint", "cmd", "command", "target", "des", "desired", "soll", "star", "w"),
+    "current": ("i", "is", "im", "iabc", "idq", "cur", "curr", "current", "amp", "ampere", "strom", "a"),
+    "voltage": ("u", "v", "us", "vs", "uabc", "vabc", "udq", "vdq", "volt", "voltage", "duty", "pwm", "spannung", "mod",
+                "modulation"),
+    "reference": ("ref", "reference", "set", "setpoint", "cmd", "command", "target", "des", "desired", "soll", "star"),
     "angle": ("angle", "theta", "position", "pos", "phi", "rotor", "enc", "encoder", "counts", "epos", "winkel", "th",
               "resolver", "el"),
     "speed": ("speed", "velocity", "vel", "omega", "rpm", "n", "w", "drehzahl"),
@@ -48,7 +48,7 @@ def words(name: str) -> set[str]:
 
 
 def suggests(name: str, meaning: str) -> bool:
-    """Tell whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc`` or ``time``."""
+    """Tell whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
     lower = name.lower().strip()
     unit = any(lower.endswith(end) for end in _UNITS.get(meaning, ()))
     own = words(name)
@@ -87,7 +87,7 @@ def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
 
 
 def _replaced(name: str) -> Iterator[tuple[tuple[str, str, str], str]]:
-    """Yield the three names of phases that begin with this one, and their stem, for every letter that may be a phase."""
+    """Yield the names of three phases that begin with this one, with their stem, for each letter that may be one."""
     for position, letter in enumerate(name):
         for phases in _PHASES:
             if letter.lower() == phases[0]:

@@ -153,17 +153,19 @@ def dq_names(s, angle, kind):
 
 
 KINDS = {
-    "plain": lambda s: {},
+    "plain": lambda _: {},
     "degrees of the shaft and rpm": degrees_and_rpm,
     "counts": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4096, 4096)},
     "counts backwards": lambda s: {"theta": None, "omega": None, "enc": counts(s, 8192, 8192, -1)},
     "a 16-bit count of 10000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 10_000, 65_536)},
     "alpha and beta": lambda s: dq_names(s, np.zeros(len(s)), ("alpha", "beta")),
     "d and q": lambda s: dq_names(s, s.angle, ("d", "q")),
-    "two currents": lambda s: {"ic": None},
+    "two currents": lambda _: {"ic": None},
     "swapped voltages": lambda s: {"ub": s.u_abc[:, 2], "uc": s.u_abc[:, 1]},
-    "no names": lambda s: {f"ch{k}": x for k, x in enumerate(np.column_stack([s.i_abc, s.u_abc]).T)}
-    | dict.fromkeys(("ia", "ib", "ic", "ua", "ub", "uc")),
+    "no names": lambda s: (
+        {f"ch{k}": x for k, x in enumerate(np.column_stack([s.i_abc, s.u_abc]).T)}
+        | dict.fromkeys(("ia", "ib", "ic", "ua", "ub", "uc"))
+    ),
 }
 
 
@@ -209,7 +211,12 @@ def test_a_foreign_bag_of_several_topics_with_jitter(tmp_path, samples):
         "/encoder": counts(samples, 65_536, 65_536)[::3, None],
         "/dc_link": u_dc[::50, None],
     }
-    stamps = {"/inverter/phase_currents": stamp, "/inverter/duty": stamp, "/encoder": stamp[::3], "/dc_link": stamp[::50]}
+    stamps = {
+        "/inverter/phase_currents": stamp,
+        "/inverter/duty": stamp,
+        "/encoder": stamp[::3],
+        "/dc_link": stamp[::50],
+    }
     moved = {name: x + rng.integers(-10_000, 10_000, len(x)) for name, x in stamps.items()}
     path = write_rows(tmp_path / "bag", topics, moved)
     found = inspect_log(path)
@@ -252,7 +259,9 @@ def test_recording_of_strangers_written_again_as_ours(tmp_path, samples):
 
 
 def test_names():
-    groups = {group.names for group in name_groups(["i_U [A]", "i_V [A]", "i_W [A]", "id", "iq", "x7", "x8", "x9", "ua"])}
+    groups = {
+        group.names for group in name_groups(["i_U [A]", "i_V [A]", "i_W [A]", "id", "iq", "x7", "x8", "x9", "ua"])
+    }
     assert groups >= {("i_U [A]", "i_V [A]", "i_W [A]"), ("id", "iq"), ("x7", "x8", "x9")}
     assert suggests("phaseCurrent ", "current")
     assert suggests("V_bus", "dc")

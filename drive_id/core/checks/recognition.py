@@ -14,9 +14,11 @@ _WRAP = 0.6
 """Step relative to the range above which a column starts again."""
 _LARGEST_STEP = 0.45
 _STEADY, _MONOTONE = 0.9, 0.98
+_UNEVEN, _MANY = 20, 1000
 _UNITS = ((2 * np.pi, "rad", 0.02), (360.0, "deg", 0.02), (1.0, "rev", 0.02))
-_FULL_COUNTS = tuple(4 * lines for lines in (500, 512, 600, 720, 900, 1000, 1024, 1250, 1500, 2000, 2048, 2500, 3600,
-                                             4000, 4096, 5000, 8192, 10_000)) + tuple(2**n for n in range(8, 25))  # fmt: skip
+_LINES = (500, 512, 600, 720, 900, 1000, 1024, 1250, 1500, 2000, 2048, 2500, 3600, 4000, 4096, 5000, 8192, 10_000)
+_FULL_COUNTS = (*(4 * lines for lines in _LINES), *(2**n for n in range(8, 25)))
+"""Usual counts of an encoder per revolution: four per line, or powers of two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +50,7 @@ class AngleLike:
 def angle_like(x: FloatArray) -> AngleLike | None:
     """Tell whether a column (N,) moves like an angle, and in which unit; None if it does not."""
     x = x[np.isfinite(x)]
-    if len(x) < _FEWEST:
-        return None
-    spread, steps = float(np.ptp(x)), np.diff(x)
+    spread, steps = (float(np.ptp(x)), np.diff(x)) if len(x) >= _FEWEST else (0.0, x)
     if not spread > 0:
         return None
     wraps = np.abs(steps) > _WRAP * spread
@@ -59,24 +59,25 @@ def angle_like(x: FloatArray) -> AngleLike | None:
     if len(moving) < _FEWEST // 2 or np.abs(small).max() > _LARGEST_STEP * spread:
         return None
     forward = float(np.mean(moving > 0))
+    steady = max(forward, 1 - forward)
     if wraps.sum() >= 2:
         against = np.sign(steps[wraps]) == -np.sign(np.median(moving))
-        if max(forward, 1 - forward) < _STEADY or against.mean() < _STEADY:
-            return None
         turn = float(np.median(np.abs(steps[wraps]))) + float(np.median(np.abs(small)))
-        return _in_unit(turn, whole=bool(np.all(x == np.rint(x))), largest=float(x.max()), low=float(x.min()))
-    if max(forward, 1 - forward) < _MONOTONE or np.abs(steps).max() > 20 * np.median(np.abs(steps)) + 2:
+        good = steady >= _STEADY and against.mean() >= _STEADY
+        return _in_unit(turn, x) if good else None
+    if steady < _MONOTONE or np.abs(steps).max() > _UNEVEN * np.median(np.abs(steps)) + 2:
         return None
-    whole = bool(np.all(x == np.rint(x))) and spread > 1000
+    whole = bool(np.all(x == np.rint(x))) and spread > _MANY
     return AngleLike("counts" if whole else "rad", 0.0 if whole else 2 * np.pi, wraps=False, certain=False)
 
 
-def _in_unit(turn: float, *, whole: bool, largest: float, low: float) -> AngleLike | None:
+def _in_unit(turn: float, x: FloatArray) -> AngleLike | None:
+    whole = bool(np.all(x == np.rint(x)))
     for value, name, tolerance in _UNITS:
         if abs(turn / value - 1) < tolerance and not (whole and name == "rad"):
             return AngleLike(name, value, wraps=True, certain=True)
-    if whole and turn > 50:
-        reach = largest + 1 - min(low, 0.0)
+    if whole and turn > _FEWEST:
+        reach = float(x.max()) + 1 - min(float(x.min()), 0.0)
         near = [count for count in _FULL_COUNTS if abs(count / turn - 1) < 0.02 and count >= reach - 1]
         best = min(near, key=lambda count: abs(count - turn), default=round(reach))
         return AngleLike("counts", float(best), wraps=True, certain=bool(near))

@@ -108,7 +108,7 @@ class TdmsLog:
         self._stream.close()
 
 
-def opened_by(library: Callable[[BinaryIO], Any], stream: BinaryIO) -> Any:
+def opened_by(library: Callable[[Any], Any], stream: BinaryIO) -> Any:
     """Return what a library makes of a file, which is closed if it refuses it."""
     try:
         return library(stream)

@@ -53,7 +53,7 @@ class CsvLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._dialect = csv_dialect(path)
-        self.groups = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
+        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
         """Yield the wanted columns part by part."""
@@ -100,7 +100,7 @@ class ParquetLog:
         self._file = pq.ParquetFile(path)
         schema = self._file.schema_arrow
         columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
-        self.groups = (ColumnGroup("", columns, self._file.metadata.num_rows),)
+        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", columns, self._file.metadata.num_rows),)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
         """Yield the wanted columns part by part."""

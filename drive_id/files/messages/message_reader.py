@@ -108,7 +108,8 @@ def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> l
     """Return the arrays of our own messages that hold the signal; ``None`` if it is not read from such messages."""
     paths = source.paths
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
-    usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
+    usual = topic.encoding == "cdr" and source.stamp in ("header", "log_time")
+    usual = usual and source.sample_period == "sample_period"
     usual = usual and not source.equally_spaced
     usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
     if usual and _is_ours(topic, signals):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,11 +83,8 @@ class ColumnStream:
         self._signals = signals
         self._sections: dict[str, _Section] = {}
         for name, source in signals.sources().items():
-            try:
+            with suppress(*[] if name in signals.needed else [MissingTopicError]):
                 self._sections[name] = _located(log, source, name)
-            except MissingTopicError:
-                if name in signals.needed:
-                    raise
         self.topics = {
             name: TopicInfo(f"{name} ({', '.join(section.source.paths)})", log.kind, None, "")
             for name, section in self._sections.items()
@@ -162,7 +160,8 @@ def largest_reference(path: Path, signals: SignalMap) -> float | None:
             return None
         largest = 0.0
         for rows in log.parts(section.columns):
-            values = in_si_units(list(_piece(rows, section).columns), source)
+            columns = [column.astype(np.float64) for column in _piece(rows, section).columns]
+            values = in_si_units(columns, source)
             amplitude = np.hypot(*values.T)
             largest = max(largest, float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude))))
     return largest

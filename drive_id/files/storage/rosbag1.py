@@ -106,5 +106,5 @@ class Rosbag1Storage:
         except _ERRORS as error:
             said = " ".join(str(error).split())[:160]
             raise TruncatedBagError(
-                f"{self._shown} cannot be read as a ROS 1 bag ({said}): repair it with 'rosbag reindex', or record again."
+                f"{self._shown} is no readable ROS 1 bag ({said}): repair it with 'rosbag reindex', or record it again."
             ) from error

@@ -18,6 +18,7 @@ from drive_id.files.read.reader import bag_pieces, read_recording
 
 N = 400
 STEP = 100_000
+DEFAULTS = "topic: /log, sample_period: 1e-4"
 STAMPS = START + STEP * np.arange(N)
 
 
@@ -29,7 +30,7 @@ def truth():
 
 
 def signals(currents="fields: [data[0], data[1], data[2]]", voltages="fields: [data[3], data[4], data[5]]",
-            resolver="angle: data[6], speed: data[7]", more="", defaults="topic: /log, sample_period: 1e-4"):  # fmt: skip
+            resolver="angle: data[6], speed: data[7]", more="", defaults=DEFAULTS):  # fmt: skip
     text = f"defaults: {{{defaults}}}\ncurrents: {{{currents}}}\nvoltages: {{{voltages}}}\nresolver: {{{resolver}}}\n"
     return parse_signals(re.sub(r"(?<!')data\[\d+\]", r"'\g<0>'", text + more), "test")
 

@@ -244,7 +244,7 @@ def accumulate(
 @app.command()
 def info(
     path: Annotated[
-        Path, typer.Argument(help="Bag (folder or file), result folder, or information file.", show_default=False)
+        Path, typer.Argument(help="Bag or other log, result folder, or information file.", show_default=False)
     ],
     as_json: JsonFlag = False,
 ) -> None:

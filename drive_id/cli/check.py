@@ -38,7 +38,9 @@ def check_log(
         found = inspect_log(log, signal_map, namespace=namespace, draft=draft is not None, tell=tell)
     if draft is not None and found.draft is not None:
         replace_file(draft, found.draft.text.encode())
-    if picture is not None and found.overview is not None:
+    if picture is not None and found.overview is None:
+        warn(f"{picture} was not drawn, for there are no joined samples.")
+    elif picture is not None and found.overview is not None:
         from drive_id.report.log_picture import overview_picture
 
         replace_file(picture, overview_picture(found.overview, picture.suffix[1:]))

@@ -24,7 +24,7 @@ from drive_id.files.logs.open_log import log_kind
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read.extraction import UnusualError
-from drive_id.files.read.reader import bag_pieces
+from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
@@ -101,7 +101,7 @@ def inspect_log(
     contents = read_contents(path, signals)
     findings = list(_time_findings(contents))
     proposal: Draft | None = None
-    if draft or (signals is None and not _is_ours(path)):
+    if draft or (signals is None and not _is_ours(path, namespace)):
         tell("Recognizing signals", None)
         try:
             proposal = propose(contents)
@@ -145,13 +145,18 @@ def _look(
     return found, overview, warnings
 
 
-def _is_ours(path: Path) -> bool:
-    """Tell whether a bag holds our own messages of currents, voltages and rotor."""
+def _is_ours(path: Path, namespace: str) -> bool:
+    """Tell whether a bag holds our own messages of currents, voltages and rotor on their usual topics."""
     if log_kind(path):
         return False
     with open_bag(path) as bag:
-        kinds = {topic.type_name for topic in bag.topics.values()}
-    return set(list(BLOCK_FIELDS)[:3]) <= kinds
+        try:
+            topics = find_topics(bag, SignalMap(), namespace)
+        except ConfigurationError:  # of several drives, which the reader says, too
+            return True
+        except MissingTopicError:
+            return False
+    return {topics[section].type_name for section in REQUIRED} <= set(BLOCK_FIELDS)
 
 
 def _time_findings(contents: Contents) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.reader import read_recording
-from drive_id.files.write.writer import write_recording
+from drive_id.files.write.writer import Topics, write_recording
 from drive_id.inspection.inspect import inspect_log
 from drive_id.inspection.names import name_groups, suggests
 from drive_id.types import Samples
@@ -120,6 +120,14 @@ def test_our_own_recording_has_no_finding(bag, simulation):
     names = {table.name: table for table in found.contents.tables}
     assert names["/phase_currents"].block == 100
     assert set(names["/resolver"].columns) >= {"angle", "speed"}
+
+
+def test_our_messages_on_other_topics_get_a_draft(tmp_path, samples):
+    write_recording(tmp_path / "bag", samples, topics=Topics(currents="sensors/i", voltages="u", resolver="rotor"))
+    found = inspect_log(tmp_path / "bag")
+    read = read_recording(tmp_path / "bag", parse_signals(found.draft.text, "draft")).samples
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc.astype(np.float32))
+    assert read.i_dq_reference is not None
 
 
 # -- drafts --------------------------------------------------------------------------------------------------------

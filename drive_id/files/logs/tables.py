@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from drive_id.errors import MessageTypeError
@@ -96,8 +95,10 @@ class ParquetLog:
     bounded = True
 
     def __init__(self, path: Path) -> None:
+        from pyarrow.parquet import ParquetFile  # noqa: PLC0415  # text needs only pandas
+
         self.path = path
-        self._file = pq.ParquetFile(path)
+        self._file = ParquetFile(path)
         schema = self._file.schema_arrow
         columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
         self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", columns, self._file.metadata.num_rows),)

@@ -30,6 +30,7 @@ _GOOD = 0.15
 _NAME = 0.1
 """Share of the voltage, unexplained, that weighs as much as one hint of a name."""
 _PERIODS = (5e-7, 0.05)
+_LEAST_LINK = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,15 +184,26 @@ def _as_angle(found: AngleColumn) -> float:
 
 
 def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
-    """Return the column that looks like the DC-link voltage."""
+    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone."""
     best: tuple[float, Table, str] | None = None
     for table in tables:
         for name, x in table.columns.items():
-            score = 2.0 * suggests(name, "dc") + suggests(table.name, "dc")
-            steady = len(x) > 2 and np.isfinite(x).all() and x.mean() > 5 and x.std() < 0.25 * x.mean()
-            if score and steady and (best is None or score > best[0]):
+            if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < 0.25 * x.mean()):
+                continue
+            named = suggests(name, "dc") or suggests(table.name, "dc")
+            likely = x.std() > 0 and suggests(name, "voltage")
+            alone = (
+                x.std() > 0 and x.min() > 0 and not any(suggests(name, what) for what in ("current", "speed", "time"))
+            )
+            score = 4.0 * suggests(name, "dc") + 2.0 * suggests(table.name, "dc") + likely + 0.5 * alone
+            if (named or likely or alone) and score > 0 and (best is None or score > best[0]):
                 best = (score, table, name)
     return best and (best[1], best[2])
+
+
+def is_named_link(table: Table, name: str) -> bool:
+    """Tell whether the names suggest that a column is the DC-link voltage."""
+    return suggests(name, "dc") or suggests(table.name, "dc")
 
 
 # -- choosing ------------------------------------------------------------------------------------------------------

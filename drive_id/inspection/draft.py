@@ -12,7 +12,7 @@ from drive_id.core import frames
 from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import Choice, PhaseGroup, choose, dc_link, regular_stamps, time_column
+from drive_id.inspection.choice import Choice, PhaseGroup, choose, dc_link, is_named_link, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
 
@@ -148,6 +148,8 @@ class _Writer:
                 )
             else:
                 table, name = dc
+                if not is_named_link(table, name):
+                    self._doubt(f"{name} was taken for the DC-link voltage by its values, not by its name.")
                 where = self._where(table)
                 scaled = "" if share == 1.0 else f", scale: {share:g}"
                 lines.append(f"  scale: {{{where}field: {_quoted(name)}{scaled}}}   # duty cycles from {range_}")
@@ -276,7 +278,7 @@ class _Writer:
 
     def _optional(self) -> list[str]:
         dc = dc_link(self._tables)
-        if dc is None:
+        if dc is None or not is_named_link(*dc):
             return []
         table, name = dc
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,18 +99,22 @@ def inspect_log(
     """
     tell("Reading", 0.0)
     contents = read_contents(path, signals)
-    findings = list(_time_findings(contents))
+    findings: list[Finding] = []
     proposal: Draft | None = None
     if draft or (signals is None and not _is_ours(path, namespace)):
         tell("Recognizing signals", None)
         try:
             proposal = propose(contents)
         except ConfigurationError as error:
-            return Inspection(contents, (*findings, Finding("no_draft", str(error), {}, "error")), None, None, ())
+            found = (Finding("no_draft", str(error), {}, "error"), *_time_findings(contents, SignalMap()))
+            return Inspection(contents, found, None, None, ())
         signals = parse_signals(proposal.text, "the draft") if signals is None else signals
         findings += [Finding("draft_unsure", sentence) for sentence in proposal.unsure]
-    found, overview, warnings = _look(path, signals or SignalMap(), namespace, tell)
-    return Inspection(contents, (*found, *findings), overview, proposal, warnings)
+    signals = signals or SignalMap()
+    problems, overview, warnings = _look(path, signals, namespace, tell)
+    return Inspection(
+        contents, (*problems, *findings, *_time_findings(contents, signals)), overview, proposal, warnings
+    )
 
 
 def _look(
@@ -159,8 +163,12 @@ def _is_ours(path: Path, namespace: str) -> bool:
     return {topics[section].type_name for section in REQUIRED} <= set(BLOCK_FIELDS)
 
 
-def _time_findings(contents: Contents) -> Iterator[Finding]:
-    for table in contents.tables:
+def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Finding]:
+    """Yield topics whose stamps jitter, unless their samples are taken as equally spaced."""
+    spaced = {source.topic or source.group for source in signals.sources().values() if source.equally_spaced}
+    for table in (_stamped(table, signals) for table in contents.tables):
+        if table.name in spaced:
+            continue
         period, jitter = table.period, table.jitter
         if not table.columns or period is None or jitter is None or jitter <= _MUCH_JITTER * period * table.block:
             continue
@@ -173,6 +181,18 @@ def _time_findings(contents: Contents) -> Iterator[Finding]:
         )
     if not contents.bounded:
         yield Finding("memory", f"A {contents.kind} file is held in memory as a whole while it is read.")
+
+
+def _stamped(table: Table, signals: SignalMap) -> Table:
+    """Return a table of columns with the stamps that the signals file names."""
+    if len(table.stamp):
+        return table
+    for source in signals.sources().values():
+        values = table.columns.get(source.stamp)
+        if values is not None and np.isfinite(values).all() and np.abs(values * source.tick).max(initial=0.0) < 2.0**61:
+            stamp = np.rint((values - values[:1]) * source.tick).astype(np.int64)
+            return replace(table, stamp=stamp, stamp_source=source.stamp)
+    return table
 
 
 def finding_tree(finding: Finding) -> dict[str, Any]:

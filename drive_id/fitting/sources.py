@@ -20,7 +20,7 @@ from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError
-from drive_id.files.logs.open_log import log_kind
+from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.read.column_stream import largest_reference
 from drive_id.files.read.extraction import extract_signals

@@ -13,7 +13,8 @@ import numpy as np
 
 from drive_id.errors import DriveIdError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
-from drive_id.files.logs.open_log import log_kind, open_log
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPathError, parse_field_path
 from drive_id.files.messages.message_reader import DECODE_ERRORS, decoder
 from drive_id.files.messages.signal_sources import SignalMap

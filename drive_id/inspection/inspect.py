@@ -20,7 +20,7 @@ from drive_id.errors import (
     MessageTypeError,
     MissingTopicError,
 )
-from drive_id.files.logs.open_log import log_kind
+from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read.extraction import UnusualError

@@ -6,12 +6,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drive_id.errors import BagError, DriveIdError
-from drive_id.files.logs.column_log import ColumnLog
-from drive_id.files.logs.open_log import log_kind, open_log
+from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.storage.bag import Bag, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
+
+if TYPE_CHECKING:
+    from drive_id.files.logs.column_log import ColumnLog
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ def bag_info(path: Path) -> BagInfo:
         When nothing of it can be read.
     """
     if log_kind(path):
+        from drive_id.files.logs.open_log import open_log  # noqa: PLC0415  # numpy takes longer than to list a bag
+
         with printable_errors(), open_log(path) as log:
             return _log_info(log)
     with printable_errors(), open_bag(path, salvage=True) as bag:

@@ -15,7 +15,8 @@ from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
-from drive_id.files.logs.open_log import log_kind, open_log
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.logs.open_log import open_log
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar

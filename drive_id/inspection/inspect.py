@@ -180,7 +180,7 @@ def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Finding]:
             {"jitter": jitter, "period": period},
         )
     if not contents.bounded:
-        yield Finding("memory", f"A {contents.kind} file is held in memory as a whole while it is read.")
+        yield Finding("memory", "A MATLAB 5 file is held in memory as a whole while it is read.")
 
 
 def _stamped(table: Table, signals: SignalMap) -> Table:

@@ -86,8 +86,10 @@ def _in_unit(turn: float, x: FloatArray) -> AngleLike | None:
 
 def is_count(x: FloatArray) -> bool:
     """Tell whether a column (N,) is a running count of its rows, with losses perhaps."""
+    if len(x) < _FEWEST or not np.isfinite(x).all():
+        return False
     steps = np.diff(x)
-    return len(x) >= _FEWEST and bool(np.all(x == np.rint(x))) and float(np.mean(steps == 1)) > _STEADY
+    return bool(np.all(x == np.rint(x))) and float(np.mean(steps == 1)) > _STEADY
 
 
 def likely_counts(turns: float, moved: float) -> list[tuple[int, int]]:

@@ -14,6 +14,8 @@ NAME = "drive_id"
 FLEET = ["distributed>=2024.1"]
 # For logs that are not bags: CSV and Parquet, MDF4, TDMS, HDF5 and MATLAB 7.3.
 CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
+# Programs that the tests read exported maps with.
+READERS = ['motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -70,7 +72,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "files/messages/signals.schema.json"]},
+    package_data={NAME: ["py.typed", "files/messages/signals.schema.json", "report/page/templates/*"]},
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[
@@ -93,7 +95,16 @@ setup(
     extras_require={
         "containers": CONTAINERS,
         "fleet": FLEET,
-        "test": ["hypothesis>=6.98", "jsonschema>=4.18", "pytest>=7.4", "pytest-xdist>=3.5", *CONTAINERS, *FLEET],
+        "test": [
+            "hypothesis>=6.98",
+            "jsonschema>=4.18",
+            "pytest>=7.4",
+            "pytest-xdist>=3.5",
+            "selenium>=4.16",
+            *CONTAINERS,
+            *FLEET,
+            *READERS,
+        ],
     },
     entry_points={"console_scripts": EXECUTABLES},
     zip_safe=False,

@@ -11,6 +11,9 @@ Names are loaded when they are first used, so that ``import drive_id`` takes no 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from drive_id.analysis.analyze import Analysis, analyze
+    from drive_id.analysis.machine import MachineModel
+    from drive_id.analysis.settings import AnalysisSettings
     from drive_id.bench.settings import SimulationSettings
     from drive_id.core.fit_settings import FitSettings
     from drive_id.core.result.identification import FluxMap
@@ -23,14 +26,16 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap", "Samples", "SimulationSettings", "fit",
-    "load", "read_bag", "simulate",
+    "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
+    "MachineModel", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag", "simulate",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> object:
     home: object
-    if name == "DriveIdError":
+    if name in ("Analysis", "AnalysisSettings", "MachineModel", "analyze"):
+        from drive_id.analysis import analyze as home
+    elif name == "DriveIdError":
         from drive_id import errors as home
     elif name in ("MachineMap", "Samples"):
         from drive_id import types as home

@@ -65,5 +65,8 @@ echo
 echo "4. The same recording, read without ROS by the command line:"
 drive-id info "$output/bag"
 echo
+drive-id report "$output/recording_full" --output "$output/recording_full/report.html"
+echo
 echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
-echo "$output/recording_psm, recording_full, live_full and live_joint: look at flux_map.png."
+echo "$output/recording_psm, recording_full, live_full and live_joint: look at flux_map.png,"
+echo "and open recording_full/report.html in a browser."

@@ -70,7 +70,8 @@ CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 
 ROOMS = {
     "drive_id": Room.of(
-        NOUNS | below("core", "fit_settings", "result") | {"drive_id.bench", "drive_id.fitting"}, set()
+        NOUNS | below("core", "fit_settings", "result") | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),
@@ -95,9 +96,12 @@ ROOMS = {
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
-    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.inspection"},
+        NOUNS
+        | LIBRARY
+        | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
@@ -111,13 +115,15 @@ ROOMS = {
     "drive_id.cli": Room.of(
         NOUNS
         | LIBRARY
-        | {"drive_id", "drive_id.analysis", "drive_id.fitting", "drive_id.inspection", "drive_id.report"},
+        | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"}
+        | {"drive_id.report"},
         {"typer", "rich", "yaml"},
     ),
 }
 
 UPWARD = {
     ("drive_id.fitting.result", "drive_id.report.plots"),  # Identification.plot() and .save() draw when they are called
+    ("drive_id.fitting.result", "drive_id.report.page.report"),  # likewise, Identification.report()
     ("drive_id.fitting.result", "matplotlib.figure"),  # the type of what plot() returns
 }
 """Single arrows against the table, each with its reason."""

@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import drive_id
+from drive_id.cli.analyze import analyze
 from drive_id.cli.check import check_log
+from drive_id.cli.compare import compare_results
 from drive_id.cli.convert import convert_log
+from drive_id.cli.exporting import export_result
+from drive_id.cli.importing import import_file
 from drive_id.cli.options import (
     BagsArgument,
     ClusterOption,
@@ -36,6 +40,7 @@ from drive_id.cli.options import (
     working,
 )
 from drive_id.cli.plan import plan_experiment
+from drive_id.cli.report import report_result
 from drive_id.errors import DriveIdError
 
 if TYPE_CHECKING:
@@ -162,6 +167,7 @@ def fit(
     cluster: ClusterOption = "",
     skip_bad: SkipFlag = False,
     figure_format: FigureFormatOption = FigureFormat.png,
+    report: Annotated[bool, typer.Option("--report", help="Write report.html into the result folder, too.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -179,7 +185,7 @@ def fit(
     stored = sources.stored_settings()
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
     with working(quiet or as_json) as tell:
-        draw = partial(pictures, figure_format=figure_format.value)
+        draw = partial(pictures, figure_format=figure_format.value, report=report)
         result = fit_bags(sources, output, chosen, force=force, draw=draw, tell=tell)
     if as_json:
         typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
@@ -329,6 +335,26 @@ app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
+app.command(epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80")(analyze)
+app.command(
+    name="report",
+    epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html",
+)(report_result)
+
+
+app.command(
+    name="import",
+    epilog="Example: drive-id import THOR.mat --output thor; drive-id import map.csv --axis sr --output my_motor",
+)(import_file)
+
+
+app.command(
+    name="export",
+    epilog="Example: drive-id export result --format motulator --output map.npz --grid 41 --range -300 300",
+)(export_result)
+
+
+app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
 
 
 @app.command()

@@ -17,6 +17,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
 from drive_id.core.result.torque import with_torque
@@ -209,11 +210,13 @@ def fit_bags(
         inputs=recording.digests,
         warnings=recording.warnings,
     )
-    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
-    if output is not None:
-        tell("Writing", None)
-        drawn = draw(result) if draw else {}
-        write_results(output, drive, provenance, force=force, pictures=drawn)
+    if output is None:
+        return Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
+    tell("Writing", None)
+    judged = diagnose(drive, settings, recording.validation, truth, evidence)
+    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp, judged)
+    drawn = draw(result) if draw else {}
+    write_results(output, drive, provenance, force=force, pictures=drawn, diagnostics=judged)
     return result
 
 

@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,14 +14,15 @@ import numpy as np
 
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
-from drive_id.files.results.identification import Provenance, read_results, write_results
+from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.caption import Caption
-from drive_id.types import BoolArray, FloatArray, GroundTruth, MachineMap, Samples
+from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.result.diagnostics import Diagnostics
     from drive_id.core.result.torque import TorqueFit
 
 _MARGIN = 1.25
@@ -68,6 +70,9 @@ class Identification:
         Of a simulation; None when the result was loaded.
     last_stamp : int
         Of the last sample, ns; 0 when the result was loaded.
+    stored : Diagnostics or None
+        Residuals, simulated currents and the paper's methods on the same data, where they are known already; see
+        :attr:`diagnostics`.
     """
 
     drive: IdentifiedDrive
@@ -75,6 +80,7 @@ class Identification:
     excerpts: tuple[Samples, ...] = ()
     truth: GroundTruth | None = None
     last_stamp: int = 0
+    stored: Diagnostics | None = None
 
     @property
     def method(self) -> str:
@@ -185,6 +191,15 @@ class Identification:
         report = {name: value for name, value in asdict(self.drive.report).items() if name != "warnings"}
         return {"nrmse_d": nrmse_d, "nrmse_q": nrmse_q} | report
 
+    @cached_property
+    def diagnostics(self) -> Diagnostics | None:
+        """Residuals, simulated currents and the paper's methods; None for a folder that was stored without them."""
+        if self.stored is not None or not self.excerpts:
+            return self.stored
+        from drive_id.core.result.diagnostics import diagnose  # noqa: PLC0415  # a loaded result does not need it
+
+        return diagnose(self.drive, self.provenance.settings, self.excerpts, self.truth)
+
     def save(self, directory: str | Path, *, force: bool = False, draw: bool = True) -> None:
         """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
 
@@ -203,7 +218,33 @@ class Identification:
             When the folder is not ours to write, or cannot be written.
         """
         drawn = pictures(self) if draw else {}
-        write_results(Path(directory), self.drive, self.provenance, force=force, pictures=drawn)
+        write_results(
+            Path(directory), self.drive, self.provenance, force=force, pictures=drawn, diagnostics=self.diagnostics
+        )
+
+    def report(self, path: str | Path, *, pdf: bool = False) -> tuple[Path, ...]:
+        """Write a report, as ``drive-id report`` does: one HTML file that needs nothing else.
+
+        Parameters
+        ----------
+        path : path
+            Of the HTML file; an earlier report is replaced.
+        pdf : bool
+            Write a PDF of the same name beside it, too.
+
+        Returns
+        -------
+        tuple of Path
+            The files that were written.
+
+        Raises
+        ------
+        OutputError
+            When something else is under this name, or it cannot be written.
+        """
+        from drive_id.report.page.report import write_report  # noqa: PLC0415  # matplotlib takes half a second
+
+        return write_report(self, Path(path), pdf=pdf)
 
     def plot(self) -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
@@ -255,19 +296,13 @@ class Identification:
             raise ConfigurationError(
                 "The result does not tell the number of pole pairs, which a simulation needs: give pole_pairs."
             )
+        from drive_id.core.maps.continuation import LongerGrid, typical_slope  # noqa: PLC0415  # a fit needs no scipy
+
         found = self.flux_map
-        i_d, i_q = (_reaching(axis, _MARGIN * self.i_max) for axis in (found.i_d, found.i_q))
-        known, places = _placed(found, i_d, i_q)
-
-        def whole(values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
-            from drive_id.core.maps.continuation import continued  # noqa: PLC0415  # a fit does not need it
-
-            placed = np.zeros(known.shape)
-            placed[places] = values
-            return continued(placed, known, (i_d, i_q), slopes)
-
-        slope_d, slope_q = (_typical_slope(found, axis) for axis in range(2))
-        psi_d, psi_q = whole(found.psi_d, (slope_d, 0.0)), whole(found.psi_q, (0.0, slope_q))
+        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
+        whole = longer.whole
+        psi_d = whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
+        psi_q = whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])
@@ -282,8 +317,8 @@ class Identification:
         enough = math.sqrt(3) * float(np.hypot(psi_d, psi_q).max()) * _ENOUGH_SPEED * math.pi / 30 * pairs
         return MachineMap(
             name=self.machine or "identified",
-            i_d=i_d,
-            i_q=i_q,
+            i_d=longer.i_d,
+            i_q=longer.i_q,
             psi_d=psi_d,
             psi_q=psi_q,
             resistance=max(self.resistance, 0.0),
@@ -337,46 +372,33 @@ def load(directory: str | Path) -> Identification:
         When it is not a result folder, is damaged, or was written by a newer version.
     """
     try:
-        return Identification(*read_results(Path(directory)))
+        drive, provenance = read_results(Path(directory))
+        return Identification(drive, provenance, stored=read_judged(Path(directory), drive.flux_map))
     except TypeError as error:  # of Path
         raise ConfigurationError(
             f"{directory!r:.60} is not the path of a result folder: give a str or Path."
         ) from error
 
 
-def pictures(result: Identification, *, figure_format: str = "png", name: str = "") -> Mapping[str, bytes]:
-    """Return the pictures of a result folder by file name; ``name`` stands for an unknown machine in the caption."""
+def pictures(
+    result: Identification, *, figure_format: str = "png", name: str = "", report: bool = False
+) -> Mapping[str, bytes]:
+    """Return the pictures of a result folder by file name, and the report if wanted.
+
+    ``name`` stands for an unknown machine in the caption.
+    """
     from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
-    return result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    found = result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
+    if report:
+        from drive_id.report.page.report import report_files  # noqa: PLC0415  # only a report needs plotly and jinja2
+
+        found |= report_files(result)
+    return found
 
 
 def _percent(*values: float) -> str:
     return " / ".join(f"{100 * value:.3f} %" for value in values) if all(map(math.isfinite, values)) else ""
-
-
-def _reaching(axis: FloatArray, reach: float) -> FloatArray:
-    """Return an axis with points of the same mean step added until it covers -reach to reach, A."""
-    step = (axis[-1] - axis[0]) / (len(axis) - 1)
-    before, after = (max(0, math.ceil((reach - end) / step)) for end in (-axis[0], axis[-1]))
-    return np.concatenate([axis[0] - step * np.arange(before, 0, -1), axis, axis[-1] + step * np.arange(1, after + 1)])
-
-
-def _placed(found: FluxMap, i_d: FloatArray, i_q: FloatArray) -> tuple[BoolArray, tuple[slice, slice]]:
-    """Return where a map has data on longer axes, and where its grid lies on them."""
-    starts = [int(np.searchsorted(axis, own[0])) for axis, own in ((i_d, found.i_d), (i_q, found.i_q))]
-    places = (slice(starts[0], starts[0] + len(found.i_d)), slice(starts[1], starts[1] + len(found.i_q)))
-    known = np.zeros((len(i_d), len(i_q)), np.bool_)
-    known[places] = found.inside
-    return known, places
-
-
-def _typical_slope(found: FluxMap, axis: int) -> float:
-    """Return the median slope of psi_d over i_d (axis 0) or of psi_q over i_q (axis 1) where there are data, H."""
-    psi, current = (found.psi_d, found.i_d) if axis == 0 else (found.psi_q, found.i_q)
-    both = np.take(found.inside, range(1, len(current)), axis) & np.take(found.inside, range(len(current) - 1), axis)
-    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
-    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
 
 
 def _angles(orders: Sequence[int]) -> FloatArray:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
+from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
@@ -311,10 +312,11 @@ def _fit_live(
         last_stamp=stamp,
         warnings=snapshot.report.warnings,
     )
-    result = Identification(identification, provenance, excerpts, last_stamp=stamp)
+    judged = diagnose(identification, fit, excerpts, evidence=evidence)
+    result = Identification(identification, provenance, excerpts, last_stamp=stamp, stored=judged)
     draw = _draw(settings, "Live samples")
     drawn = draw(result) if draw else {}
-    write_results(output, identification, provenance, pictures=drawn)
+    write_results(output, identification, provenance, pictures=drawn, diagnostics=judged)
     return replace(_reply(result, output, snapshot.report), refit=refit)
 
 

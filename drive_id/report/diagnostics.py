@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drive_id.core.result.diagnostics import drive_residual
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.validation.residuals import Flux, Residual, over_angle, residual_voltage
+from drive_id.core.validation.residuals import AngleBins, over_angle
 from drive_id.report.panels import (
     COLOURS,
     CURRENT,
@@ -49,7 +50,7 @@ def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]
     _draw_sigma(place(figure, 0.65, 5.75, 2.4, 2.5), disc)
     draw_inverter(place(figure, 4.4, 5.75, 2.6, 2.45), identification)
     _draw_along_axes(place(figure, 0.65, 3.2, 2.6, 1.85), place(figure, 4.4, 3.2, 2.6, 1.85), disc)
-    _draw_residual(place(figure, 0.65, 1.0, 6.35, 1.5), identification, samples)
+    draw_residual(place(figure, 0.65, 1.0, 6.35, 1.5), over_angle(drive_residual(identification, samples)))
     return figure
 
 
@@ -166,16 +167,14 @@ def _draw_section(axes: Axes, section: Section, component: str, label: str) -> N
         axes.fill_between(current, line - band, line + band, color=_COLOUR[component], alpha=0.25, linewidth=0)
 
 
-def _draw_residual(axes: Axes, identification: IdentifiedDrive, samples: Sequence[Samples]) -> None:
+def draw_residual(axes: Axes, bins: AngleBins) -> None:
     """Draw mean and rms of the voltage that the model leaves, over the electrical angle."""
     name(axes, "Residual voltage over the rotor position", "electrical angle / °", "residual / V")
     axes.set(xlim=(0, 360), xticks=range(0, 361, 60))
     _grid(axes)
-    found = _residual(identification, samples)
-    if not len(found.angle):
+    if not np.isfinite(bins.mean).any():
         _say(axes, "no samples")
         return
-    bins = over_angle(found)
     degrees = np.rad2deg(bins.angle)
     for number, component in enumerate("dq"):
         colour, dashes = _COLOUR[component], _DASHES[component]
@@ -194,36 +193,6 @@ def _draw_residual(axes: Axes, identification: IdentifiedDrive, samples: Sequenc
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.2 * (high - low))
     axes.legend(fontsize=SMALL, loc="upper right", frameon=False, ncols=4)
-
-
-def _residual(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Residual:
-    """Return the residual voltage of all samples, the sensor faults that were found corrected."""
-    drop = identification.phase_voltages
-    curve = (identification.inverter_current, identification.inverter_voltage if drop is None else drop)
-    if identification.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
-
-        samples = [corrected(part, identification.calibrations) for part in samples]
-    found = [residual_voltage(part, _flux(identification), identification.resistance, curve) for part in samples]
-    empty = Residual(np.zeros(0), np.zeros((0, 2)))
-    return Residual(*(np.concatenate(arrays) for arrays in zip(empty, *found, strict=True)))
-
-
-def _flux(identification: IdentifiedDrive) -> Flux:
-    """Return the identified flux over current and angle, rotor-position harmonics included."""
-    disc = Disc(identification.flux_map, identification.i_max)
-
-    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        psi = identification.flux(i_dq)
-        for harmonic in identification.harmonics:
-            for wave, part in ((np.cos, "cos"), (np.sin, "sin")):
-                swing = wave(harmonic.order * angle)
-                for axis, component in enumerate("dq"):
-                    amplitude = disc.sampled(getattr(harmonic, f"psi_{component}_{part}"), *i_dq.T)
-                    psi[:, axis] += amplitude * swing
-        return psi
-
-    return flux
 
 
 def _grid(axes: Axes) -> None:

@@ -69,17 +69,12 @@ class Disc:
 
     def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray, beyond: float | None = None) -> FloatArray:
         """Interpolate bilinearly; beyond the axes the value at their end, or another one."""
-        axes = self.flux_map.i_d, self.flux_map.i_q
-        d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in zip((i_d, i_q), axes, strict=True))
-        m, n = (np.minimum(x.astype(np.int64), len(axis) - 2) for x, axis in zip((d, q), axes, strict=True))
-        t, s = d - m, q - n
-        low = (1 - s) * values[m, n] + s * values[m, n + 1]
-        high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
-        out = (1 - t) * low + t * high
+        out = self.flux_map.sampled(values, i_d, i_q)
         if beyond is not None:
+            axes = self.flux_map.i_d, self.flux_map.i_q
             off = [(x < axis[0]) | (x > axis[-1]) for x, axis in zip((i_d, i_q), axes, strict=True)]
             out[off[0] | off[1]] = beyond
-        return np.asarray(out)
+        return out
 
 
 def _depth(area: BoolArray) -> IntArray:
@@ -150,6 +145,27 @@ def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = 
             zorder=_LINES,
         )  # fmt: skip
         _label_levels(contours, disc)
+
+
+def draw_field(axes: Axes, disc: Disc, values: FloatArray, title: str, *, symmetric: bool = False) -> None:
+    """Draw any quantity (D, Q) over the disc as filled contours; ``symmetric``: with white at zero."""
+    frame(axes, disc)
+    name(axes, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    known = disc.known & np.isfinite(values)
+    if not known.any():
+        return
+    low, high = float(values[known].min()), float(values[known].max())
+    if symmetric:
+        high = max(abs(low), abs(high))
+        low = -high
+    steps = levels(low, high, 20)
+    if len(steps) < 2 or steps[-1] <= steps[0]:
+        return
+    field = disc.field(np.clip(continued(values, known), steps[0], steps[-1]))
+    filled = axes.contourf(
+        disc.axis, disc.axis, field.T, levels=steps, cmap="RdBu_r" if symmetric else COLOURS, zorder=_FILL
+    )
+    add_colour_bar(axes, filled, levels(low, high, 11))
 
 
 def frame(axes: Axes, disc: Disc) -> None:

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from drive_id.core import frames
+from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.fitting.caption import NO_CAPTION, Caption
 from drive_id.report.diagnostics import draw_diagnostics, draw_inverter
@@ -95,12 +95,7 @@ def draw_result(
 
 def trajectory(samples: Sequence[Samples]) -> FloatArray | None:
     """Return the measured i_dq (N, 2), A, of at most some 30000 samples, with a NaN after each run; None without."""
-    pieces, every = [], 1 + sum(map(len, samples)) // _MOST_POINTS
-    for part in samples:
-        i_dq = frames.to_dq(part.i_abc, part.angle)
-        for run in part.runs():
-            pieces += [i_dq[run][::every], np.full((1, 2), np.nan)]
-    return np.concatenate(pieces) if pieces else None
+    return thinned_trajectory(samples, _MOST_POINTS) if samples else None
 
 
 def add_caption(figure: Figure, caption: Caption) -> None:

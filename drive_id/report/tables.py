@@ -9,9 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from drive_id.analysis.analyze import Figure
     from drive_id.core.planning.planner import Plan
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
@@ -23,6 +24,8 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 def fit_table(fit: Identification) -> Table:
     """Lay out a result: values, standard errors, and the ground truth where the recording carries it."""
     identification, report, truth, known = fit.drive, fit.drive.report, fit.truth, fit.provenance
+    if identification.method == "imported":
+        return _imported_table(fit)
     numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
     table = _table(f"Identified drive, method {identification.method}", ["Quantity"], numbers)
 
@@ -71,6 +74,19 @@ def fit_table(fit: Identification) -> Table:
     row("Experiment", ", ".join(_experiment(known)))
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
     row("Gaps", str(report.gaps))
+    return table
+
+
+def _imported_table(imported: Identification) -> Table:
+    """Lay out an imported map: what is known of the machine."""
+    drive = imported.drive
+    table = _table("Imported map", ["Quantity"], ["Value"])
+    known = math.isfinite(drive.resistance)
+    table.add_row("R", _number(drive.resistance * 1e3, "mohm", 6) if known else "unknown")
+    table.add_row("Machine", ", ".join(_experiment(imported.provenance)))
+    table.add_row(f"Disc of {drive.i_max:.4g} A covered", f"{100 * drive.report.coverage:.1f} %")
+    table.add_row("Points read", str(drive.report.samples_read))
+    table.add_row("Rotor-position harmonics", ", ".join(str(h.order) for h in drive.harmonics) or "none")
     return table
 
 
@@ -139,6 +155,27 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     for file, digest in found.digests.items():
         table.add_row(escape(file), f"sha256 {digest[:16]}...")
     return table
+
+
+def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
+    """Lay out the single numbers of an analysis with their standard errors."""
+    table = _table(f"Analysis of {name}", ["Quantity"], ["Value", "Std. error", ""])
+    for quantity, figure in figures.items():
+        value, sigma, unit = figure.value, figure.sigma, figure.unit
+        if unit in _SHOWN:
+            factor, unit = _SHOWN[unit]
+            value, sigma = factor * value, factor * sigma
+        shown = f"{value:.5g} {unit.removeprefix('1')}".rstrip() if math.isfinite(value) else "unknown"
+        error = f"{sigma:.2g} {unit.removeprefix('1')}".rstrip() if math.isfinite(sigma) else ""
+        table.add_row(quantity.replace("_", " "), shown, error, "" if figure.inside else "outside the data")
+    return table
+
+
+_SHOWN = {
+    "ohm": (1e3, "mohm"), "Wb": (1e3, "mWb"), "H": (1e3, "mH"), "rad": (180 / math.pi, "deg"),
+    "rad/s": (30 / math.pi, "rpm"),
+}  # fmt: skip
+"""Factor and name of the unit in which a quantity is shown."""
 
 
 def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:

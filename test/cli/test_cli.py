@@ -24,7 +24,7 @@ from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import Topics, write_recording
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
-RESULTS = ["diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
+RESULTS = ["diagnostics.npz", "diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
 """Of a machine with rotor-position harmonics."""
 JOINT = ("--method", "joint")
 """Where the method is not the point: a fit in a tenth of the time."""
@@ -545,7 +545,7 @@ def test_the_format_of_the_pictures_is_an_option(run, bag):
     for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
         assert run("fit", bag, "--output", "results", "--method", "psm", "--figure-format", figure_format).code == 0
         pictures = [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
-        assert tree(Path("results")) == sorted([*pictures, "flux_map.npz", "identification.json"])
+        assert tree(Path("results")) == sorted([*pictures, "diagnostics.npz", "flux_map.npz", "identification.json"])
         assert all((Path("results") / name).read_bytes().startswith(start) for name in pictures)
     assert run("fit", bag, "--output", "other", "--figure-format", "bmp").code == 2
 
@@ -788,3 +788,36 @@ def test_plans_that_cannot_be(run):
     Path("mine.yaml").write_text("mine: true")
     assert_one_sentence(run("plan", "--machine", "ipm", "--output", "mine.yaml"), "mine.yaml")
     assert Path("mine.yaml").read_text() == "mine: true"
+
+
+# -- reports -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
+    assert run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet").code == 0
+    assert "report.html" in tree(Path("results"))
+    assert run("report", "results", "--output", "elsewhere/mine.html").out == "Report in elsewhere/mine.html\n"
+    assert "<title>Identified drive: ipm</title>" in Path("elsewhere/mine.html").read_text(encoding="utf-8")
+    assert json.loads(run("report", "results", "--output", "elsewhere/mine.html", "--json").out) == {
+        "report": ["elsewhere/mine.html"],
+        "warnings": [],
+    }
+    assert run("fit", bag, *JOINT, "--output", "results", "--quiet").code == 0
+    assert "report.html" not in tree(Path("results"))
+
+
+def test_a_report_is_refused_in_one_sentence(run, fitted):
+    fitted.save("results", draw=False)
+    Path("notes.html").write_text("mine")
+    assert_one_sentence(run("report", "results", "--output", "notes.html"), "notes.html exists already")
+    assert_one_sentence(run("report", "results", "--output", "report.pdf"), "ends with .html")
+    assert_one_sentence(run("report", "nothing", "--output", "r.html"), "not a result folder")
+    Path("results/diagnostics.npz").write_bytes(b"PK")
+    assert_one_sentence(run("report", "results", "--output", "r.html"), "diagnostics.npz is damaged")
+    assert tree(Path()) == sorted(
+        [
+            "notes.html",
+            "results",
+            *(f"results/{name}" for name in RESULTS if not name.endswith("png") and "harm" not in name),
+        ]
+    )

@@ -144,7 +144,7 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     for reply in (live, recorded):
         assert reply.flux_map.header.frame_id == "drive"
         assert {path.name for path in Path(reply.output).iterdir()} == {
-            "identification.json", "flux_map.npz", "flux_map.png", "diagnostics.png"
+            "identification.json", "flux_map.npz", "diagnostics.npz", "flux_map.png", "diagnostics.png"
         }  # fmt: skip
         assert len(reply.flux_map.inverter_current) == len(reply.flux_map.inverter_voltage) > 0
     last = int(simulation.samples.stamp[-1])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
@@ -19,8 +22,8 @@ def continued(
 
     Parameters
     ----------
-    values : (D, Q) float
-        Only those that are known count.
+    values : (D, Q) or (K, D, Q) float
+        One array or several; only the values that are known count.
     known : (D, Q) bool
         At least one.
     axes : ((D,), (Q,)) of float
@@ -29,20 +32,71 @@ def continued(
 
     Returns
     -------
-    (D, Q) float
+    (D, Q) or (K, D, Q) float
         The known values, and around them those whose distances r from a plane of the given slopes minimize the sum of
         squared second differences of r plus its squared first differences over the square of :data:`REACH`.
     """
     plane = slopes[0] * axes[0][:, None] + slopes[1] * axes[1]
     operators = []
     for order, weight in ((1, 1 / REACH), (2, 1.0)):
-        for axis, count in enumerate(values.shape):
+        for axis, count in enumerate(known.shape):
             along = sparse.csr_array(weight * np.diff(np.eye(count), order, axis=0))
-            other = sparse.eye_array(values.shape[1 - axis])
+            other = sparse.eye_array(known.shape[1 - axis])
             operators.append(sparse.kron(along, other) if axis == 0 else sparse.kron(other, along))
     stacked = sparse.csc_array(sparse.vstack(operators))
-    free, residual = ~known.ravel(), np.where(known, values - plane, 0.0).ravel()
+    several = values.reshape(-1, *known.shape)
+    free, residual = ~known.ravel(), np.where(known, several - plane, 0.0).reshape(len(several), -1).T
     if free.any():
         unknown = stacked[:, free]
-        residual[free] = spsolve(sparse.csc_array(unknown.T @ unknown), -(unknown.T @ (stacked @ residual)))
-    return np.where(known, values, plane + residual.reshape(values.shape))
+        solved = spsolve(sparse.csc_array(unknown.T @ unknown), -(unknown.T @ (stacked @ residual)))
+        residual[free] = solved.reshape(-1, len(several))
+    return np.where(known, values, plane + residual.T.reshape(values.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class LongerGrid:
+    """A grid that contains that of a map and reaches farther.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        Longer axes, A.
+    known : (D, Q) bool
+        Where the map has data.
+    places : (slice, slice)
+        Where its own grid lies.
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    known: BoolArray
+    places: tuple[slice, slice]
+
+    @classmethod
+    def around(cls, i_d: FloatArray, i_q: FloatArray, inside: BoolArray, reach: float) -> LongerGrid:
+        """Add points of the same mean step until both axes cover -reach to reach, A."""
+        longer = [_reaching(axis, reach) for axis in (i_d, i_q)]
+        starts = [int(np.searchsorted(axis, own[0])) for axis, own in zip(longer, (i_d, i_q), strict=True)]
+        places = (slice(starts[0], starts[0] + len(i_d)), slice(starts[1], starts[1] + len(i_q)))
+        known = np.zeros((len(longer[0]), len(longer[1])), np.bool_)
+        known[places] = inside
+        return cls(longer[0], longer[1], known, places)
+
+    def whole(self, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+        """Return values (..., d, q) on the own grid, continued to this one (..., D, Q), see :func:`continued`."""
+        placed = np.zeros((*values.shape[:-2], *self.known.shape))
+        placed[..., self.places[0], self.places[1]] = values
+        return continued(placed, self.known, (self.i_d, self.i_q), slopes)
+
+
+def typical_slope(psi: FloatArray, current: FloatArray, inside: BoolArray, axis: int) -> float:
+    """Return the median slope of a flux (D, Q), Wb, along an axis with currents, A, where there are data, H."""
+    both = np.take(inside, range(1, len(current)), axis) & np.take(inside, range(len(current) - 1), axis)
+    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
+    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
+
+
+def _reaching(axis: FloatArray, reach: float) -> FloatArray:
+    step = (axis[-1] - axis[0]) / (len(axis) - 1)
+    before, after = (max(0, math.ceil((reach - end) / step)) for end in (-axis[0], axis[-1]))
+    return np.concatenate([axis[0] - step * np.arange(before, 0, -1), axis, axis[-1] + step * np.arange(1, after + 1)])

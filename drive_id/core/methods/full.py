@@ -14,10 +14,11 @@ from drive_id.core.full.effect_report import effect_entries, misfit_warning, not
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import FLUX_CELLS, MAGNET, SENSOR_ORDERS, FullModel
+from drive_id.core.full.model import FLUX_CELLS, MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
+from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
 from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Gathered, Limits, SimulationModel, Sums
 from drive_id.core.methods.paper import regression_sums
@@ -119,6 +120,7 @@ class FullMethod:
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
             fit=EarlierFit.of(fit),
+            error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
 
 
@@ -242,6 +244,23 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
     return drops, fitted_sigma(forms.T @ fit.changes)
+
+
+def _error_modes(
+    frame: TrueFrame, grid: FloatArray, inside: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
+) -> ErrorModes | None:
+    """Return the joint errors; ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A."""
+    fit = frame.fit
+    columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
+    curve = np.zeros((len(current), fit.changes.shape[1]))
+    if fit.spec.inverter:
+        curve += shapes @ fit.changes[columns].mean(axis=1)
+    others = np.concatenate([fit.changes[[RESISTANCE]], curve[-1:], curve])
+    errors = np.concatenate([[fit.sigma_resistance], drops[-1:], drops])
+    rows = fit.model.flux.rows(rotated(grid[inside], -frame.angle))
+    return error_modes(
+        fit.changes[fit.model.map], rows, sigma, inside, (others, errors), lambda psi: rotated(psi, frame.angle)
+    )
 
 
 def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray) -> tuple[str, ...]:

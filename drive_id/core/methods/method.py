@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits
+from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.maps.flux_models import FluxModel, TensorSpline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
@@ -130,6 +131,8 @@ class Estimate:
         See ``IdentifiedDrive``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
     fit : EarlierFit or None
         What a fit of further samples can take over; only of method ``full``.
+    error_modes : ErrorModes or None
+        The joint errors; None when the standard errors are not known.
     """
 
     resistance: float
@@ -161,6 +164,7 @@ class Estimate:
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[str, ...] = ()
     fit: EarlierFit | None = None
+    error_modes: ErrorModes | None = None
 
 
 class Method(Protocol):

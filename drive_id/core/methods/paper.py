@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline, extend
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
@@ -102,6 +103,7 @@ class PaperMethod:
             unexplained=float(solution.residual_rms / rms),
             outlying_time=_outlying_time(blocks, information.block_duration, solution),
             warnings=(*_on_noise(evidence), *self._on_inverter(evidence, solution, spread, inside)),
+            error_modes=_error_modes(information, spread, grid, inside, error, curve),
         )
 
     def _on_inverter(
@@ -162,6 +164,23 @@ def _sigma(model: FluxModel, spread: Jackknife, i_dq: FloatArray) -> FloatArray:
         part = slice(start, start + _AT_A_TIME)
         out[part] = np.linalg.norm(model.rows(i_dq[part]).dense(model.parameters) @ spread.gamma.T, axis=-1)
     return out
+
+
+def _error_modes(
+    information: RegressionSums,
+    spread: Jackknife,
+    grid: FloatArray,
+    inside: BoolArray,
+    error: FloatArray,
+    current: FloatArray,
+) -> ErrorModes | None:
+    """Return the joint errors; ``error`` (D, Q, 2) are the standard errors of the fluxes, Wb."""
+    if not spread.known:
+        return None
+    curve = information.shape(current)[:, None] * spread.voltage_error
+    others = np.concatenate([spread.resistance[None], spread.voltage_error[None], curve])
+    errors = np.linalg.norm(others, axis=1)
+    return error_modes(spread.gamma.T, information.model.rows(grid[inside]), error, inside, (others, errors))
 
 
 def _positive_definite(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> BoolArray:

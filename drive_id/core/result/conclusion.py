@@ -19,6 +19,7 @@ from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import review, unexplained_sentence
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
+from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
 from drive_id.types import Samples
 
@@ -28,12 +29,13 @@ if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """An identified drive, and what a conclusion from further samples takes over: selection, MAD, whether it judges."""
+    """An identified drive, and what a conclusion from further samples takes over: selection, MAD and its excerpt."""
 
     drive: IdentifiedDrive
     fit: EarlierFit | None
     mad: tuple[float, float]  # A
-    judged: bool
+    judged: bool  # whether the MAD judges the model
+    simulated: SimulatedCurrent | None = None
 
 
 def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDrive:
@@ -86,7 +88,10 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         sigma_q=estimate.sigma[..., 1],
         inside=inside,
     )
-    mad, complete = (earlier.mad, earlier.judged) if earlier else _mad(validation, estimate)
+    if earlier:
+        mad, complete, simulated = earlier.mad, earlier.judged, earlier.simulated
+    else:
+        mad, complete, simulated = _mad(validation, estimate)
     report = FitReport(
         samples_read=evidence.samples,
         samples_used=estimate.samples_used,
@@ -121,18 +126,22 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         calibrations=estimate.calibrations,
         magnet_coefficient=estimate.magnet_coefficient,
         statements=estimate.statements,
+        error_modes=estimate.error_modes,
+        simulated=simulated,
     )
-    return Conclusion(drive, estimate.fit, mad, complete)
+    return Conclusion(drive, estimate.fit, mad, complete, simulated)
 
 
-def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[tuple[float, float], bool]:
-    """Return the MAD of i_d and i_q, A, and whether it judges the model.
+def _mad(
+    validation: Sequence[Samples], estimate: Estimate
+) -> tuple[tuple[float, float], bool, SimulatedCurrent | None]:
+    """Return the MAD of i_d and i_q, A, whether it judges the model, and an excerpt of the simulated current.
 
     The samples are corrected for the sensor faults and effects that were found, as far as the effects are known for
     these samples.
     """
     if not validation:
-        return (float("nan"), float("nan")), False
+        return (float("nan"), float("nan")), False, None
     pieces, complete = validation, True
     if estimate.calibrations:
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
@@ -147,4 +156,5 @@ def _mad(validation: Sequence[Samples], estimate: Estimate) -> tuple[tuple[float
         for piece in pieces
     ]
     measured = [frames.to_dq(piece.i_abc, piece.angle) for piece in pieces]
-    return mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured)), complete
+    mad = mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured))
+    return mad, complete, simulated_current(pieces, simulated, measured)

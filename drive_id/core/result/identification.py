@@ -16,8 +16,10 @@ if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from scipy.interpolate import RectBivariateSpline
 
     from drive_id.core.full.calibration import Calibration
+    from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
     from drive_id.core.result.torque import TorqueFit
+    from drive_id.core.validation.simulated_current import SimulatedCurrent
 
 Outside = Literal["nan", "raise"]
 
@@ -135,6 +137,15 @@ class FluxMap:
         What the map holds outside the data is a continuation for simulations, not a measurement.
         """
         return self._evaluated(i_dq, (0, 0))
+
+    def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
+        d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in ((i_d, self.i_d), (i_q, self.i_q)))
+        m, n = (np.minimum(x.astype(np.int64), len(axis) - 2) for x, axis in ((d, self.i_d), (q, self.i_q)))
+        t, s = d - m, q - n
+        low = (1 - s) * values[m, n] + s * values[m, n + 1]
+        high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
+        return np.asarray((1 - t) * low + t * high)
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
@@ -275,7 +286,7 @@ class IdentifiedDrive:
     Parameters
     ----------
     method : str
-        ``psm``, ``joint`` or ``full``.
+        ``psm``, ``joint`` or ``full``; ``imported`` for a map of another tool.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance, sigma_resistance : float
@@ -304,6 +315,11 @@ class IdentifiedDrive:
         What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     torque : TorqueFit or None
         The recorded shaft torque against that of the map.
+    error_modes : ErrorModes or None
+        Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
+        that did not keep them.
+    simulated : SimulatedCurrent or None
+        Where the MAD comes from; None when the result was read from files.
     """
 
     method: str
@@ -325,11 +341,13 @@ class IdentifiedDrive:
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
+    error_modes: ErrorModes | None = None
+    simulated: SimulatedCurrent | None = None
 
     @property
     def has_inverter(self) -> bool:
-        """Whether the method models the inverter's drop: all but ``psm``."""
-        return self.method != "psm"
+        """Whether the method models the inverter's drop: all but ``psm``; an imported map has none."""
+        return self.method not in ("psm", "imported")
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

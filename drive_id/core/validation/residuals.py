@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.types import FloatArray, Samples
+from drive_id.types import FloatArray, IntArray, Samples
 
 Flux = Callable[[FloatArray, FloatArray], FloatArray]
 """Returns psi_dq (W, 2), Wb, at currents i_dq (W, 2), A, and electrical angles (W,), rad."""
@@ -31,6 +31,19 @@ class Residual(NamedTuple):
     """(W,) electrical angle at the middle of each window, rad, not wrapped."""
     voltage: FloatArray
     """(W, 2) commanded minus explained voltage, d and q at that angle, V."""
+    time: FloatArray
+    """(W,) time of data at the middle of each window, s: gaps are left out."""
+
+
+class TimeBins(NamedTuple):
+    """Statistics over T equal bins of the time of data; NaN in empty bins."""
+
+    time: FloatArray
+    """(T,) centres, s."""
+    mean: FloatArray
+    """(T, 2), V."""
+    rms: FloatArray
+    """(T, 2), V; of everything in the bin, its mean included."""
 
 
 class AngleBins(NamedTuple):
@@ -86,7 +99,7 @@ def residual_voltage(
     at_samples, between = drop_s(samples.i_abc), drop_s((samples.i_abc[1:] + samples.i_abc[:-1]) / 2)
     loss = resistance * (i_s[1:] + i_s[:-1]) / 2 + (at_samples[1:] + at_samples[:-1] + 4 * between) / 6
     balance = np.append(0j, np.cumsum(period * (u_s[:-1] - loss)))
-    angles, voltages = [np.zeros(0)], [np.zeros((0, 2))]
+    angles, voltages, times = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0)]
     for run in samples.runs():
         turn = float(np.abs(samples.speed[run]).mean()) * period
         length = max(1, int(min(span / turn if turn else np.inf, _LONGEST / period)))
@@ -99,7 +112,8 @@ def residual_voltage(
         residual = np.diff(balance[ends] - psi_s) / (length * period)
         angles.append(middle)
         voltages.append(frames.as_pairs(residual * np.exp(-1j * middle)))
-    return Residual(np.concatenate(angles), np.concatenate(voltages))
+        times.append(period * (ends[:-1] + ends[1:]) / 2)
+    return Residual(np.concatenate(angles), np.concatenate(voltages), np.concatenate(times))
 
 
 def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
@@ -113,10 +127,32 @@ def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
     """
     angle = residual.angle % (2 * np.pi)
     place = np.minimum((angle / (2 * np.pi) * bins).astype(np.int64), bins - 1)
+    count, mean, rms = _binned(place, residual.voltage, bins)
+    centre, found = (np.arange(bins) + 0.5) * 2 * np.pi / bins, np.bincount(place, angle, bins) / count
+    return AngleBins(np.where(np.isnan(count), centre, found), mean, rms)
+
+
+def over_time(residual: Residual, bins: int = 400) -> TimeBins:
+    """Average a residual in equal bins of the time of data.
+
+    Parameters
+    ----------
+    residual : Residual
+    bins : int
+        Fewer when there are not at least eight windows for each.
+    """
+    windows = len(residual.time)
+    bins = max(1, min(bins, windows // 8))
+    end = float(residual.time.max(initial=0.0)) or 1.0
+    place = np.minimum((residual.time / end * bins).astype(np.int64), bins - 1)
+    _, mean, rms = _binned(place, residual.voltage, bins)
+    return TimeBins((np.arange(bins) + 0.5) * end / bins, mean, rms)
+
+
+def _binned(place: IntArray, voltage: FloatArray, bins: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return count (B,), mean (B, 2) and rms (B, 2) of voltages (W, 2) in the bins they fall into; NaN where empty."""
     count = np.bincount(place, minlength=bins).astype(np.float64)
     count[count == 0] = np.nan
-    centre, found = (np.arange(bins) + 0.5) * 2 * np.pi / bins, np.bincount(place, angle, bins) / count
-    of_axes = residual.voltage.T
-    mean = np.stack([np.bincount(place, values, bins) / count for values in of_axes], axis=1)
-    rms = np.sqrt(np.stack([np.bincount(place, values**2, bins) / count for values in of_axes], axis=1))
-    return AngleBins(np.where(np.isnan(count), centre, found), mean, rms)
+    mean = np.stack([np.bincount(place, values, bins) / count for values in voltage.T], axis=1)
+    rms = np.sqrt(np.stack([np.bincount(place, values**2, bins) / count for values in voltage.T], axis=1))
+    return count, mean, rms

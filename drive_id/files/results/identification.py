@@ -22,14 +22,18 @@ import numpy as np
 
 import drive_id
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.result.diagnostics import Diagnostics
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
+from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, MARKER, is_ours, replace_folder
 from drive_id.settings import from_mapping
 
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
+_PICTURES |= {"report.html", "report.pdf"}
 _NPZ, _HARMONICS = "flux_map.npz", "harmonics.npz"
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 _UNITS = {
@@ -37,6 +41,8 @@ _UNITS = {
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
+_MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
+"""Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
 _DAMAGE = (
     DriveIdError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError,
     RecursionError, NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
@@ -92,6 +98,7 @@ def write_results(
     *,
     force: bool = False,
     pictures: Mapping[str, bytes] | None = None,
+    diagnostics: Diagnostics | None = None,
 ) -> None:
     """Write the result files of a fit, and pictures beside them.
 
@@ -105,6 +112,8 @@ def write_results(
         Write into a folder that holds other files.
     pictures : mapping of str to bytes, optional
         Further files by name.
+    diagnostics : Diagnostics, optional
+        Residuals, simulated currents and the paper's methods, for reports.
 
     Raises
     ------
@@ -114,7 +123,9 @@ def write_results(
     tree = results_tree(identification, provenance)
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
-    files = {_NPZ: _flux_map(identification, provenance), **harmonics, **(pictures or {}), MARKER: text.encode()}
+    judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
+    found = {_NPZ: _flux_map(identification, provenance), **harmonics, **judged}
+    files = {**found, **(pictures or {}), MARKER: text.encode()}
     stale = {name for name in _earlier(directory) if name not in files}
     replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
 
@@ -149,12 +160,31 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
             )
         flux_map = _read_flux_map(directory / _NPZ)
         harmonics = _read_harmonics(directory / _HARMONICS, flux_map.psi_d.shape) if tree["harmonics"] else ()
-        return _identification(tree, flux_map, harmonics), _provenance(tree, str(directory))
+        modes = _read_modes(directory / _NPZ, flux_map.psi_d.shape, len(tree["inverter_curve"]["current"]))
+        return _identification(tree, flux_map, harmonics, modes), _provenance(tree, str(directory))
     except ResultError:
         raise
     except _DAMAGE as error:
         raise ResultError(
             f"The result folder {directory} is damaged ({error!r:.99}): fit the recording again."
+        ) from error
+
+
+def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
+    """Read the diagnostics beside a result; None where there are none, as in folders of earlier versions.
+
+    Raises
+    ------
+    ResultError
+        When the file is damaged.
+    """
+    try:
+        return read_diagnostics(directory, flux_map.psi_d.shape)
+    except _DAMAGE as error:
+        reason = str(error) if isinstance(error, ResultError) else type(error).__name__
+        raise ResultError(
+            f"{directory / DIAGNOSTICS} is damaged ({reason}): delete it to use the result without it, or fit the "
+            "recording again."
         ) from error
 
 
@@ -215,7 +245,9 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
         "units": json.dumps(_UNITS),
     }
     arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
-    return _npz(arrays | scalars | texts)
+    modes = identification.error_modes
+    joint = {} if modes is None else {name: np.float32(getattr(modes, name[6:])) for name in _MODES}
+    return _npz(arrays | scalars | texts | joint)
 
 
 def _harmonics(identification: IdentifiedDrive) -> bytes:
@@ -257,6 +289,20 @@ def _read_flux_map(path: Path) -> FluxMap:
     return FluxMap(**arrays)
 
 
+def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes | None:
+    """Read the joint errors, which results of earlier versions do not have."""
+    with np.load(path, allow_pickle=False) as file:
+        if not any(name in file for name in _MODES):
+            return None
+        found = {name[6:]: np.asarray(file[name]) for name in _MODES}
+    count = len(found["resistance"])
+    shapes = {"psi_d": (count, *shape), "psi_q": (count, *shape), "inverter_voltage": (count, points)}
+    if any(x.shape != shapes.get(name, (count,)) or not np.isfinite(x).all() for name, x in found.items()):
+        raise ValueError(f"{_NPZ} has error modes that do not fit the map")
+    numbers = {name: found[name].astype(np.float64) for name in ("resistance", "inverter_voltage", "voltage_error")}
+    return ErrorModes(found["psi_d"].astype(np.float32), found["psi_q"].astype(np.float32), **numbers)
+
+
 def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
     with np.load(path, allow_pickle=False) as file:
         orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
@@ -265,7 +311,9 @@ def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ..
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
 
 
-def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...]) -> IdentifiedDrive:
+def _identification(
+    tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
+) -> IdentifiedDrive:
     from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
 
     curve, metrics = tree["inverter_curve"], tree["metrics"]
@@ -281,7 +329,7 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
     return IdentifiedDrive(
         method=str(tree["method"]),
         i_max=float(tree["i_max"]),
-        resistance=float(tree["resistance"]),
+        resistance=_number(tree["resistance"]),  # unknown in some imported maps
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
         voltage_error=float(tree["voltage_error"]),
         sigma_voltage_error=_number(tree["sigma_voltage_error"], np.inf),
@@ -299,6 +347,7 @@ def _identification(tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=tuple(map(str, tree["statements"])),
         torque=_torque(tree.get("torque")),
+        error_modes=modes,
     )
 
 
@@ -329,7 +378,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
 
 def _earlier(directory: Path) -> list[str]:
     """Return the optional files of an earlier result."""
-    return [_HARMONICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
+    return [_HARMONICS, DIAGNOSTICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
 
 
 def _number(value: float | None, unknown: float = np.nan) -> float:

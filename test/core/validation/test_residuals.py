@@ -12,7 +12,7 @@ from drive_bags import TRAJECTORY
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
-from drive_id.core.validation.residuals import Residual, over_angle, residual_voltage
+from drive_id.core.validation.residuals import Residual, over_angle, over_time, residual_voltage
 from drive_id.fitting.simulated import run_experiment
 
 CURRENT = np.linspace(-400.0, 400.0, 801)
@@ -116,7 +116,31 @@ def test_standstill_and_single_samples_are_no_reason_to_fail():
 def test_bins_hold_mean_and_rms_of_their_angles():
     angle = np.array([0.1, 0.2, 0.1 - 2 * np.pi, 3.2, 3.3])
     voltage = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [0.0, 2.0], [0.0, -2.0]])
-    bins = over_angle(Residual(angle, voltage), bins=4)
+    bins = over_angle(Residual(angle, voltage, np.zeros(5)), bins=4)
     np.testing.assert_allclose(bins.angle, [0.4 / 3, 3 * np.pi / 4, 3.25, 7 * np.pi / 4])
     np.testing.assert_allclose(bins.mean, [[2, 0], [np.nan] * 2, [0, 0], [np.nan] * 2])
     np.testing.assert_allclose(bins.rms, [[np.sqrt(14 / 3), 0], [np.nan] * 2, [0, 2], [np.nan] * 2])
+
+
+def test_bins_over_time_find_when_it_happened():
+    """A voltage error of 2 V in q for a tenth of the time, in data with a gap, which does not count as time."""
+    samples = synthetic.record(resistance=RESISTANCE, duration=1.0)
+    half = len(samples) // 2
+    gapped = replace(samples, stamp=samples.stamp + np.where(np.arange(len(samples)) < half, 0, 10**10))
+    gapped = replace(gapped, run_starts=np.array([0, half]))
+    time = np.arange(len(samples)) * samples.sample_period
+    wrong = (time > 0.7) & (time < 0.8)
+    added = frames.phases(2j * np.exp(1j * samples.angle)) * wrong[:, None]
+    bins = over_time(residual_voltage(replace(gapped, u_abc=gapped.u_abc + added), flux, RESISTANCE, NO_DROP), bins=20)
+    assert len(bins.time) == 20
+    assert bins.time[-1] == pytest.approx(0.975, abs=0.01)
+    inside = (bins.time > 0.71) & (bins.time < 0.79)
+    np.testing.assert_allclose(bins.mean[inside, 1], 2.0, rtol=0.1)
+    outside = (bins.time < 0.65) | (bins.time > 0.85)
+    assert np.abs(bins.mean[outside]).max() < 0.05
+    assert (bins.rms[inside, 1] > bins.rms[inside, 0]).all()
+
+
+def test_bins_over_time_of_nothing_are_empty():
+    bins = over_time(Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0)))
+    assert np.isnan(bins.mean).all()

@@ -40,7 +40,15 @@ def test_the_flux_map_is_as_agreed(written, fitted):
             "version", "units",
         )
     }  # fmt: skip
+    modes = {name.removeprefix("modes_"): arrays.pop(name) for name in list(arrays) if name.startswith("modes_")}
     assert set(arrays) == {"i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q", "inside"}
+    assert set(modes) == {"psi_d", "psi_q", "resistance", "inverter_voltage", "voltage_error"}
+    for name in ("psi_d", "psi_q"):
+        assert modes[name].dtype == np.float32
+        error = np.linalg.norm(modes[name], axis=0)
+        np.testing.assert_allclose(error, np.nan_to_num(arrays[name.replace("psi", "sigma")]), rtol=1e-5)
+    assert np.linalg.norm(modes["resistance"]) == pytest.approx(fitted.sigma_resistance, rel=1e-5)
+    assert np.linalg.norm(modes["voltage_error"]) == pytest.approx(fitted.sigma_voltage_error, rel=1e-5)
     assert (scalars["resistance"], scalars["i_max"], scalars["pole_pairs"], scalars["u_dc"]) == (
         fitted.resistance, fitted.i_max, 4, 400.0,
     )  # fmt: skip
@@ -66,6 +74,24 @@ def test_the_flux_map_is_as_agreed(written, fitted):
         both = np.diff(inside.astype(int), axis=axis) == 0
         rising = np.diff(arrays[name], axis=axis)[both & np.delete(inside, -1, axis)] > 0
         assert rising.mean() > 0.95, name
+
+
+def test_joint_errors_are_read_again_and_may_be_missing(written, fitted):
+    modes, again = fitted.drive.error_modes, read_results(written)[0].error_modes
+    for name in ("psi_d", "psi_q", "resistance", "inverter_voltage", "voltage_error"):
+        np.testing.assert_allclose(getattr(again, name), getattr(modes, name), rtol=1e-6, err_msg=name)
+    with np.load(written / "flux_map.npz") as file:
+        arrays = dict(file)
+    earlier = {name: values for name, values in arrays.items() if not name.startswith("modes_")}
+    np.savez(written / "flux_map.npz", **earlier)
+    assert read_results(written)[0].error_modes is None
+    for wrong in ({"modes_psi_d": arrays["modes_psi_d"][:, :5]}, {"modes_resistance": np.full(3, np.nan)}):
+        np.savez(written / "flux_map.npz", **arrays | wrong)
+        with pytest.raises(ResultError, match="error modes that do not fit"):
+            read_results(written)
+    np.savez(written / "flux_map.npz", **earlier, modes_psi_d=arrays["modes_psi_d"])
+    with pytest.raises(ResultError, match="is damaged"):
+        read_results(written)
 
 
 def test_the_identification_is_as_agreed(written, fitted, bag):

@@ -1,0 +1,133 @@
+"""Standard errors of derived figures, from the joint errors of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drive_id.analysis.surfaces import Surfaces
+from drive_id.core.maps.continuation import LongerGrid
+from drive_id.types import FloatArray
+
+if TYPE_CHECKING:
+    from drive_id.core.result.identification import IdentifiedDrive
+
+_ANY_CORRELATION = np.sqrt(2.0)
+"""Two errors of unknown correlation add up to at most this times the root of their squares."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrors:
+    """M independent causes of error, each by one standard error, on the grid of a continued map.
+
+    A figure that changes by c_k with cause k has the standard error ``sqrt(sum_k c_k^2)``.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        A.
+    psi_d, psi_q : (M, D, Q) float
+        Wb.
+    resistance : (M,) float
+        Ohm.
+    inverter_voltage : (M, C) float
+        V.
+    iron : (M,) float
+        Relative change of the iron loss.
+    joint : bool
+        Whether correlations are known. Otherwise each flux errs as a whole and errors add up as if they agreed; nothing
+        is known about slopes then.
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    resistance: FloatArray
+    inverter_voltage: FloatArray
+    iron: FloatArray
+    joint: bool
+
+    @classmethod
+    def of(cls, drive: IdentifiedDrive, longer: LongerGrid, *, warmer: float, magnet: float) -> ModelErrors | None:
+        """Return the errors of an identified drive; None when its standard errors are not known.
+
+        Parameters
+        ----------
+        drive : IdentifiedDrive
+        longer : LongerGrid
+            To which the map is continued.
+        warmer : float
+            Factor on the resistance by its temperature.
+        magnet : float
+            Kelvin by which the magnet is warmer than the map's temperature.
+        """
+        found, modes = drive.flux_map, drive.error_modes
+        if modes is not None:
+            fluxes = np.concatenate([modes.psi_d, modes.psi_q])
+            resistance, voltage = modes.resistance, modes.inverter_voltage
+        else:
+            sigmas = [np.where(found.inside, sigma, 0.0) for sigma in (found.sigma_d, found.sigma_q)]
+            if not np.isfinite(sigmas).all() or not np.any(sigmas):
+                return None
+            fluxes = np.zeros((8, *found.inside.shape))
+            fluxes[0], fluxes[5] = (_ANY_CORRELATION * sigma for sigma in sigmas)
+            resistance, voltage = np.zeros(4), np.zeros((4, len(drive.inverter_current)))
+            resistance[2] = _known(drive.sigma_resistance)
+            if drive.sigma_inverter_voltage is not None:
+                voltage[3] = _known(drive.sigma_inverter_voltage)
+        psi_d, psi_q = np.split(longer.whole(fluxes), 2)
+        own = cls(
+            longer.i_d, longer.i_q, psi_d, psi_q, warmer * resistance, voltage, np.zeros(len(resistance)),
+            modes is not None,
+        )  # fmt: skip
+        if magnet and drive.magnet_coefficient is not None:
+            own = own.with_cause(psi_d=magnet * float(_known(drive.magnet_coefficient[1])))
+        losses = [entry for entry in drive.calibrations if entry.name.startswith("iron_loss") and entry.applied]
+        for entry in losses:
+            own = own.with_cause(iron=float(_known(entry.sigma)) / entry.value if entry.value else 0.0)
+        return own
+
+    def __len__(self) -> int:
+        return len(self.resistance)
+
+    def with_cause(self, *, psi_d: float = 0.0, iron: float = 0.0) -> ModelErrors:
+        """Return these errors and one more cause: the same flux everywhere, Wb, or a share of the iron loss."""
+        shape = (1, *self.psi_d.shape[1:])
+        return ModelErrors(
+            self.i_d,
+            self.i_q,
+            np.concatenate([self.psi_d, np.full(shape, psi_d)]),
+            np.concatenate([self.psi_q, np.zeros(shape)]),
+            np.append(self.resistance, 0.0),
+            np.concatenate([self.inverter_voltage, np.zeros((1, self.inverter_voltage.shape[1]))]),
+            np.append(self.iron, iron),
+            self.joint,
+        )
+
+    @cached_property
+    def _surfaces(self) -> tuple[Surfaces, ...]:
+        pairs = zip(self.psi_d, self.psi_q, strict=True)
+        return tuple(Surfaces.over(self.i_d, self.i_q, psi_d, psi_q) for psi_d, psi_q in pairs)
+
+    def fluxes(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the changes of psi_dq (M, ..., 2), Wb, at currents (...), A."""
+        return np.stack([surface.values(i_d, i_q) for surface in self._surfaces])
+
+    def inductances(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the changes of the incremental inductances (M, ..., 2, 2), H; NaN without known correlations."""
+        slopes = np.stack([surface.slopes(i_d, i_q) for surface in self._surfaces])
+        return slopes if self.joint else np.full(slopes.shape, np.nan)
+
+
+def combined(changes: FloatArray) -> FloatArray:
+    """Return the standard error (...) of a figure with changes (M, ...)."""
+    return np.asarray(np.sqrt(np.sum(changes**2, axis=0)))
+
+
+def _known(value: FloatArray | float) -> FloatArray:
+    """Return a standard error, 0 where it is not known."""
+    return np.asarray(np.where(np.isfinite(value), value, 0.0))

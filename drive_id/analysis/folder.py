@@ -1,0 +1,194 @@
+"""Files of an analysis: ``analysis.json``, tables as CSV with a header row, and ``maps.npz``; SI units throughout."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import drive_id
+from drive_id.analysis.analyze import Analysis, SpeedRange
+from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.operation import Operation
+from drive_id.analysis.trajectories import Trajectory
+from drive_id.files.results.folder import replace_folder
+
+FORMAT, MARKER = "drive_id/analysis", "analysis.json"
+FORMAT_VERSION = 1
+_UNITS = {
+    "current": "A", "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "torque": "Nm", "speed": "rad/s, mechanical",
+    "voltage": "V", "power": "W", "u_dc": "V", "L": "H", "kp": "V/A", "ki": "V/(A s)", "losses": "W", "angle": "rad",
+    "resistance": "ohm",
+}  # fmt: skip
+_DIGITS = 12
+Columns = Mapping[str, Iterable[Any]]
+
+
+def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) -> None:
+    """Write all files of an analysis, or none.
+
+    Raises
+    ------
+    OutputError
+        See :func:`~drive_id.files.results.folder.replace_folder`.
+    """
+    text = json.dumps(analysis_tree(analysis), indent=1, allow_nan=False) + "\n"
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **analysis.maps.arrays())  # type: ignore[arg-type]  # numpy types them as bool
+    files = {name: _csv(columns) for name, columns in tables(analysis).items()}
+    replace_folder(
+        directory,
+        {**files, "maps.npz": stream.getvalue(), MARKER: text.encode()},
+        marker=MARKER,
+        kind=FORMAT,
+        force=force,
+    )
+
+
+def analysis_tree(analysis: Analysis) -> dict[str, Any]:
+    """Return the content of ``analysis.json``; numbers that are not finite become null."""
+    result, model, settings = analysis.result, analysis.model, analysis.settings
+    first = analysis.speed_ranges[0]
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "machine": result.machine,
+        "method": result.method,
+        "date": result.date,
+        "pole_pairs": model.pole_pairs,
+        "i_max": first.limits.i_max,
+        "u_dc": [entry.u_dc for entry in analysis.speed_ranges],
+        "u_max": [entry.limits.u_max for entry in analysis.speed_ranges],
+        "temperature": model.temperature,
+        "magnet_temperature": model.magnet_temperature,
+        "iron_loss": asdict(model.iron),
+        "figures": {
+            name: {
+                "value": _finite(figure.value), "sigma": _finite(figure.sigma), "unit": figure.unit,
+                "inside": figure.inside,
+            }
+            for name, figure in analysis.figures.items()
+        },
+        "statements": list(analysis.statements),
+        "warnings": list(result.warnings),
+        "settings": asdict(settings),
+        "files": [*tables(analysis), "maps.npz"],
+        "units": _UNITS,
+        "version": drive_id.__version__,
+    }  # fmt: skip
+
+
+def tables(analysis: Analysis) -> dict[str, Columns]:
+    """Return all tables by file name, each as columns by name."""
+    model = analysis.model
+    return {
+        "mtpa.csv": _trajectory(analysis.mtpa),
+        "mtpv.csv": _trajectory(analysis.mtpv),
+        "field_weakening.csv": _joined([_references(model, entry) for entry in analysis.speed_ranges]),
+        "torque_speed.csv": _joined([_envelope(model, entry) for entry in analysis.speed_ranges]),
+        "compensation.csv": _compensation(analysis),
+    }
+
+
+def _trajectory(points: Trajectory) -> Columns:
+    names = ("current", "i_d", "i_q", "psi_d", "psi_q", "torque", "sigma_torque", "sigma_angle", "inside")
+    return {name: getattr(points, name) for name in names}
+
+
+def _references(model: MachineModel, entry: SpeedRange) -> Columns:
+    points, errors = entry.references, entry.errors
+    flat = {
+        "torque": points.torque,
+        "speed": points.speed,
+        "i_d": points.stator[..., 0],
+        "i_q": points.stator[..., 1],
+        "voltage": points.voltage,
+    }
+    more = {
+        "requested_torque": np.broadcast_to(entry.requested, points.torque.shape),
+        "current": points.current,
+        "power": points.power,
+        "copper_loss": points.copper,
+        "iron_loss": points.iron,
+        "inverter_loss": points.inverter,
+        "efficiency": points.efficiency,
+        "sigma_torque": errors.torque,
+        "sigma_voltage": errors.voltage,
+        "sigma_losses": errors.losses,
+        "sigma_efficiency": errors.efficiency,
+        "inside": _inside(model, points),
+        "u_dc": np.full(points.torque.shape, entry.u_dc),
+    }
+    limit = {"limit": entry.limits.names(_flat(points))}
+    return {name: x.ravel() for name, x in flat.items()} | limit | {name: x.ravel() for name, x in more.items()}
+
+
+def _flat(points: Operation) -> Operation:
+    """Return points (S, N) as (S N,)."""
+    fields = {name: np.asarray(getattr(points, name)) for name in Operation.__dataclass_fields__}
+    vectors = ("i_dq", "stator", "u_dq")
+    return Operation(**{name: x.reshape(-1, 2) if name in vectors else x.ravel() for name, x in fields.items()})
+
+
+def _envelope(model: MachineModel, entry: SpeedRange) -> Columns:
+    points = entry.motoring
+    return {
+        "speed": points.speed,
+        "torque": points.torque,
+        "power": points.mechanical,
+        "sigma_torque": entry.sigma_torque,
+        "sigma_power": points.speed * entry.sigma_torque,
+        "i_d": points.stator[:, 0],
+        "i_q": points.stator[:, 1],
+        "current": points.current,
+        "voltage": points.voltage,
+        "limit": entry.limits.names(points),
+        "electrical_power": points.power,
+        "efficiency": points.efficiency,
+        "braking_torque": entry.braking.torque,
+        "inside": _inside(model, points),
+        "u_dc": np.full(len(points.speed), entry.u_dc),
+    }
+
+
+def _compensation(analysis: Analysis) -> Columns:
+    curve = analysis.compensation
+    sigma = np.full(len(curve.current), np.nan) if curve.sigma is None else curve.sigma
+    phases = {} if curve.phases is None else dict(zip(("phase_a", "phase_b", "phase_c"), curve.phases.T, strict=True))
+    return {"current": curve.current, "voltage": curve.voltage, "sigma_voltage": sigma, **phases}
+
+
+def _inside(model: MachineModel, points: Operation) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+
+
+def _joined(parts: Sequence[Columns]) -> Columns:
+    return {name: [entry for part in parts for entry in part[name]] for name in parts[0]}
+
+
+def _csv(columns: Columns) -> bytes:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow([_cell(entry) for entry in row])
+    return stream.getvalue().encode()
+
+
+def _cell(entry: Any) -> str:
+    if isinstance(entry, str):
+        return entry
+    if isinstance(entry, (bool, np.bool_)):
+        return str(int(entry))
+    return f"{float(entry):.{_DIGITS}g}"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,340 @@
+"""An identified drive as smooth functions of the current: what every analysis and export evaluates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drive_id.analysis.bands import ModelErrors, combined
+from drive_id.analysis.surfaces import Surfaces
+from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
+from drive_id.core.full.model import COPPER
+from drive_id.core.maps.continuation import LongerGrid, typical_slope
+from drive_id.core.result.identification import FluxMap
+from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from drive_id.fitting.result import Identification
+
+_MARGIN = 1.25
+"""Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
+_ANGLES = 180
+_FEWEST = 16
+"""Points with data from which a map can be continued."""
+
+
+@dataclass(frozen=True)
+class IronLoss:
+    """The current that iron loss takes along the induced voltage e at electrical speed omega.
+
+    ``i_fe = (conductance + hysteresis / abs(omega) + coercivity / abs(e)) e``; the map's current is the stator current
+    minus i_fe.
+
+    Parameters
+    ----------
+    conductance : float
+        S.
+    hysteresis : float
+        S rad/s.
+    coercivity : float
+        A.
+    """
+
+    conductance: float = 0.0
+    hysteresis: float = 0.0
+    coercivity: float = 0.0
+
+    @classmethod
+    def of(cls, result: Identification) -> IronLoss:
+        """Return what a fit identified, zero without."""
+        found = {entry.name: entry.value for entry in result.calibrations if entry.applied}
+        return cls(
+            conductance=found.get("iron_loss_conductance", 0.0),
+            hysteresis=found.get("iron_loss_hysteresis", 0.0),
+            coercivity=found.get("iron_loss_current", 0.0),
+        )
+
+    @property
+    def known(self) -> bool:
+        """Whether any was identified."""
+        return self != IronLoss()
+
+    def current(self, e_dq: FloatArray, speed: FloatArray) -> FloatArray:
+        """Return i_fe (..., 2), A, for induced voltages (..., 2), V, at electrical speeds (...), rad/s."""
+        size, turning = np.hypot(e_dq[..., 0], e_dq[..., 1]), np.abs(speed)
+        share = self.conductance + self.hysteresis / np.where(turning > 0, turning, np.inf)
+        share = share + self.coercivity / np.where(size > 0, size, np.inf)
+        return np.asarray(share[..., None] * e_dq)
+
+
+@dataclass(frozen=True, eq=False)
+class MachineModel:
+    """An identified drive as smooth functions of the current, continued beyond the data; build it by :meth:`of`.
+
+    Currents broadcast against each other to shape (...). Where :meth:`inside` is false, values are a continuation with
+    the typical slopes of the data; beyond the grid they are linear.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+        Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data.
+    i_max : float
+        Radius of the current disc of the experiment, A.
+    resistance : float
+        With the linear part of the inverter's drop, ohm.
+    pole_pairs, u_dc : int, float or None
+        None when unknown; what needs them raises.
+    inverter_current, inverter_voltage : (C,) float
+        The drop of one phase, V, over its current, A.
+    iron : IronLoss
+    temperature, magnet_temperature : float or None
+        Degrees Celsius; None: as in the experiment.
+    errors : ModelErrors or None
+        None when the standard errors are not known.
+    """
+
+    flux_map: FluxMap
+    i_max: float
+    resistance: float
+    pole_pairs: int | None
+    u_dc: float | None
+    inverter_current: FloatArray
+    inverter_voltage: FloatArray
+    iron: IronLoss = IronLoss()
+    temperature: float | None = None
+    magnet_temperature: float | None = None
+    errors: ModelErrors | None = None
+
+    @classmethod
+    def of(
+        cls,
+        result: Identification,
+        *,
+        temperature: float | None = None,
+        magnet_temperature: float | None = None,
+        pole_pairs: int | None = None,
+        u_dc: float | None = None,
+    ) -> MachineModel:
+        """Build the model of a result, fitted, loaded or imported.
+
+        Parameters
+        ----------
+        result : drive_id.Identification
+        temperature : float, optional
+            Of the winding, degrees Celsius: R follows copper from its value at 20 degrees. Default: R as identified.
+        magnet_temperature : float, optional
+            Degrees Celsius: psi_d follows the identified coefficient of the magnet, if there is one. Default:
+            ``temperature``.
+        pole_pairs : int, optional
+            Default: those of the result.
+        u_dc : float, optional
+            V. Default: that of the result.
+
+        Raises
+        ------
+        ConfigurationError
+            When a value is not positive or not finite, or the temperature is out of range.
+        CoverageError
+            When the map has hardly any data.
+        """
+        pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
+        if pairs is not None and pairs < 1:
+            raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")
+        if link is not None and not (np.isfinite(link) and link > 0):
+            raise ConfigurationError(f"u_dc is {link} V: it must be a positive number.")
+        magnet = temperature if magnet_temperature is None else magnet_temperature
+        for name, value in (("temperature", temperature), ("magnet_temperature", magnet)):
+            if value is not None and not -100.0 <= value <= 300.0:
+                raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
+        found = result.flux_map
+        if found.inside.sum() < _FEWEST:
+            raise CoverageError(
+                f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
+                "more of the current disc."
+            )
+        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * result.i_max)
+        psi_d = longer.whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
+        psi_q = longer.whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
+        sigmas = []
+        for known in (found.sigma_d, found.sigma_q):
+            sigma = np.full(longer.known.shape, np.nan)
+            sigma[longer.places] = known
+            sigmas.append(sigma)
+        coefficient = result.drive.magnet_coefficient
+        if magnet is not None and coefficient is not None:
+            psi_d = psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
+        factor = 1.0 if temperature is None else 1 + COPPER * (temperature - REFERENCE_TEMPERATURE)
+        warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
+        return cls(
+            flux_map=FluxMap(longer.i_d, longer.i_q, psi_d, psi_q, sigmas[0], sigmas[1], longer.known),
+            i_max=result.i_max,
+            resistance=result.resistance * factor,
+            pole_pairs=pairs,
+            u_dc=link,
+            inverter_current=result.inverter_curve.current,
+            inverter_voltage=result.inverter_curve.voltage,
+            iron=IronLoss.of(result),
+            temperature=temperature,
+            magnet_temperature=magnet,
+            errors=ModelErrors.of(result.drive, longer, warmer=factor, magnet=warmer),
+        )
+
+    def inside(self, i_d: ArrayLike, i_q: ArrayLike) -> BoolArray:
+        """Tell (...) where data support the map; elsewhere it is a continuation."""
+        return np.isfinite(self.flux_map.psi_dq(i_d, i_q)[0])
+
+    def psi_dq(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return psi_d and psi_q (...), Wb, averaged over the rotor position."""
+        psi = self._surfaces.values(*_currents(i_d, i_q))
+        return psi[..., 0][()], psi[..., 1][()]
+
+    def inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the incremental inductances [[L_dd, L_dq], [L_qd, L_qq]] (..., 2, 2), H; L_dq is dpsi_d/di_q."""
+        return self._surfaces.slopes(*_currents(i_d, i_q))
+
+    def apparent_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return L_d = (psi_d - psi_d(0, i_q)) / i_d and L_q = (psi_q - psi_q(i_d, 0)) / i_q (...), H.
+
+        The magnet's flux, with its change by the other axis, is left out, so that both are finite everywhere: at zero
+        current they are the incremental inductances.
+        """
+        d, q = _currents(i_d, i_q)
+        zero = np.zeros_like(d)
+        psi, without_d, without_q = (self._surfaces.values(*at) for at in ((d, q), (zero, q), (d, zero)))
+        at_zero_d, at_zero_q = self.inductances(zero, q)[..., 0, 0], self.inductances(d, zero)[..., 1, 1]
+        near = 1e-6 * self.i_max
+        l_d = np.where(np.abs(d) > near, (psi - without_d)[..., 0] / np.where(np.abs(d) > near, d, 1.0), at_zero_d)
+        l_q = np.where(np.abs(q) > near, (psi - without_q)[..., 1] / np.where(np.abs(q) > near, q, 1.0), at_zero_q)
+        return l_d[()], l_q[()]
+
+    def torque(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the torque 1.5 p (psi_d i_q - psi_q i_d) (...), Nm.
+
+        Raises
+        ------
+        ConfigurationError
+            When the pole pairs are unknown.
+        """
+        d, q = _currents(i_d, i_q)
+        psi_d, psi_q = self.psi_dq(d, q)
+        return np.asarray(1.5 * self.known_pole_pairs() * (psi_d * q - psi_q * d))[()]
+
+    def sigma_torque(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the standard error of the torque (...), Nm; NaN outside the data and where it is not known."""
+        d, q = _currents(i_d, i_q)
+        return np.where(self.inside(d, q), combined(self.torque_changes(d, q)), np.nan)[()]
+
+    def torque_changes(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the changes of the torque (M, ...), Nm, with each cause of error; NaN without any known."""
+        if self.errors is None:
+            return np.full((1, *i_d.shape), np.nan)
+        psi = self.errors.fluxes(i_d, i_q)
+        return np.asarray(1.5 * self.known_pole_pairs() * (psi[..., 0] * i_q - psi[..., 1] * i_d))
+
+    def sigma_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return the standard errors (..., 2, 2) of the incremental inductances, H; NaN as for the torque."""
+        d, q = _currents(i_d, i_q)
+        if self.errors is None:
+            return np.full((*d.shape, 2, 2), np.nan)
+        sigma = combined(self.errors.inductances(d, q))
+        return np.where(self.inside(d, q)[..., None, None], sigma, np.nan)
+
+    def current(self, psi_d: ArrayLike, psi_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the currents i_d, i_q (...), A, that belong to flux linkages, Wb: the inverse map.
+
+        Where the map is not monotone, that of the nearest monotone map. NaN where no such flux is reached. Whether the
+        currents lie within the data, :meth:`inside` tells.
+        """
+        wanted = np.stack(_currents(psi_d, psi_q), axis=-1)
+        i_dq = self.inverted.inverse(wanted.reshape(-1, 2)).reshape(wanted.shape)
+        return i_dq[..., 0][()], i_dq[..., 1][()]
+
+    def known_pole_pairs(self) -> int:
+        """Return the number of pole pairs.
+
+        Raises
+        ------
+        ConfigurationError
+            When it is unknown.
+        """
+        if self.pole_pairs is None:
+            raise ConfigurationError(
+                "The result does not tell the number of pole pairs, which torque and speed need: give --pole-pairs "
+                "(pole_pairs)."
+            )
+        return self.pole_pairs
+
+    def known_u_dc(self) -> float:
+        """Return the DC-link voltage, V.
+
+        Raises
+        ------
+        ConfigurationError
+            When it is unknown.
+        """
+        if self.u_dc is None:
+            raise ConfigurationError(
+                "The result does not tell the DC-link voltage, which the voltage limit needs: give --u-dc (u_dc), V."
+            )
+        return self.u_dc
+
+    @cached_property
+    def _fundamental(self) -> tuple[FloatArray, FloatArray]:
+        """Return amplitudes of the current (N,), A, and of the drop's fundamental (N,), V."""
+        angle = (np.arange(_ANGLES) + 0.5) * (np.pi / _ANGLES)
+        amplitude = np.linspace(0.0, max(float(self.inverter_current[-1]), _MARGIN * self.i_max), 257) ** 2
+        amplitude /= np.sqrt(amplitude[-1])  # denser near zero, where the curve is steep
+        phase = np.interp(amplitude[:, None] * np.cos(angle), self.inverter_current, self.inverter_voltage)
+        return amplitude, 2 * np.mean(phase * np.cos(angle), axis=1)
+
+    def inverter_drop(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the fundamental of the inverter's drop in d and q (...), V, in phase with the current."""
+        d, q = _currents(i_d, i_q)
+        size = np.hypot(d, q)
+        ratio = np.interp(size, *self._fundamental) / np.where(size > 0, size, np.inf)
+        return (ratio * d)[()], (ratio * q)[()]
+
+    def with_fluxes(self, psi_d: FloatArray, psi_q: FloatArray) -> MachineModel:
+        """Return this drive with other flux linkages (D, Q), Wb, on the grid of ``flux_map``."""
+        return replace(self, flux_map=replace(self.flux_map, psi_d=psi_d, psi_q=psi_q))
+
+    @cached_property
+    def monotone(self) -> bool:
+        """Whether each flux belongs to one current: the map is monotone at all nodes of its grid and between them."""
+        axes = [
+            np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2)) for axis in (self.flux_map.i_d, self.flux_map.i_q)
+        ]
+        slopes = self._surfaces.slopes(*np.meshgrid(*axes, indexing="ij"))
+        cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
+        rising = (slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2)
+        return bool(rising.all())
+
+    @cached_property
+    def inverted(self) -> Surfaces:
+        """The fluxes as they are inverted: the map itself if it is monotone, else the nearest monotone map."""
+        if self.monotone:
+            return self._surfaces
+        from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # only the inverse needs it
+
+        found, grid = self.flux_map, self.flux_map.grid()
+        points, psi = grid[found.inside], np.stack([found.psi_d, found.psi_q], axis=-1)[found.inside]
+        reach = 1 + float(np.abs(grid).max() / np.hypot(points[:, 0], points[:, 1]).max())
+        whole = fit_monotone(points, psi, reach=max(REACH, reach)).psi(grid)
+        return Surfaces.over(found.i_d, found.i_q, whole[..., 0], whole[..., 1])
+
+    @cached_property
+    def _surfaces(self) -> Surfaces:
+        return Surfaces.over(self.flux_map.i_d, self.flux_map.i_q, self.flux_map.psi_d, self.flux_map.psi_q)
+
+
+def _currents(i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    try:
+        d, q = np.broadcast_arrays(np.asarray(i_d, np.float64), np.asarray(i_q, np.float64))
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"d and q values must be numbers of shapes that broadcast ({error}).") from error
+    return d, q

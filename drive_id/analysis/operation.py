@@ -1,0 +1,158 @@
+"""Operating points: voltage, stator current, power and losses of a drive that turns at a speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from drive_id.analysis.bands import combined
+from drive_id.analysis.machine import MachineModel
+from drive_id.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Operation:
+    """Steady operating points (...) of a drive; build them by :meth:`at`.
+
+    With iron loss the stator current is the map's current plus that of the loss; otherwise both are the same. The power
+    balance ``power = mechanical power + copper + iron + inverter`` holds exactly.
+
+    Parameters
+    ----------
+    i_dq : (..., 2) float
+        Current of the map, A, from which flux and torque follow.
+    stator : (..., 2) float
+        Current of the stator, A.
+    u_dq : (..., 2) float
+        Voltage that the inverter is commanded, its own drop included, V.
+    speed : (...) float
+        Mechanical, rad/s.
+    torque : (...) float
+        Nm.
+    copper, iron, inverter : (...) float
+        Losses, W.
+    power : (...) float
+        Electrical power 1.5 u i at the commanded voltage, W.
+    """
+
+    i_dq: FloatArray
+    stator: FloatArray
+    u_dq: FloatArray
+    speed: FloatArray
+    torque: FloatArray
+    copper: FloatArray
+    iron: FloatArray
+    inverter: FloatArray
+    power: FloatArray
+
+    @classmethod
+    def at(cls, model: MachineModel, i_dq: FloatArray, speed: FloatArray) -> Operation:
+        """Evaluate at currents of the map (..., 2), A, and mechanical speeds (...), rad/s, that broadcast."""
+        psi = np.stack(model.psi_dq(i_dq[..., 0], i_dq[..., 1]), axis=-1)
+        return cls.of_flux(model, i_dq, psi, speed)
+
+    @classmethod
+    def of_flux(cls, model: MachineModel, i_dq: FloatArray, psi: FloatArray, speed: FloatArray) -> Operation:
+        """Evaluate where the fluxes (..., 2), Wb, are known already."""
+        pairs = model.known_pole_pairs()
+        electrical = pairs * np.asarray(speed)
+        torque = 1.5 * pairs * (psi[..., 0] * i_dq[..., 1] - psi[..., 1] * i_dq[..., 0])
+        induced = electrical[..., None] * np.stack([-psi[..., 1], psi[..., 0]], axis=-1)
+        loss = model.iron.current(induced, electrical) if model.iron.known else np.zeros_like(induced)
+        stator = i_dq + loss
+        drop = np.stack(model.inverter_drop(stator[..., 0], stator[..., 1]), axis=-1)
+        u_dq = induced + model.resistance * stator + drop
+        return cls(
+            i_dq=i_dq,
+            stator=stator,
+            u_dq=u_dq,
+            speed=np.broadcast_to(speed, u_dq.shape[:-1]),
+            torque=np.broadcast_to(torque, u_dq.shape[:-1]),
+            copper=1.5 * model.resistance * np.sum(stator**2, axis=-1),
+            iron=1.5 * np.sum(induced * loss, axis=-1),
+            inverter=1.5 * np.sum(drop * stator, axis=-1),
+            power=1.5 * np.sum(u_dq * stator, axis=-1),
+        )
+
+    def chosen(self, rows: BoolArray) -> Operation:
+        """Return some of the points along the first axis."""
+        return Operation(**{entry.name: getattr(self, entry.name)[rows] for entry in fields(self)})
+
+    @property
+    def current(self) -> FloatArray:
+        """Amplitude of the stator current (...), A."""
+        return np.asarray(np.hypot(self.stator[..., 0], self.stator[..., 1]))
+
+    @property
+    def voltage(self) -> FloatArray:
+        """Amplitude of the voltage (...), V."""
+        return np.asarray(np.hypot(self.u_dq[..., 0], self.u_dq[..., 1]))
+
+    @property
+    def mechanical(self) -> FloatArray:
+        """Mechanical power (...), W: torque times speed, mechanical losses not included."""
+        return self.torque * self.speed
+
+    @property
+    def efficiency(self) -> FloatArray:
+        """Output over input power (...), as motor or generator; NaN where both sides take power, or none does."""
+        motor = (self.mechanical > 0) & (self.power > 0)
+        generator = (self.mechanical < 0) & (self.power < 0)
+        out = np.full(self.torque.shape, np.nan)
+        out[motor] = self.mechanical[motor] / self.power[motor]
+        out[generator] = self.power[generator] / self.mechanical[generator]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class OperationErrors:
+    """Standard errors (...) at the currents of operating points, in the units of :class:`Operation`; NaN if unknown."""
+
+    torque: FloatArray
+    voltage: FloatArray
+    losses: FloatArray
+    power: FloatArray
+    efficiency: FloatArray
+
+    @classmethod
+    def of(cls, model: MachineModel, points: Operation) -> OperationErrors:
+        """Propagate the errors of a model to its operating points; NaN outside the data."""
+        known = model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+        changes: dict[str, list[FloatArray]] = {
+            name: [] for name in ("torque", "voltage", "losses", "power", "efficiency")
+        }
+        for other in operations_with_errors(model, points):
+            changes["torque"].append(other.torque - points.torque)
+            changes["voltage"].append(other.voltage - points.voltage)
+            lost = [entry.copper + entry.iron + entry.inverter for entry in (other, points)]
+            changes["losses"].append(lost[0] - lost[1])
+            changes["power"].append(other.power - points.power)
+            changes["efficiency"].append(other.efficiency - points.efficiency)
+        unknown = np.full((1, *points.torque.shape), np.nan)
+        sigmas = {name: combined(np.array(of) if of else unknown) for name, of in changes.items()}
+        return cls(**{name: np.where(known, sigma, np.nan) for name, sigma in sigmas.items()})
+
+
+def operations_with_errors(model: MachineModel, points: Operation) -> Iterator[Operation]:
+    """Yield the operating points with each cause of error of the model, at the same currents of the map."""
+    errors = model.errors
+    if errors is None:
+        return
+    d, q = points.i_dq[..., 0], points.i_dq[..., 1]
+    psi, fluxes = np.stack(model.psi_dq(d, q), axis=-1), errors.fluxes(d, q)
+    for k, change in enumerate(fluxes):
+        iron = replace(
+            model.iron,
+            conductance=model.iron.conductance * (1 + errors.iron[k]),
+            hysteresis=model.iron.hysteresis * (1 + errors.iron[k]),
+            coercivity=model.iron.coercivity * (1 + errors.iron[k]),
+        )
+        wrong = replace(
+            model,
+            resistance=model.resistance + errors.resistance[k],
+            inverter_voltage=model.inverter_voltage + errors.inverter_voltage[k],
+            iron=iron,
+        )
+        yield Operation.of_flux(wrong, points.i_dq, psi + change, points.speed)

@@ -1,0 +1,97 @@
+"""Torque over the rotor position, from the harmonics of the flux linkages.
+
+With the co-energy W(i, theta) of one phase pair, psi = dW/di, the torque at constant current is
+``1.5 p (psi_d i_q - psi_q i_d + dW/dtheta)``. The last term follows from the fluxes up to what does not depend on the
+current: cogging at zero current shows in no voltage and is not included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.surfaces import Surfaces
+from drive_id.core.maps.continuation import LongerGrid
+from drive_id.core.result.identification import FluxMap, HarmonicMap
+from drive_id.types import FloatArray
+
+_NODES = 12
+"""Of Gauss-Legendre's rule from zero current to each point."""
+_ANGLES_PER_PERIOD = 24
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRipple:
+    """The part of the torque that varies with the rotor position; build it by :meth:`of`.
+
+    Parameters
+    ----------
+    model : MachineModel
+    orders : tuple of int
+        Electrical.
+    cosines, sines : tuple of Surfaces
+        Amplitudes of each order, Wb.
+    """
+
+    model: MachineModel
+    orders: tuple[int, ...]
+    cosines: tuple[Surfaces, ...]
+    sines: tuple[Surfaces, ...]
+
+    @classmethod
+    def of(cls, model: MachineModel, found: FluxMap, harmonics: tuple[HarmonicMap, ...], reach: float) -> TorqueRipple:
+        """Build it from the harmonics on the grid of a map, continued to ``reach`` (A) with vanishing slopes."""
+        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, reach)
+
+        def surfaces(d: FloatArray, q: FloatArray) -> Surfaces:
+            whole = longer.whole(np.stack([d, q]))
+            return Surfaces.over(longer.i_d, longer.i_q, whole[0], whole[1])
+
+        return cls(
+            model,
+            tuple(harmonic.order for harmonic in harmonics),
+            tuple(surfaces(harmonic.psi_d_cos, harmonic.psi_q_cos) for harmonic in harmonics),
+            tuple(surfaces(harmonic.psi_d_sin, harmonic.psi_q_sin) for harmonic in harmonics),
+        )
+
+    def amplitudes(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the torque's amplitudes of cos(h theta) and sin(h theta) (H, ...), Nm, at currents (...), A."""
+        factor = 1.5 * self.model.known_pole_pairs()
+        shape = (len(self.orders), *np.shape(i_d))
+        cosine, sine = np.zeros(shape), np.zeros(shape)
+        for k, order in enumerate(self.orders):
+            parts = []
+            for surface in (self.cosines[k], self.sines[k]):
+                psi = surface.values(i_d, i_q)
+                parts.append((psi[..., 0] * i_q - psi[..., 1] * i_d, _energy(surface, i_d, i_q)))
+            (torque_cosine, energy_cosine), (torque_sine, energy_sine) = parts
+            cosine[k] = factor * (torque_cosine + order * energy_sine)
+            sine[k] = factor * (torque_sine - order * energy_cosine)
+        return cosine, sine
+
+    def over_angle(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return the varying part of the torque (..., T), Nm, at electrical angles (T,), rad."""
+        cosine, sine = self.amplitudes(i_d, i_q)
+        angle = np.array(self.orders)[:, None] * theta
+        parts = [np.tensordot(cosine, np.cos(angle), (0, 0)), np.tensordot(sine, np.sin(angle), (0, 0))]
+        return np.asarray(parts[0] + parts[1])
+
+    def peak_to_peak(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the difference of the largest and the smallest torque over the rotor position (...), Nm."""
+        if not self.orders:
+            return np.zeros(np.shape(i_d))
+        common = int(np.gcd.reduce(self.orders))
+        count = _ANGLES_PER_PERIOD * max(self.orders) // common
+        theta = np.arange(count, dtype=np.float64) * (2 * np.pi / common / count)
+        return np.asarray(np.ptp(self.over_angle(i_d, i_q, theta), axis=-1))
+
+
+def _energy(surface: Surfaces, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Return the integral of psi di (...), J, from zero to currents (...), A, along straight lines."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    share = 0.5 * (nodes + 1)
+    psi = surface.values(np.multiply.outer(share, i_d), np.multiply.outer(share, i_q))
+    power = psi[..., 0] * i_d + psi[..., 1] * i_q
+    return np.asarray(np.tensordot(0.5 * weights, power, axes=1))

@@ -1,0 +1,126 @@
+"""Both flux linkages as splines over the current plane: values, slopes and inverse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drive_id.types import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
+    from scipy.spatial import KDTree
+
+_STEPS, _HALVINGS = 40, 12
+_CONVERGED, _ACCEPTED = 1e-10, 1e-6
+"""Distances of the fluxes relative to their ranges."""
+_LEAST_DETERMINANT = 1e-3
+"""Of the inductance matrix, relative to the square of its norm; below it Newton's step is damped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Cubic splines through two functions of (i_d, i_q), linear beyond their grid; build them by :meth:`over`.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        A.
+    d, q : RectBivariateSpline
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    d: RectBivariateSpline
+    q: RectBivariateSpline
+
+    @classmethod
+    def over(cls, i_d: FloatArray, i_q: FloatArray, values_d: FloatArray, values_q: FloatArray) -> Surfaces:
+        """Interpolate values (D, Q)."""
+        from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # takes a while to load
+
+        return cls(i_d, i_q, RectBivariateSpline(i_d, i_q, values_d), RectBivariateSpline(i_d, i_q, values_q))
+
+    def values(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return both functions (..., 2) at currents (...), A."""
+        d, q = self._clipped(i_d, i_q)
+        beyond = np.any((d != i_d) | (q != i_q))
+        out = []
+        for spline in (self.d, self.q):
+            value = spline.ev(d, q)
+            if beyond:
+                value = value + (i_d - d) * spline.ev(d, q, dx=1) + (i_q - q) * spline.ev(d, q, dy=1)
+            out.append(value)
+        return np.stack(out, axis=-1)
+
+    def slopes(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Return the derivatives (..., 2, 2) by i_d and i_q (last axis) at currents (...), A."""
+        d, q = self._clipped(i_d, i_q)
+        off_d, off_q = i_d - d, i_q - q
+        rows = []
+        for spline in (self.d, self.q):
+            by_d, by_q = spline.ev(d, q, dx=1), spline.ev(d, q, dy=1)
+            if off_d.any() or off_q.any():  # along an edge, the slope across it changes
+                mixed = spline.ev(d, q, dx=1, dy=1)
+                by_d = by_d + np.where(off_d == 0, off_q * mixed, 0.0)
+                by_q = by_q + np.where(off_q == 0, off_d * mixed, 0.0)
+            rows.append(np.stack([by_d, by_q], axis=-1))
+        return np.stack(rows, axis=-2)
+
+    def inverse(self, wanted: FloatArray) -> FloatArray:
+        """Return the currents (N, 2), A, of values (N, 2), NaN where none is found.
+
+        Newton's method from the nearest grid point; a step is halved until it reduces the distance.
+        """
+        tree, grid, scale = self._search
+        out = np.full(wanted.shape, np.nan)
+        known = np.isfinite(wanted).all(axis=1)
+        goal = wanted[known]
+        i_dq = grid[tree.query(goal / scale)[1]].copy()
+        error = goal - self.values(i_dq[:, 0], i_dq[:, 1])
+        distance = np.hypot(*(error / scale).T)
+        stuck = np.zeros(len(goal), np.bool_)
+        for _ in range(_STEPS):
+            going = np.flatnonzero((distance > _CONVERGED) & ~stuck)
+            if not len(going):
+                break
+            step = _newton_step(self.slopes(i_dq[going, 0], i_dq[going, 1]), error[going])
+            for _ in range(_HALVINGS):
+                tried = i_dq[going] + step
+                left = goal[going] - self.values(tried[:, 0], tried[:, 1])
+                size = np.hypot(*(left / scale).T)
+                better = size < distance[going]
+                at = going[better]
+                i_dq[at], error[at], distance[at] = tried[better], left[better], size[better]
+                going, step = going[~better], step[~better] / 2
+                if not len(going):
+                    break
+            stuck[going] = True
+        i_dq[distance > _ACCEPTED] = np.nan
+        out[known] = i_dq
+        return out
+
+    def _clipped(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.clip(i_d, self.i_d[0], self.i_d[-1]), np.clip(i_q, self.i_q[0], self.i_q[-1])
+
+    @cached_property
+    def _search(self) -> tuple[KDTree, FloatArray, FloatArray]:
+        """Return a tree of the values at all grid points over their ranges, their currents (N, 2), and the ranges."""
+        from scipy.spatial import KDTree  # noqa: PLC0415  # only the inverse needs it
+
+        grid = np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1).reshape(-1, 2)
+        values = self.values(grid[:, 0], grid[:, 1])
+        scale = np.ptp(values, axis=0)
+        return KDTree(values / scale), grid, scale
+
+
+def _newton_step(slopes: FloatArray, error: FloatArray) -> FloatArray:
+    """Return J^-1 e (N, 2), damped where J is nearly singular."""
+    norm = np.sum(slopes**2, axis=(1, 2))
+    weak = np.abs(np.linalg.det(slopes)) < _LEAST_DETERMINANT * norm
+    transposed = np.swapaxes(slopes, 1, 2)
+    normal = transposed @ slopes + np.where(weak, _LEAST_DETERMINANT * norm, 0.0)[:, None, None] * np.eye(2)
+    return np.asarray(np.linalg.solve(normal, transposed @ error[..., None])[..., 0])

@@ -1,0 +1,229 @@
+"""Current trajectories: maximum torque per ampere (MTPA) and per volt (MTPV)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.analysis.bands import combined
+from drive_id.analysis.machine import MachineModel
+from drive_id.types import BoolArray, FloatArray
+
+_ANGLES = 181
+"""Candidates per half turn."""
+_ZOOMS, _WIDTH = 14, 4
+"""Rounds of search, each with half the step, over so many steps to both sides."""
+_BISECTIONS = 40
+_CIRCLES, _BETWEEN, _NARROWINGS = 61, 17, 4
+"""Where the MTPV locus begins: circles, circles between two of them, and how often those are refined."""
+_ANGLE_STEP = np.deg2rad(1.0)
+"""For differences of the torque along a circle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Points (N,) on circles of constant current amplitude.
+
+    Parameters
+    ----------
+    current : (N,) float
+        Amplitude, A, increasing.
+    i_d, i_q : (N,) float
+        A.
+    psi_d, psi_q : (N,) float
+        Wb.
+    torque, sigma_torque : (N,) float
+        Nm; the standard error is NaN outside the data, or where it is not known.
+    sigma_angle : (N,) float
+        Of the angle atan2(i_q, i_d), rad; NaN likewise.
+    inside : (N,) bool
+        Whether data support the point; elsewhere it rests on the continuation of the map.
+    """
+
+    current: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    torque: FloatArray
+    sigma_torque: FloatArray
+    sigma_angle: FloatArray
+    inside: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.current)
+
+
+def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1.0) -> Trajectory:
+    """Return the largest torque on circles of current amplitude, 0 to ``i_max`` (A).
+
+    Parameters
+    ----------
+    model : MachineModel
+    i_max : float
+        A.
+    points : int
+    sign : float
+        -1 for the most negative torque, with i_q <= 0.
+    """
+    current = np.linspace(0.0, i_max, points)
+    angle = best_angle(lambda i, a: sign * model.torque(i * np.cos(a), i * np.sin(a)), current, sign)
+    return _trajectory(model, current, angle, _mtpa_error(model, current, angle))
+
+
+def mtpv(model: MachineModel, i_max: float, points: int = 41) -> Trajectory:
+    """Return the points of largest torque at a given flux (voltage, without resistance), by current amplitude.
+
+    On each circle it is the point beyond the MTPA angle, towards less flux, where torque and flux have parallel
+    gradients; the locus begins at the characteristic current and is empty when that exceeds ``i_max``.
+    """
+    start, exists = 0.0, _mtpv_angle(model, np.linspace(0.0, i_max, _CIRCLES)[1:])
+    known = np.isfinite(exists)
+    if not known[-1]:
+        return _trajectory(model, np.zeros(0), np.zeros(0), np.zeros(0))
+    last_without = np.flatnonzero(~known)
+    if len(last_without):
+        low, high = ((last_without[-1] + 1 + k) * i_max / (_CIRCLES - 1) for k in (0, 1))
+        for _ in range(_NARROWINGS):
+            tried = np.linspace(low, high, _BETWEEN)
+            first = max(1, int(np.isfinite(_mtpv_angle(model, tried[1:])).argmax()) + 1)
+            low, high = tried[first - 1], tried[first]
+        start = high
+    current = np.linspace(start, i_max, points)
+    angle = _mtpv_angle(model, current)
+    if start == 0.0:
+        angle[0] = angle[1]
+    found = np.isfinite(angle)
+    current, angle = current[found], angle[found]
+    return _trajectory(model, current, angle, _mtpv_error(model, current, angle))
+
+
+def characteristic_current(model: MachineModel) -> tuple[float, float, bool]:
+    """Return the current that cancels all flux, A, its standard error, and whether it lies within the data.
+
+    The steady short-circuit current at high speed; NaN where the continued map reaches no zero flux.
+    """
+    d, q = (float(x) for x in model.current(0.0, 0.0))
+    size = float(np.hypot(d, q))
+    if not np.isfinite(size):
+        return np.nan, np.nan, False
+    inside, sigma = bool(model.inside(d, q)), np.nan
+    if model.errors is not None and inside:
+        at = np.array(d), np.array(q)
+        changes = np.linalg.solve(model.inductances(d, q), model.errors.fluxes(*at).T).T
+        along = np.array([d, q]) / size if size > 0 else np.array([-1.0, 0.0])
+        sigma = float(combined(changes @ along))
+    return size, sigma, inside
+
+
+def best_angle(figure: Callable[[FloatArray, FloatArray], FloatArray], current: FloatArray, sign: float) -> FloatArray:
+    """Return the angles (N,) in the half plane ``sign * i_q >= 0`` where figure(current, angle) is largest."""
+    start = np.linspace(0.0, np.pi, _ANGLES) * sign
+    values = figure(current[:, None], start)
+    angle, step = start[values.argmax(axis=1)], np.pi / (_ANGLES - 1)
+    offsets = np.linspace(-1.0, 1.0, 2 * _WIDTH + 1)
+    for _ in range(_ZOOMS):
+        tried = angle[:, None] + step * offsets
+        chosen = figure(current[:, None], tried).argmax(axis=1)
+        angle, step = tried[np.arange(len(angle)), chosen], step / 2
+    return _polished(figure, current, angle)
+
+
+def _polished(
+    figure: Callable[[FloatArray, FloatArray], FloatArray], current: FloatArray, angle: FloatArray
+) -> FloatArray:
+    """Move to the vertex of the parabola through three close points: values alone tell the maximum only roughly."""
+    step = 1e-3
+    left, middle, right = (figure(current, angle + k * step) for k in (-1, 0, 1))
+    curvature = left - 2 * middle + right
+    shift = np.divide(0.5 * (left - right), curvature, out=np.zeros_like(angle), where=curvature < 0)
+    return angle + step * np.clip(shift, -1.0, 1.0)
+
+
+def _parallel(model: MachineModel, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Return the cross product of the gradients of torque and half the squared flux (...), per 1.5 p."""
+    psi = np.stack(model.psi_dq(i_d, i_q), axis=-1)
+    return _cross(psi, model.inductances(i_d, i_q), i_d, i_q)
+
+
+def _cross(psi: FloatArray, slopes: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    torque = slopes[..., 0, :] * i_q[..., None] - slopes[..., 1, :] * i_d[..., None]
+    torque = torque + np.stack([-psi[..., 1], psi[..., 0]], axis=-1)
+    flux = np.einsum("...ab,...a->...b", slopes, psi)
+    return np.asarray(torque[..., 0] * flux[..., 1] - torque[..., 1] * flux[..., 0])
+
+
+def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
+    """Return the angles (N,) of the locus on circles (N,), A; NaN where there is none."""
+
+    def torque(i: FloatArray, a: FloatArray) -> FloatArray:
+        return model.torque(i * np.cos(a), i * np.sin(a))
+
+    def cross(i: FloatArray, a: FloatArray) -> FloatArray:
+        return _parallel(model, i * np.cos(a), i * np.sin(a))
+
+    start = best_angle(torque, current, 1.0)
+    ahead = [np.hypot(*model.psi_dq(current * np.cos(a), current * np.sin(a))) for a in (start + 1e-3, start - 1e-3)]
+    direction = np.where(ahead[0] < ahead[1], 1.0, -1.0)
+    reach = np.where(direction > 0, np.pi - start, start)
+    share = np.linspace(0.0, 1.0, _ANGLES)
+    angles = start[:, None] + (direction * reach)[:, None] * share
+    values = cross(current[:, None], angles)
+    turned = values * np.sign(values[:, :1]) < 0
+    turned[:, -1] &= np.abs(np.sin(angles[:, -1])) > 0  # on the d axis itself there is no torque
+    first = turned.argmax(axis=1)
+    exists = turned.any(axis=1)
+    rows = np.arange(len(current))
+    low, high = angles[rows, np.maximum(first - 1, 0)], angles[rows, first]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        before = cross(current, middle) * np.sign(values[:, 0]) >= 0
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return np.where(exists, 0.5 * (low + high), np.nan)
+
+
+def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sigma_angle: FloatArray) -> Trajectory:
+    i_d, i_q = current * np.cos(angle) + 0.0, current * np.sin(angle) + 0.0  # no negative zeros
+    psi_d, psi_q = model.psi_dq(i_d, i_q)
+    inside = model.inside(i_d, i_q)
+    return Trajectory(
+        current=current,
+        i_d=i_d,
+        i_q=i_q,
+        psi_d=psi_d,
+        psi_q=psi_q,
+        torque=model.torque(i_d, i_q),
+        sigma_torque=model.sigma_torque(i_d, i_q),
+        sigma_angle=np.where(inside, sigma_angle, np.nan),
+        inside=inside,
+    )
+
+
+def _mtpa_error(model: MachineModel, current: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return the standard error (N,) of the angle where the torque's slope along the circle vanishes, rad."""
+    if model.errors is None or not model.errors.joint:
+        return np.full(len(angle), np.nan)
+    at = [(current * np.cos(a), current * np.sin(a)) for a in (angle - _ANGLE_STEP, angle, angle + _ANGLE_STEP)]
+    torque = [model.torque(*point) for point in at]
+    curvature = (torque[0] - 2 * torque[1] + torque[2]) / _ANGLE_STEP**2
+    slopes = (model.torque_changes(*at[2]) - model.torque_changes(*at[0])) / (2 * _ANGLE_STEP)
+    return np.asarray(combined(slopes) / np.where(curvature < 0, -curvature, np.nan))
+
+
+def _mtpv_error(model: MachineModel, current: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return the standard error (N,) of the angle where the gradients are parallel, rad."""
+    if model.errors is None or not model.errors.joint:
+        return np.full(len(angle), np.nan)
+    i_d, i_q = current * np.cos(angle), current * np.sin(angle)
+    psi, slopes = np.stack(model.psi_dq(i_d, i_q), axis=-1), model.inductances(i_d, i_q)
+    pairs = zip(model.errors.fluxes(i_d, i_q), model.errors.inductances(i_d, i_q), strict=True)
+    now = _cross(psi, slopes, i_d, i_q)
+    changes = np.array([_cross(psi + own, slopes + own_slopes, i_d, i_q) - now for own, own_slopes in pairs])
+    sides = [
+        _parallel(model, current * np.cos(a), current * np.sin(a))
+        for a in (angle + 0.1 * _ANGLE_STEP, angle - 0.1 * _ANGLE_STEP)
+    ]
+    slope = (sides[0] - sides[1]) / (0.2 * _ANGLE_STEP)
+    return np.asarray(combined(changes) / np.where(slope != 0, np.abs(slope), np.nan))

@@ -1,0 +1,131 @@
+"""Joint errors of everything that a fit finds, as few modes: what carries standard errors over to derived figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.maps.flux_models import BasisRows
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.types import BoolArray, FloatArray
+
+MOST_MODES = 48
+_LARGEST = 2**23
+"""Values of all modes of both fluxes; fine grids get fewer modes."""
+_HELD = 0.995
+"""Share of the variance that the modes hold before each value is scaled to its standard error."""
+_SITES = 200
+"""Points of the map, about, by which the modes are chosen."""
+_SHARE_OF_OTHERS = 0.1
+"""Weight of the other values in this choice, relative to that of the fluxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModes:
+    """A factor of the joint covariance of fluxes, resistance, inverter curve and voltage error.
+
+    Mode k changes all of them at once, by one standard error of an independent cause. A figure g(x) derived from them
+    has the variance ``sum_k (g(x + m_k) - g(x))^2``. The squares of all modes of a value add up to the square of its
+    standard error.
+
+    Parameters
+    ----------
+    psi_d, psi_q : (M, D, Q) float32
+        Wb; 0 where there are no data.
+    resistance : (M,) float
+        Ohm.
+    inverter_voltage : (M, C) float
+        V.
+    voltage_error : (M,) float
+        V.
+    """
+
+    psi_d: NDArray[np.float32]
+    psi_q: NDArray[np.float32]
+    resistance: FloatArray
+    inverter_voltage: FloatArray
+    voltage_error: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.resistance)
+
+
+@one_blas_thread(with_scipy=False)
+def error_modes(
+    changes: FloatArray,
+    rows: BasisRows,
+    sigma: FloatArray,
+    inside: BoolArray,
+    others: tuple[FloatArray, FloatArray],
+    frame: Callable[[FloatArray], FloatArray] | None = None,
+) -> ErrorModes | None:
+    """Reduce the changes of a fit's unknowns by its batches of time to modes.
+
+    Parameters
+    ----------
+    changes : (P, B) float
+        Of the flux parameters; ``changes @ changes.T`` is their covariance.
+    rows : BasisRows
+        The basis at the N grid points with data.
+    sigma : (D, Q, 2) float
+        Standard errors of the fluxes, Wb.
+    inside : (D, Q) bool
+        The grid points with data.
+    others : (2 + C, B) float, (2 + C,) float
+        Changes of resistance, voltage error and inverter curve, and their standard errors.
+    frame : callable, optional
+        Turns fluxes (..., 2) of the rows into those of the map.
+
+    Returns
+    -------
+    ErrorModes or None
+        None when the standard errors are not known.
+    """
+    wanted, (beside, sigma_beside) = sigma[inside], others
+    if not (len(wanted) and np.isfinite(wanted).all() and np.isfinite(changes).all() and np.isfinite(beside).all()):
+        return None
+    some = slice(None, None, max(1, len(wanted) // _SITES))
+    few = BasisRows(rows.column[some], rows.value[some]).dense(len(changes)).reshape(-1, len(changes))
+    fluxes = _relative(few @ changes, wanted[some].ravel())
+    weight = np.sqrt(_SHARE_OF_OTHERS * len(fluxes) / len(beside))
+    samples = np.concatenate([fluxes, weight * _relative(beside, sigma_beside)])
+    causes = _causes(samples, min(MOST_MODES, max(1, _LARGEST // (2 * inside.size))))
+    psi = _at(rows, changes @ causes)  # (N, 2, M)
+    if frame is not None:
+        psi = np.moveaxis(frame(np.moveaxis(psi, 1, -1)), -1, 1)
+    maps = np.zeros((2, psi.shape[-1], *inside.shape), np.float32)
+    maps[:, :, inside] = np.moveaxis(_scaled(psi, wanted), (1, 2, 0), (0, 1, 2))
+    numbers = _scaled(beside @ causes, sigma_beside)
+    return ErrorModes(maps[0], maps[1], numbers[0], numbers[2:].T.copy(), numbers[1])
+
+
+def _causes(samples: FloatArray, most: int) -> FloatArray:
+    """Return orthonormal combinations (B, M) of the batches that hold most of the variance of samples (S, B)."""
+    squares, vectors = np.linalg.eigh(samples @ samples.T)
+    squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
+    total = max(float(squares.sum()), np.finfo(np.float64).tiny)
+    count = min(most, int(np.searchsorted(np.cumsum(squares), _HELD * total)) + 1, int((squares > 0).sum()))
+    return np.asarray(samples.T @ (vectors[:, :count] / np.sqrt(squares[:count])))
+
+
+def _at(rows: BasisRows, gamma: FloatArray) -> FloatArray:
+    """Return B gamma (N, 2, M) for parameters (P, M) without a sparse matrix, which needs scipy."""
+    out = np.zeros((*rows.column.shape[:2], gamma.shape[1]))
+    for k in range(rows.column.shape[2]):
+        out += rows.value[..., k, None] * gamma[rows.column[..., k]]
+    return out
+
+
+def _relative(changes: FloatArray, sigma: FloatArray) -> FloatArray:
+    return np.asarray(np.divide(changes, sigma[:, None], out=np.zeros_like(changes), where=sigma[:, None] > 0))
+
+
+def _scaled(modes: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Scale modes (..., M) so that their squares add up to those of standard errors (...)."""
+    size = np.linalg.norm(modes, axis=-1)
+    known = np.isfinite(sigma)
+    factor = np.divide(sigma, size, out=np.zeros_like(size), where=known & (size > 0))
+    return np.asarray(modes * factor[..., None])

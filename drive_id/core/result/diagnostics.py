@@ -1,0 +1,235 @@
+"""What a result is judged by besides its numbers: residuals, simulated currents, and the paper's methods beside it.
+
+All of it is small, so that it is stored with a result and a report can be made of a result folder alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.core.result.identify import gather, score
+from drive_id.core.validation.residuals import (
+    AngleBins,
+    Flux,
+    Residual,
+    TimeBins,
+    over_angle,
+    over_time,
+    residual_voltage,
+)
+from drive_id.core.validation.simulated_current import SimulatedCurrent
+from drive_id.errors import DataError
+from drive_id.types import FloatArray, GroundTruth, Samples
+
+COMPARED = ("psm", "joint")
+"""Methods that are run beside the one that was asked for: the paper's, without and with the inverter."""
+_TRAJECTORY = 4000
+"""Points of the trajectory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What another method makes of the same data.
+
+    Parameters
+    ----------
+    method : str
+        ``psm`` or ``joint``.
+    failure : str
+        Why it gave no result, a sentence; empty where it did. All else is NaN or empty then.
+    samples : int
+        That were used.
+    resistance, sigma_resistance : float
+        Ohm.
+    voltage_error, sigma_voltage_error : float
+        V; 0 for ``psm``.
+    residual_rms : float
+        See ``Diagnostics``, V.
+    mad_d, mad_q : float
+        A; NaN when unknown.
+    nrmse_d, nrmse_q : float
+        Against the ground truth; NaN without one.
+    psi_d, psi_q : (D, Q) float
+        On the grid of the result's flux map, Wb.
+    """
+
+    method: str
+    failure: str = ""
+    samples: int = 0
+    resistance: float = math.nan
+    sigma_resistance: float = math.nan
+    voltage_error: float = math.nan
+    sigma_voltage_error: float = math.nan
+    residual_rms: float = math.nan
+    mad_d: float = math.nan
+    mad_q: float = math.nan
+    nrmse_d: float = math.nan
+    nrmse_q: float = math.nan
+    psi_d: FloatArray | None = None
+    psi_q: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """What a result is judged by besides its numbers.
+
+    Parameters
+    ----------
+    over_angle : AngleBins
+        Residual voltage over the rotor position.
+    over_time : TimeBins
+        Residual voltage over the time of data.
+    residual_rms : float
+        Of the residual voltage over windows of a few degrees, d and q alike, V: the same measure for all methods.
+    trajectory : (N, 2) float
+        Measured i_dq, A, decimated; NaN after each gap-free run.
+    simulated : SimulatedCurrent or None
+        None where no current was simulated.
+    comparisons : tuple of Comparison
+        The paper's methods, except the result's own one.
+    """
+
+    over_angle: AngleBins
+    over_time: TimeBins
+    residual_rms: float
+    trajectory: FloatArray
+    simulated: SimulatedCurrent | None = None
+    comparisons: tuple[Comparison, ...] = ()
+
+
+def diagnose(
+    drive: IdentifiedDrive,
+    settings: FitSettings,
+    excerpts: Sequence[Samples],
+    truth: GroundTruth | None = None,
+    evidence: Evidence | None = None,
+) -> Diagnostics:
+    """Evaluate residuals and run the paper's methods on the same data.
+
+    Parameters
+    ----------
+    drive : IdentifiedDrive
+    settings : FitSettings
+        Of its fit.
+    excerpts : sequence of Samples
+        Of the recordings.
+    truth : GroundTruth, optional
+        The other methods are scored against it.
+    evidence : Evidence, optional
+        Of all samples. Default: that of the excerpts.
+    """
+    residual = drive_residual(drive, excerpts)
+    return Diagnostics(
+        over_angle=over_angle(residual),
+        over_time=over_time(residual),
+        residual_rms=_rms(residual),
+        trajectory=thinned_trajectory(excerpts, _TRAJECTORY),
+        simulated=drive.simulated,
+        comparisons=_comparisons(drive, settings, excerpts, truth, evidence),
+    )
+
+
+def thinned_trajectory(excerpts: Sequence[Samples], most: int) -> FloatArray:
+    """Return the measured i_dq (N, 2), A, of about ``most`` samples at most, with a NaN after each run."""
+    pieces, every = [np.zeros((0, 2))], 1 + sum(map(len, excerpts)) // most
+    for part in excerpts:
+        i_dq = frames.to_dq(part.i_abc, part.angle)
+        for run in part.runs():
+            pieces += [i_dq[run][::every], np.full((1, 2), np.nan)]
+    return np.concatenate(pieces)
+
+
+def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Residual:
+    """Return the residual voltage of samples, corrected for the sensor faults that were found."""
+    drop = drive.phase_voltages
+    curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
+    if drive.calibrations:
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+        excerpts = [corrected(part, drive.calibrations) for part in excerpts]
+    found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0
+    for part in excerpts:
+        residual = residual_voltage(part, _flux(drive), drive.resistance, curve)
+        found.append(residual._replace(time=start + residual.time))
+        start += part.duration
+    return Residual(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+
+
+def _rms(residual: Residual) -> float:
+    return float(np.sqrt(np.mean(residual.voltage**2))) if len(residual.voltage) else math.nan
+
+
+def _flux(drive: IdentifiedDrive) -> Flux:
+    """Return the identified flux over current and angle, rotor-position harmonics included."""
+    amplitudes = [
+        (harmonic.order, wave, axis, getattr(harmonic, f"psi_{component}_{part}"))
+        for harmonic in drive.harmonics
+        for wave, part in ((np.cos, "cos"), (np.sin, "sin"))
+        for axis, component in enumerate("dq")
+    ]
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        psi = drive.flux(i_dq)
+        for order, wave, axis, values in amplitudes:
+            psi[:, axis] += drive.flux_map.sampled(values, *i_dq.T) * wave(order * angle)
+        return psi
+
+    return flux
+
+
+def _comparisons(
+    drive: IdentifiedDrive,
+    settings: FitSettings,
+    excerpts: Sequence[Samples],
+    truth: GroundTruth | None,
+    evidence: Evidence | None,
+) -> tuple[Comparison, ...]:
+    methods = [method for method in COMPARED if method != drive.method]
+    with one_blas_thread(with_scipy=False):
+        if evidence is None and excerpts:
+            try:
+                evidence = gather(excerpts, replace(settings, method=methods[0]))
+            except DataError as error:
+                return tuple(Comparison(method, failure=str(error)) for method in methods)
+        if evidence is None:
+            return ()
+        return tuple(_compared(drive, method, evidence, excerpts, truth) for method in methods)
+
+
+def _compared(
+    drive: IdentifiedDrive, method: str, evidence: Evidence, excerpts: Sequence[Samples], truth: GroundTruth | None
+) -> Comparison:
+    try:
+        found = conclude(evidence.copy(replace(evidence.settings, method=method, monotone=False)), excerpts)
+    except DataError as error:
+        return Comparison(method, failure=str(error))
+    nrmse_d, nrmse_q = score(found, truth) if truth else (math.nan, math.nan)
+    psi = np.stack([found.flux_map.psi_d, found.flux_map.psi_q], axis=-1)
+    own = (drive.flux_map.i_d, drive.flux_map.i_q)
+    if not all(map(np.array_equal, own, (found.flux_map.i_d, found.flux_map.i_q))):  # of excerpts only
+        psi = found.flux_map.continued(drive.flux_map.grid())
+    return Comparison(
+        method=method,
+        samples=found.report.samples_used,
+        resistance=found.resistance,
+        sigma_resistance=found.sigma_resistance,
+        voltage_error=found.voltage_error,
+        sigma_voltage_error=found.sigma_voltage_error,
+        residual_rms=_rms(drive_residual(found, excerpts)),
+        mad_d=found.report.mad_d,
+        mad_q=found.report.mad_q,
+        nrmse_d=nrmse_d,
+        nrmse_q=nrmse_q,
+        psi_d=psi[..., 0],
+        psi_q=psi[..., 1],
+    )

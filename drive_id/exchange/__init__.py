@@ -1,0 +1,1 @@
+"""Flux maps from and for other tools: import, export, comparison."""

@@ -1,0 +1,188 @@
+"""The difference of two results: maps, torque, resistance, inverter curve."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drive_id.core.validation.metrics import nrmse
+from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.fitting.result import Identification
+from drive_id.types import BoolArray, FloatArray
+
+_CURVE_POINTS = 201
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Result A minus result B where both have data, on a grid of currents.
+
+    Differences are NaN where one of the results has no data.
+
+    Parameters
+    ----------
+    first, second : drive_id.Identification
+        A and B.
+    i_d, i_q : (D,), (Q,) float
+        A.
+    common : (D, Q) bool
+        Where both have data.
+    difference : (D, Q, 2) float
+        Of psi_d and psi_q, Wb.
+    sigma : (D, Q, 2) float
+        Joint standard error of the differences, root of the sum of squares, Wb. One that is unknown counts as zero, so
+        that a fit can be judged against an imported map; NaN where both are unknown.
+    nrmse : (float, float)
+        Of psi_d and psi_q: rms difference over the largest absolute flux of B.
+    torque : (D, Q) float or None
+        Difference, Nm; None when the pole pairs of both are not known and equal.
+    second_torque : float
+        Largest absolute torque of B, Nm; NaN without torque.
+    curve_current, curve_difference : (C,) float or None
+        Difference of the inverter curves, V, over the phase current, A; None when one of the results has no curve.
+    """
+
+    first: Identification
+    second: Identification
+    i_d: FloatArray
+    i_q: FloatArray
+    common: BoolArray
+    difference: FloatArray
+    sigma: FloatArray
+    nrmse: tuple[float, float]
+    torque: FloatArray | None
+    second_torque: float
+    curve_current: FloatArray | None
+    curve_difference: FloatArray | None
+
+    @property
+    def in_sigma(self) -> FloatArray:
+        """Differences in units of their joint standard error, (D, Q, 2); NaN where unknown."""
+        usable = np.isfinite(self.sigma) & (self.sigma > 0)
+        return np.where(usable, self.difference / np.where(usable, self.sigma, 1.0), np.nan)
+
+    @property
+    def resistance(self) -> float:
+        """Difference of the resistances, ohm; NaN when one is unknown."""
+        return self.first.resistance - self.second.resistance
+
+    @property
+    def resistance_in_sigma(self) -> float:
+        """The same in units of the joint standard error; NaN where unknown."""
+        sigma = float(_joint(np.array(self.first.sigma_resistance), np.array(self.second.sigma_resistance)))
+        return self.resistance / sigma if math.isfinite(sigma) and sigma > 0 else math.nan
+
+    def worst(self) -> tuple[float, float, FloatArray]:
+        """Return i_d and i_q, A, of the largest difference ``hypot(d, q)``, and that difference (2,), Wb."""
+        place = np.unravel_index(np.nanargmax(np.hypot(*np.moveaxis(self.difference, -1, 0))), self.common.shape)
+        return float(self.i_d[place[0]]), float(self.i_q[place[1]]), self.difference[place]
+
+    def tree(self) -> dict[str, Any]:
+        """Return all figures as plain values; what is unknown is None."""
+        i_d, i_q, worst = self.worst()
+        units = self.in_sigma
+        torque, relative = None, None
+        if self.torque is not None:
+            torque = {"rms": _rms(self.torque), "largest": float(np.nanmax(np.abs(self.torque)))}
+            relative = torque["rms"] / self.second_torque if self.second_torque > 0 else None
+        tree = {
+            "points": int(np.count_nonzero(self.common)),
+            "nrmse_d": self.nrmse[0],
+            "nrmse_q": self.nrmse[1],
+            "rms_d": _rms(self.difference[..., 0]),
+            "rms_q": _rms(self.difference[..., 1]),
+            "rms_d_in_sigma": _rms(units[..., 0]),
+            "rms_q_in_sigma": _rms(units[..., 1]),
+            "largest_in_sigma": float(np.nanmax(np.abs(units))) if np.isfinite(units).any() else math.nan,
+            "worst": {"i_d": i_d, "i_q": i_q, "psi_d": float(worst[0]), "psi_q": float(worst[1])},
+            "resistance": self.resistance,
+            "resistance_in_sigma": self.resistance_in_sigma,
+            "inverter_curve": None
+            if self.curve_difference is None
+            else {"rms": _rms(self.curve_difference), "largest": float(np.abs(self.curve_difference).max())},
+            "torque": torque,
+            "nrmse_torque": relative,
+        }
+        return {name: _known(value) for name, value in tree.items()}
+
+
+def compare(first: Identification, second: Identification) -> Comparison:
+    """Compare two results.
+
+    Parameters
+    ----------
+    first, second : drive_id.Identification
+        A and B; differences are A minus B.
+
+    Returns
+    -------
+    Comparison
+        On the grid of A.
+
+    Raises
+    ------
+    CoverageError
+        When the results have no currents in common.
+    ConfigurationError
+        When all flux linkages of B are zero.
+    """
+    found, other = first.flux_map, second.flux_map
+    i_d, i_q = found.i_d, found.i_q
+    grid = np.meshgrid(i_d, i_q, indexing="ij")
+    psi, psi_other = (np.stack(each.psi_dq(*grid), axis=-1) for each in (found, other))
+    difference = psi - psi_other
+    common = np.asarray(np.isfinite(difference).all(axis=-1))
+    if not common.any():
+        raise CoverageError("The two results have no currents in common: compare maps of the same machine.")
+    sigma = _joint(*(np.stack(each.sigma(*grid), axis=-1) for each in (found, other)))
+    if not np.abs(psi_other[common]).max(axis=0).all():
+        raise ConfigurationError("A flux linkage of the second result is zero everywhere: compare with another result.")
+    pairs = first.pole_pairs
+    torque, largest = None, math.nan
+    if pairs is not None and pairs == second.pole_pairs:
+        own, others = (1.5 * pairs * (x[..., 0] * grid[1] - x[..., 1] * grid[0]) for x in (psi, psi_other))
+        torque, largest = own - others, float(np.nanmax(np.abs(np.where(common, others, np.nan))))
+    current, curve = _curves(first, second)
+    return Comparison(
+        first,
+        second,
+        i_d,
+        i_q,
+        common,
+        difference,
+        sigma,
+        nrmse(psi[common], psi_other[common]),
+        torque,
+        largest,
+        current,
+        curve,
+    )
+
+
+def _curves(first: Identification, second: Identification) -> tuple[FloatArray | None, FloatArray | None]:
+    if not (first.drive.has_inverter and second.drive.has_inverter):
+        return None, None
+    curves = (first.inverter_curve, second.inverter_curve)
+    reach = min(float(np.abs(curve.current).max()) for curve in curves)
+    current = np.linspace(-reach, reach, _CURVE_POINTS)
+    drops = [np.interp(current, curve.current, curve.voltage) for curve in curves]
+    return current, drops[0] - drops[1]
+
+
+def _joint(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the root of the sum of squares of what is known; NaN where neither standard error is."""
+    known = np.isfinite(first) | np.isfinite(second)
+    joint = np.hypot(np.where(np.isfinite(first), first, 0.0), np.where(np.isfinite(second), second, 0.0))
+    return np.where(known, joint, np.nan)
+
+
+def _rms(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,1 @@
+"""Tables for other tools: one file per format."""

@@ -1,0 +1,64 @@
+"""Current references over torque and speed, as tables of controllers want them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.analysis.field_weakening import Limits, corner_speed, envelope, references, top_speed
+from drive_id.errors import ConfigurationError
+from drive_id.exchange.exports.axes import clean
+from drive_id.exchange.exports.table import MapTable
+from drive_id.types import FloatArray
+
+_SPEEDS, _TORQUES = 25, 10
+_WEAKENING = 4.0
+"""Highest speed, in corner speeds."""
+
+
+@dataclass(frozen=True, eq=False)
+class ControlTable:
+    """References of least current within the limits.
+
+    Parameters
+    ----------
+    speed : (S,) float
+        Mechanical, rad/s, from 0.
+    torque : (T,) float
+        Nm, from the most negative to the largest.
+    i_d, i_q : (S, T) float
+        A; where a torque cannot be reached, those of the nearest that can.
+    """
+
+    speed: FloatArray
+    torque: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+
+
+def control_table(table: MapTable) -> ControlTable:
+    """Search the references of a drive for its DC-link voltage and i_max.
+
+    Raises
+    ------
+    ConfigurationError
+        When pole pairs, resistance or DC-link voltage are unknown, or no speed can be driven.
+    """
+    machine = table.machine
+    machine.known_pole_pairs()
+    table.known_resistance()
+    limits = Limits(machine.i_max, machine.known_u_dc() / math.sqrt(3))
+    corner = corner_speed(machine, limits)
+    if corner <= 0:
+        raise ConfigurationError(
+            f"{machine.known_u_dc():g} V do not suffice for the largest torque at standstill: give a larger --u-dc."
+        )
+    speed = clean(np.linspace(0.0, top_speed(machine, limits, _WEAKENING * corner), _SPEEDS))
+    motoring, braking = (envelope(machine, limits, speed, sign=sign) for sign in (1.0, -1.0))
+    largest = float(np.nanmax(np.abs([motoring.torque, braking.torque])))
+    torque = clean(largest * np.arange(-_TORQUES, _TORQUES + 1) / _TORQUES)
+    found = references(machine, limits, torque, motoring, braking)
+    possible = np.isfinite(found.stator).all(axis=(1, 2))  # the highest speed may just fail
+    return ControlTable(speed[possible], torque, found.stator[possible, :, 0], found.stator[possible, :, 1])

@@ -1,0 +1,125 @@
+"""Export: from a result to the file of another tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from drive_id.errors import CoverageError
+from drive_id.exchange.exports.axes import default_axis
+from drive_id.exchange.exports.formats import export_format
+from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.table import MapTable
+from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.fitting.result import Identification
+from drive_id.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TableChoice:
+    """Which table to write.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float or None
+        Axes, A; None: about 41 points of a round step up to i_max.
+    filled : bool
+        Continue the map where there are no data.
+    pole_pairs, u_dc : int, float or None
+        Instead of those of the result; V.
+    """
+
+    i_d: FloatArray | None = None
+    i_q: FloatArray | None = None
+    filled: bool = False
+    pole_pairs: int | None = None
+    u_dc: float | None = None
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Parameters
+    ----------
+    points, missing : int
+        Of the table, and how many of them have no data; 0 for formats without tables.
+    filled : bool
+        Whether points without data hold a continuation.
+    gaps : str
+        What has become of points without data otherwise.
+    """
+
+    points: int
+    missing: int
+    filled: bool
+    gaps: str = ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences."""
+        if not self.missing:
+            return ()
+        what = f"{self.missing} of {self.points} points of the table have no data"
+        if self.filled:
+            return (f"{what}: they hold a continuation of the map.",)
+        return (f"{what}: {self.gaps}; choose a smaller --range, or --fill them with a continuation.",)
+
+
+def content_of(
+    result: Identification, name: str, choice: TableChoice | None = None, options: ExportOptions | None = None
+) -> tuple[bytes, Exported]:
+    """Return the content of a file of a format, and what it holds.
+
+    Raises
+    ------
+    ConfigurationError
+        When the format is unknown, or cannot hold this result.
+    CoverageError
+        When no point of the table has data.
+    """
+    chosen, wanted = export_format(name), choice or TableChoice()
+    i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (wanted.i_d, wanted.i_q))
+    table = MapTable.of(result, i_d, i_q, filled=wanted.filled, pole_pairs=wanted.pole_pairs, u_dc=wanted.u_dc)
+    if not chosen.grid and not table.machine.inside(0.0, 0.0):
+        raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
+    content = chosen.write(table, options or ExportOptions())
+    if not chosen.grid:
+        return content, Exported(0, 0, filled=False)
+    return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps)
+
+
+def export_map(
+    result: Identification,
+    name: str,
+    path: Path,
+    choice: TableChoice | None = None,
+    options: ExportOptions | None = None,
+    *,
+    force: bool = False,
+) -> Exported:
+    """Write a result in the format of another tool, all of the file or nothing.
+
+    Parameters
+    ----------
+    result : drive_id.Identification
+    name : str
+        Of the format, see :data:`~.formats.EXPORTS`.
+    path : Path
+    choice : TableChoice, optional
+    options : ExportOptions, optional
+    force : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        When the file exists and ``force`` is not given, or cannot be written.
+    ConfigurationError, CoverageError
+        See :func:`content_of`.
+    """
+    if not force:
+        check_absent(path)
+    content, exported = content_of(result, name, choice, options)
+    replace_file(path, content)
+    return exported

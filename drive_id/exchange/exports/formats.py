@@ -1,0 +1,98 @@
+"""The formats that can be exported: one writer each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from drive_id.errors import ConfigurationError
+from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers import (
+    c_header,
+    controllers,
+    csv_file,
+    gradnet,
+    machine_file,
+    modelica,
+    motor_control,
+    motulator,
+    netcdf,
+    plecs,
+    powertrain,
+    simscape,
+    syre,
+)
+
+
+class Writer(Protocol):
+    """Writes a table in one format."""
+
+    def __call__(self, table: MapTable, options: ExportOptions) -> bytes:
+        """Return the content of the file; raises ConfigurationError when the format cannot hold the table."""
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format of exported files.
+
+    Parameters
+    ----------
+    title : str
+        The tool that reads it.
+    suffix : str
+        Usual end of the file's name.
+    write : Writer
+    grid : bool
+        Whether it holds tables over the current plane; False for a few numbers.
+    gaps : str
+        What becomes of points without data.
+    """
+
+    title: str
+    suffix: str
+    write: Writer
+    grid: bool = True
+    gaps: str = "they are marked as NaN"
+
+
+EXPORTS: Mapping[str, ExportFormat] = {
+    "csv": ExportFormat("text with one row for each point", ".csv", csv_file.write),
+    "netcdf": ExportFormat("netCDF 3, for xarray", ".nc", netcdf.write),
+    "machine": ExportFormat("machine file of drive_id", ".npz", machine_file.write),
+    "motulator": ExportFormat("flux map of motulator", ".npz", motulator.write),
+    "gradnet-data": ExportFormat(
+        "training data of motulator-gradnet", ".npz", motulator.write_samples, gaps="they are left out"
+    ),
+    "gradnet": ExportFormat(
+        "GradNet function of motulator", ".npz", gradnet.write, gaps="the network continues the map"
+    ),
+    "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", syre.write_flux),
+    "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", syre.write_model),
+    "simscape": ExportFormat("Simscape FEM-Parameterized PMSM, 3-D flux linkages", ".mat", simscape.write_fem),
+    "simscape-2d": ExportFormat("Simscape PMSM with tabulated inductances", ".mat", simscape.write_tabulated),
+    "motor-control": ExportFormat("Motor Control Blockset", ".mat", motor_control.write),
+    "powertrain": ExportFormat("Powertrain Blockset flux-based PMSM", ".mat", powertrain.write_machine),
+    "powertrain-controller": ExportFormat(
+        "Powertrain Blockset flux-based PM controller", ".mat", powertrain.write_controller
+    ),
+    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
+    "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", plecs.write),
+    "modelica": ExportFormat("Modelica CombiTable2D", ".txt", modelica.write),
+    "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
+    "odrive": ExportFormat("ODrive configuration", ".json", controllers.write_odrive, grid=False),
+}
+
+
+def export_format(name: str) -> ExportFormat:
+    """Return a format.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none of this name; the message lists all.
+    """
+    if name not in EXPORTS:
+        raise ConfigurationError(f"There is no export format '{name}': choose {', '.join(EXPORTS)}.")
+    return EXPORTS[name]

@@ -1,0 +1,225 @@
+"""A flux map sampled on the axes of a table: what every format writes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.ripple import TorqueRipple
+from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.fitting.result import Identification
+from drive_id.types import BoolArray, FloatArray
+
+_PER_PERIOD, _LEAST_ANGLES = 12, 4
+_NEGLIGIBLE = 0.01
+_MARGIN = 1.25
+
+
+@dataclass(frozen=True, eq=False)
+class MapTable:
+    """A result on the axes of a table.
+
+    Arrays over the current plane are indexed [i_d, i_q]. Where there are no data they are NaN, unless the table is
+    filled; ``inside`` tells.
+
+    Parameters
+    ----------
+    result : drive_id.Identification
+    machine : MachineModel
+        Continued beyond the data.
+    i_d, i_q : (D,), (Q,) float
+        Axes, A.
+    filled : bool
+        Points without data hold the continuation of the map.
+    """
+
+    result: Identification
+    machine: MachineModel
+    i_d: FloatArray
+    i_q: FloatArray
+    filled: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        result: Identification,
+        i_d: FloatArray,
+        i_q: FloatArray,
+        *,
+        filled: bool = False,
+        pole_pairs: int | None = None,
+        u_dc: float | None = None,
+    ) -> MapTable:
+        """Sample a result.
+
+        Parameters
+        ----------
+        result : drive_id.Identification
+        i_d, i_q : (D,), (Q,) float
+            Axes, A.
+        filled : bool
+            Continue the map where there are no data.
+        pole_pairs, u_dc : int, float, optional
+            Default: those of the result; V.
+
+        Raises
+        ------
+        CoverageError
+            When no point of the table has data.
+        """
+        table = cls(result, MachineModel.of(result, pole_pairs=pole_pairs, u_dc=u_dc), i_d, i_q, filled)
+        if not table.inside.any():
+            raise CoverageError("No point of the table has data: choose a smaller --range.")
+        return table
+
+    @cached_property
+    def grid(self) -> tuple[FloatArray, FloatArray]:
+        """i_d and i_q of all points, (D, Q) each, A."""
+        i_d, i_q = np.meshgrid(self.i_d, self.i_q, indexing="ij")
+        return i_d, i_q
+
+    @cached_property
+    def inside(self) -> BoolArray:
+        """Where there are data, (D, Q)."""
+        return self.machine.inside(*self.grid)
+
+    @property
+    def missing(self) -> int:
+        """Number of points without data."""
+        return int(np.count_nonzero(~self.inside))
+
+    def masked(self, values: FloatArray) -> FloatArray:
+        """Return values (D, Q, ...), NaN at points without data unless the table is filled."""
+        if self.filled:
+            return values
+        return np.where(self.inside.reshape(*self.inside.shape, *[1] * (values.ndim - 2)), values, np.nan)
+
+    @cached_property
+    def psi(self) -> tuple[FloatArray, FloatArray]:
+        """psi_d and psi_q, (D, Q) each, Wb: those of the result where it has data."""
+        own, continued = self.result.flux_map.psi_dq(*self.grid), self.machine.psi_dq(*self.grid)
+        psi_d, psi_q = (np.where(np.isfinite(own[k]), own[k], continued[k]) for k in range(2))
+        return self.masked(psi_d), self.masked(psi_q)
+
+    @cached_property
+    def sigma(self) -> tuple[FloatArray, FloatArray]:
+        """Standard errors of psi_d and psi_q, (D, Q) each, Wb; NaN without data."""
+        return self.machine.flux_map.sigma(*self.grid)
+
+    @cached_property
+    def inductances(self) -> FloatArray:
+        """Incremental inductances (D, Q, 2, 2), H."""
+        own = self.result.flux_map.inductances(*self.grid)
+        return self.masked(np.where(np.isfinite(own), own, self.machine.inductances(*self.grid)))
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """1.5 p (psi_d i_q - psi_q i_d), (D, Q), Nm; raises ConfigurationError without pole pairs."""
+        (i_d, i_q), (psi_d, psi_q) = self.grid, self.psi
+        return np.asarray(1.5 * self.machine.known_pole_pairs() * (psi_d * i_q - psi_q * i_d))
+
+    @cached_property
+    def torque_if_known(self) -> FloatArray | None:
+        """Torque (D, Q), Nm; None without pole pairs."""
+        return None if self.machine.pole_pairs is None else self.torque
+
+    @cached_property
+    def harmonics(self) -> tuple[tuple[int, FloatArray], ...]:
+        """Order and amplitudes (D, Q, 4), Wb, of psi_d cos, psi_d sin, psi_q cos, psi_q sin, of each harmonic."""
+        ripple = self._ripple
+        parts = zip(ripple.orders, ripple.cosines, ripple.sines, strict=True)
+        return tuple(
+            (order, self.masked(_alternating(cosine.values(*self.grid), sine.values(*self.grid))))
+            for order, cosine, sine in parts
+        )
+
+    @cached_property
+    def _ripple(self) -> TorqueRipple:
+        reach = max(_MARGIN * self.machine.i_max, *(float(np.abs(axis).max()) for axis in (self.i_d, self.i_q)))
+        return TorqueRipple.of(self.machine, self.result.flux_map, self.result.harmonics, reach)
+
+    def repeating(self, span: float) -> MapTable:
+        """Return this table with only those harmonics that repeat after an electrical angle, rad.
+
+        Raises
+        ------
+        ConfigurationError
+            When one that does not is larger than a hundredth of the largest flux.
+        """
+        kept = []
+        largest = float(np.nanmax(np.hypot(*self.psi)))
+        for harmonic, (order, amplitudes) in zip(self.result.harmonics, self.harmonics, strict=True):
+            periods = order * span / (2 * np.pi)
+            if abs(periods - round(periods)) < 1e-9:
+                kept.append(harmonic)
+            elif np.nanmax(np.abs(amplitudes)) > _NEGLIGIBLE * largest:
+                raise ConfigurationError(
+                    f"The harmonic of order {order} does not repeat after {np.degrees(span):g} degrees electrical, as "
+                    "this format assumes: export another format."
+                )
+        result = replace(self.result, drive=replace(self.result.drive, harmonics=tuple(kept)))
+        return replace(self, result=result)
+
+    def angles(self, span: float) -> FloatArray:
+        """Return electrical angles from 0 over a span, without its end, fine enough for all harmonics, rad."""
+        periods = max((math.ceil(harmonic.order * span / (2 * np.pi)) for harmonic in self.result.harmonics), default=0)
+        count = max(_LEAST_ANGLES, _PER_PERIOD * periods)
+        return np.arange(count, dtype=np.float64) * (span / count)
+
+    def psi_theta(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return psi_d and psi_q (D, Q, H), Wb, at electrical angles (H,), rad."""
+        psi_d, psi_q = (np.repeat(psi[..., None], len(theta), axis=-1) for psi in self.psi)
+        for order, amplitudes in self.harmonics:
+            cosine, sine = np.cos(order * theta), np.sin(order * theta)
+            psi_d += amplitudes[..., 0, None] * cosine + amplitudes[..., 1, None] * sine
+            psi_q += amplitudes[..., 2, None] * cosine + amplitudes[..., 3, None] * sine
+        return psi_d, psi_q
+
+    def torque_theta(self, theta: FloatArray) -> FloatArray:
+        """Return the torque (D, Q, H), Nm, at electrical angles (H,), rad, without the cogging at zero current.
+
+        Raises
+        ------
+        ConfigurationError
+            When the pole pairs are unknown.
+        """
+        ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
+        return self.masked(self.torque[..., None] + ripple)
+
+    def facts(self) -> dict[str, str | float | int]:
+        """Return what is known of the machine and of the table, by name; SI units."""
+        machine, result = self.machine, self.result
+        texts = {"machine": result.machine, "method": result.method}
+        numbers = {
+            "resistance": machine.resistance,
+            "sigma_resistance": result.sigma_resistance,
+            "pole_pairs": machine.pole_pairs,
+            "i_max": machine.i_max,
+            "u_dc": machine.u_dc,
+            "filled": int(self.filled),
+        }
+        known = {name: value for name, value in numbers.items() if value is not None and math.isfinite(value)}
+        return {name: text for name, text in texts.items() if text} | known
+
+    def known_resistance(self) -> float:
+        """Return the resistance, ohm.
+
+        Raises
+        ------
+        ConfigurationError
+            When it is unknown.
+        """
+        if not np.isfinite(self.machine.resistance):
+            raise ConfigurationError(
+                "The result does not tell the resistance, which this format needs: import the map with --resistance."
+            )
+        return self.machine.resistance
+
+
+def _alternating(cosine: FloatArray, sine: FloatArray) -> FloatArray:
+    """Return (..., 4) of two arrays (..., 2): d cos, d sin, q cos, q sin."""
+    return np.stack([cosine[..., 0], sine[..., 0], cosine[..., 1], sine[..., 1]], axis=-1)

@@ -1,0 +1,1 @@
+"""One writer for each format, or family of formats."""

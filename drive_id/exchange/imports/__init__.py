@@ -1,0 +1,1 @@
+"""Flux maps of other tools as results of drive_id."""

@@ -1,0 +1,183 @@
+"""Import: from a file of another tool to a result as a fit gives it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive
+from drive_id.errors import ConfigurationError
+from drive_id.exchange.imports.conventions import Conventions, converted
+from drive_id.exchange.imports.formats import IMPORTS, format_of
+from drive_id.exchange.imports.gridding import Gridded, gridded
+from drive_id.exchange.imports.plausibility import check_plausible, torque_ratio
+from drive_id.exchange.imports.points import MapPoints
+from drive_id.exchange.imports.source import Source
+from drive_id.files.results.identification import Provenance
+from drive_id.fitting.result import Identification
+
+METHOD = "imported"
+_COVERAGE_POINTS = 101
+OURS = Conventions()
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user says of a file, apart from how to read it.
+
+    Parameters
+    ----------
+    format : str or None
+        None: by the name and content of the file.
+    axis : str or None
+        See :class:`~.conventions.Conventions`; None: as the file says, else ``pm``.
+    conventions : Conventions
+        All other conventions.
+    machine : str
+        Name; empty: that of the file.
+    """
+
+    format: str | None = None
+    axis: str | None = None
+    conventions: Conventions = OURS
+    machine: str = ""
+
+
+def import_map(source: Source, options: ImportOptions | None = None) -> Identification:
+    """Read a flux map of another tool.
+
+    Parameters
+    ----------
+    source : Source
+    options : ImportOptions, optional
+
+    Returns
+    -------
+    drive_id.Identification
+        With method ``imported``. Standard errors are NaN unless the file has them; the inverter's drop is zero.
+
+    Raises
+    ------
+    ConfigurationError
+        When the file cannot be read, or holds a map that no machine has; the message names the options that would make
+        it plausible.
+    """
+    chosen = options or ImportOptions()
+    name = format_of(source, chosen.format)
+    source = replace(source, order=chosen.conventions.order)
+    points = _turned(IMPORTS[name].read(source), source)
+    conventions = _conventions(source, points, chosen)
+
+    def transposed() -> MapPoints | None:
+        try:
+            other = replace(source, order="qd" if source.order == "dq" else "dq")
+            return _turned(IMPORTS[name].read(other), source)
+        except ConfigurationError:  # the axes have different lengths, so there is but one order
+            return None
+
+    check_plausible(points, conventions, transposed)
+    ours = converted(points, conventions)
+    return _result(source, name, ours, gridded(ours), conventions, chosen.machine)
+
+
+def _turned(points: MapPoints, source: Source) -> MapPoints:
+    """Add the given offset to the rotor positions."""
+    return points if points.theta is None else replace(points, theta=points.theta + np.radians(source.angle_offset))
+
+
+def _conventions(source: Source, points: MapPoints, options: ImportOptions) -> Conventions:
+    """Return the conventions with the axis that the user or the file names."""
+    if options.axis is not None and points.axis is not None and options.axis != points.axis:
+        raise ConfigurationError(
+            f"--axis {options.axis} contradicts '{source.path}', whose axes are of type {points.axis}: leave it out."
+        )
+    return replace(options.conventions, axis=options.axis or points.axis or "pm")
+
+
+def _result(
+    source: Source, name: str, points: MapPoints, found: Gridded, conventions: Conventions, machine: str
+) -> Identification:
+    scalars, ratio = points.scalars, torque_ratio(points)
+    pairs = scalars.get("pole_pairs")
+    if pairs is not None and pairs != round(pairs):
+        raise ConfigurationError(f"The number of pole pairs is {pairs:g}: give a whole number (--pole-pairs).")
+    origin = (
+        f"Imported from '{source.path.name}' ({IMPORTS[name].title}); conventions of the file: axis "
+        f"{conventions.axis}, order {conventions.order}, sign {conventions.sign}, magnet on {conventions.magnet} d, q "
+        f"{conventions.q_axis} d, currents {conventions.current}, flux linkages {conventions.flux}."
+    )
+    statements = [origin, _shape_statement(found)]
+    if points.sigma_dq is None or not np.isfinite(points.sigma_dq).any():
+        statements.append("The standard errors of the map are unknown.")
+    if pairs is None and ratio is not None:
+        pairs = float(round(ratio))
+        statements.append(f"The torque in the file is that of {pairs:g} pole pairs.")
+    i_max = scalars.get("i_max", _reach(found.flux_map))
+    drive = IdentifiedDrive(
+        method=METHOD,
+        i_max=i_max,
+        resistance=scalars.get("resistance", np.nan),
+        sigma_resistance=np.nan,
+        voltage_error=0.0,
+        sigma_voltage_error=np.nan,
+        inverter_current=np.array([-i_max, 0.0, i_max]),
+        inverter_voltage=np.zeros(3),
+        flux_map=found.flux_map,
+        report=_report(found.flux_map, i_max, len(points.i_dq)),
+        harmonics=found.harmonics,
+        statements=tuple(statements),
+    )
+    files = [source.path] if source.psi_q_file is None else [source.path, source.psi_q_file]
+    provenance = Provenance(
+        inputs={str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
+        settings=FitSettings(),
+        machine=machine or points.machine or source.path.stem,
+        pole_pairs=None if pairs is None else round(pairs),
+        u_dc=scalars.get("u_dc"),
+        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+    return Identification(drive, provenance)
+
+
+def _shape_statement(found: Gridded) -> str:
+    size = f"{len(found.flux_map.i_d)} x {len(found.flux_map.i_q)} points"
+    if found.scattered:
+        said = (
+            f"The points form no grid: the map is a reciprocal, monotone co-energy spline through them ({size}), "
+            f"{found.rms:.3g} Wb rms from the points"
+        )
+    else:
+        said = f"The grid has {size}"
+    mirrored = "; the half with the other sign of i_q is its mirror image" if found.mirrored else ""
+    return f"{said}{mirrored}."
+
+
+def _reach(flux_map: FluxMap) -> float:
+    """Return the radius of the disc that the axes cover, A; of the half or quarter that they do."""
+    return float(min(np.abs(flux_map.i_d).max(), np.abs(flux_map.i_q).max()))
+
+
+def _report(flux_map: FluxMap, i_max: float, points: int) -> FitReport:
+    axis = np.linspace(-i_max, i_max, _COVERAGE_POINTS)
+    i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
+    disc = np.hypot(i_d, i_q) <= i_max
+    covered = np.isfinite(flux_map.psi_dq(i_d[disc], i_q[disc])[0])
+    return FitReport(
+        samples_read=points,
+        samples_used=points,
+        gaps=0,
+        rows=0,
+        parameters=0,
+        rank=0,
+        unseen=0,
+        condition=np.inf,
+        residual_rms=np.nan,
+        mad_d=np.nan,
+        mad_q=np.nan,
+        coverage=float(covered.mean()),
+        warnings=(),
+    )

@@ -1,0 +1,193 @@
+"""Maps in ``.npz`` files: our machine files, the ``flux_map.npz`` of our results, and those of motulator."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drive_id.errors import ConfigurationError
+from drive_id.exchange.imports.points import SCALARS, MapPoints, of_grid
+from drive_id.exchange.imports.source import Source
+from drive_id.types import FloatArray
+
+_SCALARS = {
+    "R": "resistance", "R_s": "resistance", "resistance": "resistance", "pole_pairs": "pole_pairs", "n_p": "pole_pairs",
+    "i_max": "i_max", "u_dc": "u_dc",
+}  # fmt: skip
+
+
+def read_npz(source: Source) -> MapPoints:
+    """Read a map from an ``.npz`` file."""
+    values = _arrays(source.path)
+    scalars = known_scalars({name: values[key] for key, name in _SCALARS.items() if key in values}, source.scalars)
+    machine = str(values["machine"]) if "machine" in values else ""
+    if "i_s_dq" in values and "psi_s_dq" in values:
+        return _of_motulator(source.path, values, scalars, machine)
+    axes = ("i_d", "i_q") if "i_d" in values else ("id", "iq")
+    missing = [name for name in (*axes, "psi_d", "psi_q") if name not in values]
+    if missing:
+        raise ConfigurationError(
+            f"'{source.path}' has no '{missing[0]}' (it has {', '.join(sorted(values)) or 'nothing'}): it must hold "
+            "i_d, i_q, psi_d and psi_q, or i_s_dq and psi_s_dq as motulator does."
+        )
+    i_d, i_q = (real(source.path, name, values[name]).ravel() for name in axes)
+    turning = "theta_e_deg" in values and "psi_d_theta" in values and "psi_q_theta" in values
+    names = ("psi_d_theta", "psi_q_theta") if turning else ("psi_d", "psi_q")
+    theta = np.radians(real(source.path, "theta_e_deg", values["theta_e_deg"])) if turning else None
+    psi = [ordered(source, real(source.path, name, values[name]), name, len(i_d), len(i_q)) for name in names]
+    i_dq, psi_dq = of_grid(i_d, i_q, *psi)
+    torque = values.get("torque_theta", values.get("torque"))
+    torque = (
+        None if torque is None else ordered(source, real(source.path, "torque", torque), "torque", *psi[0].shape[:2])
+    )
+    if torque is not None and torque.ndim == 3:
+        torque = torque.mean(axis=2)
+    sigma = None
+    if "sigma_d" in values and "sigma_q" in values:
+        parts = [
+            ordered(source, real(source.path, name, values[name]), name, len(i_d), len(i_q))
+            for name in ("sigma_d", "sigma_q")
+        ]
+        sigma = np.stack(parts, axis=-1).reshape(-1, 2)
+    if "inside" in values:
+        inside = ordered(source, np.asarray(values["inside"], np.float64), "inside", len(i_d), len(i_q)).ravel() > 0
+        psi_dq = np.where(inside[:, None, None], psi_dq, np.nan)
+    return MapPoints.with_gaps(
+        i_dq,
+        psi_dq,
+        theta,
+        None if torque is None else torque.ravel(),
+        sigma,
+        scalars,
+        shape=(len(i_d), len(i_q)),
+        machine=machine,
+    )
+
+
+def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q: int) -> FloatArray:
+    """Return an array indexed [i_d, i_q, ...], from one in the order of the source.
+
+    Raises
+    ------
+    ConfigurationError
+        When its shape does not fit the axes.
+    """
+    turned = np.swapaxes(values, 0, 1) if source.order == "qd" and values.ndim >= 2 else values
+    if turned.ndim not in (2, 3) or turned.shape[:2] != (count_d, count_q):
+        hint = f"its axes need {(count_d, count_q)} in the order {source.order}"
+        other = "qd" if source.order == "dq" else "dq"
+        if values.ndim >= 2 and np.swapaxes(turned, 0, 1).shape[:2] == (count_d, count_q):
+            hint += f", and would fit with --order {other}"
+        raise ConfigurationError(f"'{name}' in '{source.path}' has shape {values.shape}: {hint}.")
+    return np.asarray(turned, np.float64)
+
+
+def known_scalars(found: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, float]:
+    """Return the machine's scalars that are positive numbers: those given, else those found in the file."""
+    scalars = {}
+    for name in SCALARS:
+        value = np.asarray(given.get(name, found.get(name, np.nan)))
+        if value.size == 1 and value.dtype.kind in "fiu" and np.isfinite(value).all() and float(value.reshape(())) > 0:
+            scalars[name] = float(value.reshape(()))
+    return scalars
+
+
+def real(path: Path, name: str, value: Any) -> FloatArray:
+    """Return an array of real numbers.
+
+    Raises
+    ------
+    ConfigurationError
+        When it is none.
+    """
+    found = np.asarray(value)
+    if found.dtype.kind not in "fiub":
+        raise ConfigurationError(f"'{name}' in '{path}' is of type {found.dtype}: it must hold real numbers.")
+    return found.astype(np.float64)
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        raise ConfigurationError(
+            f"'{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it with numpy.savez."
+        ) from error
+
+
+def _of_motulator(path: Path, values: Mapping[str, Any], scalars: Mapping[str, float], machine: str) -> MapPoints:
+    """Read complex maps; with ``theta_m``, one entry for each current and rotor position."""
+    current, psi = (np.asarray(values[name]).ravel() for name in ("i_s_dq", "psi_s_dq"))
+    if current.dtype.kind != "c" or psi.dtype.kind != "c" or current.shape != psi.shape:
+        raise ConfigurationError(f"i_s_dq and psi_s_dq in '{path}' must be complex arrays of equal shape.")
+    i_dq, psi_dq = (np.stack([x.real, x.imag], axis=-1) for x in (current, psi))
+    torque: FloatArray | None = None
+    if "tau_m" in values and "pole_pairs" in scalars:
+        torque = scalars["pole_pairs"] * real(path, "tau_m", values["tau_m"]).ravel()  # it is per pole pair
+    elif "tau" in values:
+        torque = real(path, "tau", values["tau"]).ravel()
+    if torque is not None and torque.shape != current.shape:
+        raise ConfigurationError(f"The torque in '{path}' has {torque.size} values for {current.size} points.")
+    if "theta_m" in values:
+        theta = real(path, "theta_m", values["theta_m"]).ravel()
+        return turning_points(path, i_dq, psi_dq, theta, torque, scalars, machine)
+    return MapPoints.with_gaps(i_dq, psi_dq[..., None], torque=torque, scalars=scalars, machine=machine)
+
+
+def turning_points(
+    path: Path,
+    i_dq: FloatArray,
+    psi_dq: FloatArray,
+    theta: FloatArray,
+    torque: FloatArray | None,
+    scalars: Mapping[str, float],
+    machine: str = "",
+) -> MapPoints:
+    """Group entries (N), one for each current and rotor position, by current.
+
+    Raises
+    ------
+    ConfigurationError
+        When rotor positions are missing at some currents.
+    """
+    if theta.shape != i_dq.shape[:1]:
+        raise ConfigurationError(f"The rotor positions in '{path}' are {theta.size} for {len(i_dq)} points.")
+    known = ~np.isnan(psi_dq).any(axis=1)
+    i_dq, psi_dq, theta, torque = i_dq[known], psi_dq[known], theta[known], None if torque is None else torque[known]
+    places, which = np.unique(np.round(i_dq / np.ptp(i_dq, axis=0), 9), axis=0, return_inverse=True)
+    angles, position = np.unique(np.round(theta, 9), return_inverse=True)
+    shape = (len(places), len(angles))
+    seen = np.zeros(shape, np.int64)
+    np.add.at(seen, (which.ravel(), position), 1)
+    if not (seen == 1).all():
+        raise ConfigurationError(
+            f"'{path}' does not hold each current exactly once at each of its {len(angles)} rotor positions: complete "
+            "it."
+        )
+
+    def grouped(values: FloatArray) -> FloatArray:
+        out = np.empty((*shape, *values.shape[1:]))
+        out[which.ravel(), position] = values
+        return out
+
+    psi, mean_torque = grouped(psi_dq), None if torque is None else grouped(torque).mean(axis=1)
+    return MapPoints(
+        grouped(i_dq)[:, 0],
+        *_without_end(np.swapaxes(psi, 1, 2), angles),
+        torque=mean_torque,
+        scalars=scalars,
+        machine=machine,
+    )
+
+
+def _without_end(psi: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Leave out a last angle that repeats the first."""
+    scale = float(np.abs(psi).max())
+    repeats = len(theta) > 3 and np.abs(psi[..., -1] - psi[..., 0]).max() <= 1e-6 * scale
+    varies = np.ptp(psi, axis=-1).max() > 1e-4 * scale
+    return (psi[..., :-1], theta[:-1]) if repeats and varies else (psi, theta)

@@ -1,0 +1,207 @@
+"""Whether a map can be that of a machine in our conventions, and if not, which conventions would make it one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drive_id.errors import ConfigurationError
+from drive_id.exchange.imports.conventions import Conventions, converted
+from drive_id.exchange.imports.points import MapPoints
+from drive_id.types import FloatArray
+
+_MOST_POINTS, _NEIGHBOURS = 1500, 9
+_RISING = 0.95
+"""Share of points at which each flux must rise with the current of its axis."""
+_ASYMMETRY = 0.25
+"""Largest ``L_dq - L_qd``, rms, relative to the rms inductance: iron loss and noise of measured maps leave less."""
+_MAGNET = 0.02
+"""Flux at zero current, relative to the largest, from which on there is a magnet with a direction."""
+_TORQUE = 0.1
+"""Relative difference allowed between a file's torque and that of its map."""
+_INDUCTANCE = (1e-6, 5.0)  # H
+_TIME_CONSTANT = (3e-5, 20.0)  # s
+_AMPLITUDES = ("current", "flux")
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def faults(points: MapPoints) -> list[str]:
+    """Say what is implausible in a map that should be in our conventions.
+
+    Parameters
+    ----------
+    points : MapPoints
+        Converted by :func:`~.conventions.converted`.
+
+    Returns
+    -------
+    list of str
+        Parts of sentences; empty for a plausible map.
+    """
+    slopes, at_zero = local_slopes(points.i_dq, points.mean_psi_dq)
+    if not len(slopes):
+        return ["its points lie on lines, so that they tell no inductances"]
+    found = _monotone(slopes) or _reciprocal(slopes) or _sized(slopes, points.scalars.get("resistance"))
+    if at_zero is not None:
+        found = found + _magnet(at_zero, points.mean_psi_dq)
+    return found + _torque(points)
+
+
+def check_plausible(points: MapPoints, conventions: Conventions, transposed: Callable[[], MapPoints | None]) -> None:
+    """Refuse an implausible map, naming the conventions that would make it plausible.
+
+    Parameters
+    ----------
+    points : MapPoints
+        In the conventions of the file.
+    conventions : Conventions
+        Those that were assumed.
+    transposed : callable
+        Returns the same points with the indices of their grid exchanged; None when they did not need an order.
+
+    Raises
+    ------
+    ConfigurationError
+        When the map is implausible.
+    """
+    found = faults(converted(points, conventions))
+    if not found:
+        return
+    hint = _hint(points, conventions, transposed())
+    raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}; {hint}.")
+
+
+def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None) -> str:
+    """Return which options would make a map plausible, with as few changes as possible."""
+    names: tuple[str, ...] = ("axis", "order", "sign", "magnet", "q_axis")
+    names += _AMPLITUDES if points.torque is not None else ()
+    fitting: list[Conventions] = []
+    for other in assumed.alternatives(names):
+        if fitting and other.changes(assumed) > fitting[0].changes(assumed):
+            break
+        turned = other.order != assumed.order and points.shape is not None
+        source = transposed if turned else points
+        if source is not None and _usable(source, other) and not faults(converted(source, other)):
+            fitting.append(other)
+    if fitting:
+        options = " or ".join(f"'{other.differing(assumed)}'" for other in fitting)
+        return f"it would be plausible with {options}"
+    if math.isclose(assumed.current_scale, 1.0) and math.isclose(assumed.flux_scale, 1.0):
+        return (
+            "no choice of axes, signs and order makes it plausible: check which columns or fields are read, and their "
+            "units (--current-scale, --flux-scale)"
+        )
+    return "no choice of axes, signs and order makes it plausible: check the scales, and which columns are read"
+
+
+def _usable(points: MapPoints, conventions: Conventions) -> bool:
+    """Tell whether conventions apply: an axis that the file itself tells cannot be another."""
+    return points.axis is None or points.axis == conventions.axis
+
+
+def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Estimate incremental inductances and the flux at zero current, by planes through neighbouring points.
+
+    Parameters
+    ----------
+    i_dq, psi_dq : (N, 2) float
+        A, Wb.
+
+    Returns
+    -------
+    (M, 2, 2) float
+        ``[[L_dd, L_dq], [L_qd, L_qq]]`` at up to 1500 of the points, H.
+    (2,) float or None
+        psi_dq at zero current, Wb; None when the points do not reach zero current.
+    """
+    scale = np.ptp(i_dq, axis=0)
+    spread = [len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)]
+    x = i_dq / scale * np.array(spread)  # so that steps along both axes of a grid count the same
+    tree = cKDTree(x)
+    chosen = x[:: max(1, len(x) // _MOST_POINTS)]
+    _, near = tree.query(chosen, k=_NEIGHBOURS)
+    slopes, known, _ = _planes(i_dq[near], psi_dq[near], chosen / np.array(spread) * scale)
+    distance, around = tree.query(np.zeros((1, 2)), k=_NEIGHBOURS)
+    typical = float(np.median(tree.query(chosen, k=2)[0][:, 1]))
+    _, fits, values = _planes(i_dq[around], psi_dq[around], np.zeros((1, 2)))
+    reaches = bool(fits[0]) and distance[0, 0] <= 3 * typical
+    return slopes[known], values[0] if reaches else None
+
+
+def _planes(i_dq: FloatArray, psi_dq: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit a plane to each (M) group of K points; return slopes (M, 2, 2), which of them hold, and values at (M, 2)."""
+    offset = i_dq - at[:, None]
+    size = np.abs(offset).max(axis=(1, 2), keepdims=True)
+    columns = np.concatenate([np.ones_like(offset[..., :1]), offset / size], axis=-1)
+    normal = np.einsum("mka,mkb->mab", columns, columns)
+    known = np.linalg.cond(normal) < 1e6  # not points on one line
+    normal[~known] = np.eye(3)
+    found = np.linalg.solve(normal, np.einsum("mka,mkb->mab", columns, psi_dq))
+    slopes = np.swapaxes(found[:, 1:], 1, 2) / size
+    return slopes, known, found[:, 0]
+
+
+def _monotone(slopes: FloatArray) -> list[str]:
+    shares = [float(np.mean(slopes[:, k, k] > 0)) for k in range(2)]
+    return [
+        f"psi_{name} rises with i_{name} at {100 * share:.0f} % of the points only"
+        for name, share in zip("dq", shares, strict=True)
+        if share < _RISING
+    ]
+
+
+def _reciprocal(slopes: FloatArray) -> list[str]:
+    difference = float(np.sqrt(np.mean((slopes[:, 0, 1] - slopes[:, 1, 0]) ** 2)))
+    size = float(np.sqrt(np.mean(np.abs(slopes[:, 0, 0] * slopes[:, 1, 1]))))
+    if difference <= _ASYMMETRY * size:
+        return []
+    return [f"it is not reciprocal, dpsi_d/di_q - dpsi_q/di_d being {100 * difference / size:.0f} % of L"]
+
+
+def _sized(slopes: FloatArray, resistance: float | None) -> list[str]:
+    typical = float(np.median(np.sqrt(np.abs(slopes[:, 0, 0] * slopes[:, 1, 1]))))
+    low, high = _INDUCTANCE
+    if not low <= typical <= high:
+        return [f"its typical inductance is {typical:.3g} H, not between {low:g} and {high:g} H"]
+    low, high = _TIME_CONSTANT
+    if resistance is not None and not low <= typical / resistance <= high:
+        return [f"L / R is {typical / resistance:.3g} s, not between {low:g} and {high:g} s"]
+    return []
+
+
+def _magnet(at_zero: FloatArray, psi_dq: FloatArray) -> list[str]:
+    d, q = at_zero
+    if math.hypot(d, q) < _MAGNET * float(np.hypot(*psi_dq.T).max()):
+        return []
+    if d > 0 and abs(q) < 0.35 * d:
+        return []
+    return [f"the flux linkage at zero current is ({d:.3g}, {q:.3g}) Wb in (d, q), not along +d"]
+
+
+def torque_ratio(points: MapPoints) -> float | None:
+    """Return the file's torque over ``3/2 (psi_d i_q - psi_q i_d)``, the number of pole pairs; None without torque."""
+    if points.torque is None:
+        return None
+    known = np.isfinite(points.torque)
+    psi, current, torque = points.mean_psi_dq[known], points.i_dq[known], points.torque[known]
+    product = 1.5 * (psi[:, 0] * current[:, 1] - psi[:, 1] * current[:, 0])
+    power = float(product @ product)
+    return float(product @ torque) / power if power > 0 else None
+
+
+def _torque(points: MapPoints) -> list[str]:
+    ratio, pairs = torque_ratio(points), points.scalars.get("pole_pairs")
+    if ratio is None:
+        return []
+    if ratio <= 0:
+        return ["its torque has the opposite sign of psi_d i_q - psi_q i_d"]
+    if pairs is None:
+        if abs(ratio - round(ratio)) <= _TORQUE * ratio and round(ratio) >= 1:
+            return []
+        return [f"its torque is {ratio:.3g} times 3/2 (psi_d i_q - psi_q i_d), which is no number of pole pairs"]
+    if abs(ratio / pairs - 1) <= _TORQUE:
+        return []
+    return [f"its torque is {ratio / pairs:.3g} times that of the map with {pairs:g} pole pairs"]

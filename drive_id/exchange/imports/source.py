@@ -1,0 +1,70 @@
+"""The file to import, and what its user says about reading it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drive_id.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file and how to read it.
+
+    Parameters
+    ----------
+    path : Path
+    order : {"dq", "qd"}
+        Of the indices of arrays whose axes are one-dimensional.
+    columns : mapping of str to str
+        Our names (``i_d``, ``i_q``, ``psi_d``, ``psi_q``, ``torque``, ``theta``, ``sigma_d``, ``sigma_q``) to the
+        headings, or numbers from 1, of a text file's columns.
+    psi_q_file : Path or None
+        The second of two text files with one matrix each.
+    angle : {"electrical", "mechanical"}
+        Of rotor positions.
+    angle_offset : float
+        Electrical angle of the d axis from phase a at the file's position zero, degrees.
+    scalars : mapping of str to float
+        Given values of ``resistance``, ``pole_pairs``, ``i_max`` and ``u_dc``: they take precedence over the file's.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is no such file.
+    """
+
+    path: Path
+    order: str = "dq"
+    columns: Mapping[str, str] = field(default_factory=dict)
+    psi_q_file: Path | None = None
+    angle: str = "electrical"
+    angle_offset: float = 0.0
+    scalars: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for path in (self.path, self.psi_q_file):
+            if path is not None and not path.is_file():
+                raise ConfigurationError(f"There is no file '{path}' to import: check the path.")
+        if self.angle not in ("electrical", "mechanical"):
+            raise ConfigurationError(f"--angle is '{self.angle}': it must be electrical or mechanical.")
+        if not math.isfinite(self.angle_offset):
+            raise ConfigurationError(f"--angle-offset is {self.angle_offset}: give electrical degrees.")
+
+    def electrical(self, degrees_or_radians: Any) -> Any:
+        """Return rotor positions as electrical angles.
+
+        Raises
+        ------
+        ConfigurationError
+            When they are mechanical and the pole pairs were not given.
+        """
+        if self.angle == "electrical":
+            return degrees_or_radians
+        if "pole_pairs" not in self.scalars:
+            raise ConfigurationError("Mechanical rotor positions need the number of pole pairs: give --pole-pairs.")
+        return degrees_or_radians * self.scalars["pole_pairs"]

@@ -1,0 +1,93 @@
+"""The difference of two results as a picture and as a table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from drive_id.exchange.comparison import Comparison
+from drive_id.fitting.result import Identification
+from drive_id.report.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
+from drive_id.types import FloatArray
+
+
+def draw_difference(comparison: Comparison) -> Figure:
+    """Draw the differences of both fluxes over the current plane and, below, in units of the joint standard error.
+
+    The lower row is left out when no standard errors are known.
+    """
+    rows = [(comparison.difference * 1e3, "mWb")]
+    if np.isfinite(comparison.in_sigma).any():
+        rows.append((comparison.in_sigma, "joint standard errors"))
+    height = 0.45 + 3.35 * len(rows)
+    figure = Figure(figsize=(8.6, height))
+    for row, (values, unit) in enumerate(rows):
+        for column, component in enumerate("dq"):
+            bottom = height - 3.35 * (row + 1) + 0.35
+            panel = place(figure, 0.75 + 4.2 * column, bottom, 2.6, 2.6)
+            _draw(panel, comparison, values[..., column], f"A - B of {PSI[component]} in {unit}")
+            if row == 0:
+                i_d, i_q, _ = comparison.worst()
+                panel.plot([i_d], [i_q], "kx", markersize=7)
+    tree = comparison.tree()
+    text = (
+        f"A: {_name(comparison.first)}, B: {_name(comparison.second)}; NRMSE "
+        f"{100 * tree['nrmse_d']:.3g} % (d), {100 * tree['nrmse_q']:.3g} % (q); cross: largest difference"
+    )
+    figure.text(0.5, 0.12 / height, text, ha="center", fontsize=SMALL)
+    return figure
+
+
+def _draw(panel: Axes, comparison: Comparison, values: FloatArray, title: str) -> None:
+    limit = float(np.nanmax(np.abs(values), initial=0.0)) or 1e-9
+    filled = panel.pcolormesh(
+        comparison.i_d, comparison.i_q, values.T, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="nearest"
+    )
+    name(panel, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    add_colour_bar(panel, filled, _within(levels(-limit, limit, 8), limit))
+
+
+def _within(ticks: FloatArray, limit: float) -> FloatArray:
+    return ticks[np.abs(ticks) <= limit]
+
+
+def _name(result: Identification) -> str:
+    return f"{result.machine or 'unknown machine'} ({result.method})"
+
+
+def difference_table(comparison: Comparison) -> Table:
+    """Lay out the figures of a comparison."""
+    tree = comparison.tree()
+    table = Table(title="A - B, where both have data", title_justify="left")
+    for heading, right in (("Quantity", False), ("Difference", True), ("In joint std. errors", True)):
+        table.add_column(heading, justify="right" if right else "left", overflow="fold")
+
+    def sigmas(value: float | None) -> str:
+        return "unknown" if value is None else f"{value:.3g}"
+
+    for axis in "dq":
+        rms, relative = tree[f"rms_{axis}"], 100 * tree[f"nrmse_{axis}"]
+        row = (
+            f"psi_{axis}, rms (NRMSE)",
+            f"{rms * 1e3:.4g} mWb ({relative:.4g} %)",
+            sigmas(tree[f"rms_{axis}_in_sigma"]),
+        )
+        table.add_row(*row)
+    worst = tree["worst"]
+    size = math.hypot(worst["psi_d"], worst["psi_q"])
+    place_text = f"largest, at i_d = {worst['i_d']:.4g} A, i_q = {worst['i_q']:.4g} A"
+    table.add_row(place_text, f"{size * 1e3:.4g} mWb", sigmas(tree["largest_in_sigma"]))
+    known = "unknown" if tree["resistance"] is None else f"{tree['resistance'] * 1e3:.4g} mohm"
+    table.add_row("R", known, sigmas(tree["resistance_in_sigma"]))
+    curve = tree["inverter_curve"]
+    if curve is not None:
+        table.add_row("Inverter curve, rms (largest)", f"{curve['rms']:.4g} V ({curve['largest']:.4g} V)", "")
+    torque = tree["torque"]
+    if torque is not None:
+        table.add_row("Torque, rms (largest)", f"{torque['rms']:.4g} Nm ({torque['largest']:.4g} Nm)", "")
+    table.add_row("Points compared", str(tree["points"]), "")
+    return table

@@ -1,0 +1,181 @@
+"""What the page draws: grids and curves as plain lists, which its script hands to plotly.
+
+Grids are ``z[k][j]`` at ``i_q[k]``, ``i_d[j]``: plotly's rows are y. Values without meaning are None. Numbers keep five
+significant digits.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from drive_id.fitting.result import Identification
+from drive_id.report.page.content import map_difference
+from drive_id.report.page.operation import TorqueMap
+from drive_id.report.panels import COLOURS
+from drive_id.types import BoolArray, FloatArray
+
+MOST_POINTS = 97
+"""Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
+_DIGITS = 5
+
+
+def charts_of(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
+    """Return the data of all charts, ready for JSON; a chart without data is None."""
+    return {
+        "i_max": result.i_max,
+        "colours": [[share, to_hex(COLOURS(share))] for share in np.linspace(0, 1, 9).tolist()],
+        "map": _map(result, operation),
+        "comparison": _comparison(result),
+        "inverter": _inverter(result),
+        "residuals": _residuals(result),
+        "currents": _currents(result),
+        "operation": _operation(operation),
+    }
+
+
+def _map(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
+    """Return axes, quantities over them, and where there are data."""
+    found = result.flux_map
+    rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
+    at = np.ix_(rows, columns)
+    inside = found.inside[at]
+    i_d, i_q = np.meshgrid(found.i_d[rows], found.i_q[columns], indexing="ij")
+    inductances = found.inductances(i_d, i_q)
+    quantities = [
+        _quantity("psi_d", "ψ_d", "mWb", 1e3 * found.psi_d[at], 1e3 * found.sigma_d[at]),
+        _quantity("psi_q", "ψ_q", "mWb", 1e3 * found.psi_q[at], 1e3 * found.sigma_q[at]),
+    ]
+    for component, sigma in (("d", found.sigma_d), ("q", found.sigma_q)):
+        if np.isfinite(sigma[found.inside]).any():
+            quantities.append(_quantity(f"sigma_{component}", f"σ of ψ_{component}", "µWb", 1e6 * sigma[at]))
+    for row, flux in enumerate("dq"):
+        for column, current in enumerate("dq"):
+            name, values = f"L_{flux}{current}", 1e3 * inductances[..., row, column]
+            quantities.append(_quantity(name, f"{name} = ∂ψ_{flux}/∂i_{current}", "mH", values))
+    if operation is not None:
+        quantities.append(_quantity("torque", "Torque", "Nm", operation.torque[at]))
+    trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
+    return {
+        "i_d": _listed(found.i_d[rows]),
+        "i_q": _listed(found.i_q[columns]),
+        "inside": inside.T.astype(int).tolist(),
+        "quantities": quantities,
+        "trajectory": {"i_d": _listed(trajectory[:, 0]), "i_q": _listed(trajectory[:, 1])},
+    }
+
+
+def _quantity(name: str, label: str, unit: str, values: FloatArray, sigma: FloatArray | None = None) -> dict[str, Any]:
+    known = sigma is not None and bool(np.isfinite(sigma).any())
+    return {
+        "name": name,
+        "label": label,
+        "unit": unit,
+        "z": _listed(values.T),
+        "sigma": _listed(sigma.T) if sigma is not None and known else None,
+    }
+
+
+def _comparison(result: Identification) -> dict[str, Any] | None:
+    """Return the difference of the paper's maps from the result's, where there are data."""
+    judged = result.diagnostics
+    found = result.flux_map
+    rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
+    at = np.ix_(rows, columns)
+    methods = []
+    for other in judged.comparisons if judged else ():
+        if other.psi_d is None:
+            continue
+        apart = (1e3 * _masked(values, found.inside)[at] for values in map_difference(result, other))
+        methods.append({"name": other.method, **{f"psi_{c}": _listed(z.T) for c, z in zip("dq", apart, strict=True)}})
+    if not methods:
+        return None
+    return {
+        "i_d": _listed(found.i_d[rows]),
+        "i_q": _listed(found.i_q[columns]),
+        "own": result.method,
+        "methods": methods,
+    }
+
+
+def _inverter(result: Identification) -> dict[str, Any] | None:
+    curve = result.inverter_curve
+    if not result.drive.has_inverter or not np.any(curve.voltage):
+        return None
+    sigma = curve.sigma
+    if sigma is None and result.voltage_error and np.isfinite(result.sigma_voltage_error):
+        sigma = np.abs(curve.voltage / result.voltage_error) * result.sigma_voltage_error
+    known = sigma is not None and bool(np.isfinite(sigma).all())
+    return {
+        "current": _listed(curve.current),
+        "voltage": _listed(curve.voltage),
+        "sigma": _listed(sigma) if sigma is not None and known else None,
+        "phases": None if curve.phases is None else [_listed(phase) for phase in curve.phases.T],
+    }
+
+
+def _residuals(result: Identification) -> dict[str, Any] | None:
+    judged = result.diagnostics
+    if judged is None or not np.isfinite(judged.over_time.mean).any():
+        return None
+    time, angle = judged.over_time, judged.over_angle
+    return {
+        "time": {"x": _listed(time.time), **_statistics(time.mean, time.rms)},
+        "angle": {"x": _listed(np.rad2deg(angle.angle)), **_statistics(angle.mean, angle.rms)},
+    }
+
+
+def _statistics(mean: FloatArray, rms: FloatArray) -> dict[str, list[Any]]:
+    return {
+        f"{name}_{component}": _listed(values[:, axis])
+        for name, values in (("mean", mean), ("rms", rms))
+        for axis, component in enumerate("dq")
+    }
+
+
+def _currents(result: Identification) -> dict[str, Any] | None:
+    found = result.diagnostics.simulated if result.diagnostics else None
+    if found is None:
+        return None
+    return {
+        "time": _listed(found.time, digits=7),
+        **{f"measured_{c}": _listed(found.measured[:, axis]) for axis, c in enumerate("dq")},
+        **{f"simulated_{c}": _listed(found.simulated[:, axis]) for axis, c in enumerate("dq")},
+        "bin_time": _listed(found.bin_time),
+        **{f"deviation_{c}": _listed(found.deviation[:, axis]) for axis, c in enumerate("dq")},
+    }
+
+
+def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
+    if operation is None:
+        return None
+    return {
+        "lines": [
+            {
+                "name": line.name,
+                "i_d": _listed(line.i_d),
+                "i_q": _listed(line.i_q),
+                "torque": _listed(line.torque),
+                "sigma": _listed(line.sigma_torque),
+            }
+            for line in operation.lines
+        ]
+    }
+
+
+def _thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Return at most 97 indices of an axis, its ends among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(np.int64))
+
+
+def _masked(values: FloatArray, known: BoolArray) -> FloatArray:
+    return np.where(known, values, np.nan)
+
+
+def _listed(values: FloatArray, digits: int = _DIGITS) -> list[Any]:
+    """Return nested lists of numbers of some significant digits, None where they are not finite."""
+    if values.ndim > 1:
+        return [_listed(row, digits) for row in values]
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]

@@ -1,0 +1,495 @@
+"""What a report says: the same words and numbers for the page and for the PDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import drive_id
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.diagnostics import Comparison
+from drive_id.files.results.identification import results_tree
+from drive_id.fitting.result import Identification
+from drive_id.report.page.operation import TorqueMap
+from drive_id.report.page.wording import CITATION, LIMITS, METHODS, METHODS_TEXT, NOT_STORED
+from drive_id.types import FloatArray
+
+GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
+_LEAST_CURRENT = 0.01
+"""Share of the largest current of a line below which its points are not listed."""
+_NEXT = "What would help most: "
+_ONE_SPEED = 0.1
+"""Relative range of the speeds below which they count as one."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of merit at a glance.
+
+    Parameters
+    ----------
+    name, value : str
+    level : str
+        ``good``, ``fair``, ``weak`` or ``unknown``; empty where there is nothing to judge.
+    meaning : str
+        What it says, and what counts as good and weak.
+    """
+
+    name: str
+    value: str
+    level: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text below a header.
+
+    Parameters
+    ----------
+    caption : str
+    header : tuple of str
+    rows : tuple of tuple of str
+    """
+
+    caption: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All text and numbers of a report.
+
+    Parameters
+    ----------
+    title, subtitle : str
+    figures : tuple of Figure
+        Quality at a glance.
+    warnings : tuple of str
+    identified, limits, advice : tuple of str
+        What the fit states, what no method can tell from such data, and what to record next.
+    values, methods, operation, calibrations, settings, inputs, versions : Table
+    comparison : str
+        A sentence on what modelling the inverter changes; empty where it is not known.
+    paragraph : str
+        Of method, to paste.
+    missing : dict of str to str
+        Section to why it shows nothing.
+    twin : dict
+        ``identification.json``.
+    """
+
+    title: str
+    subtitle: str
+    figures: tuple[Figure, ...]
+    warnings: tuple[str, ...]
+    identified: tuple[str, ...]
+    limits: tuple[str, ...]
+    advice: tuple[str, ...]
+    values: Table
+    methods: Table
+    calibrations: Table
+    settings: Table
+    inputs: Table
+    versions: Table
+    operation: Table
+    comparison: str
+    paragraph: str
+    missing: dict[str, str]
+    twin: dict[str, Any]
+
+
+def content_of(result: Identification, operation: TorqueMap | None) -> Content:
+    """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
+    twin = results_tree(result.drive, result.provenance)
+    machine = result.machine or "unnamed machine"
+    return Content(
+        title=f"Identified drive: {machine}",
+        subtitle=str(result.caption()),
+        figures=_figures(result),
+        warnings=result.warnings,
+        identified=tuple(sentence for sentence in result.statements if not sentence.startswith(_NEXT)),
+        limits=LIMITS,
+        advice=_advice(result),
+        values=_values(result),
+        methods=_methods(result),
+        calibrations=_calibrations(result),
+        settings=_settings(result),
+        inputs=Table(
+            "Files that were fitted, and their digests",
+            ("File", "SHA-256"),
+            tuple(result.provenance.inputs.items()),
+        ),
+        versions=Table(
+            "Software that made the result", ("Software", "Version"), tuple(map(_texts, twin["versions"].items()))
+        ),
+        comparison=_comparison(result),
+        paragraph=_paragraph(result),
+        operation=_operation(operation),
+        missing=_missing(result, operation),
+        twin=twin,
+    )
+
+
+def largest_flux(result: Identification) -> float:
+    """Return the largest amplitude of the flux linkage where there are data, Wb; NaN without data."""
+    found = result.flux_map
+    amplitude = np.hypot(found.psi_d, found.psi_q)[found.inside]
+    return float(amplitude.max()) if amplitude.size else math.nan
+
+
+def flux_sigma(result: Identification) -> float:
+    """Return the median of the larger standard error of both fluxes where there are data, Wb; NaN where unknown."""
+    found = result.flux_map
+    sigma = np.maximum(found.sigma_d, found.sigma_q)[found.inside]
+    return float(np.median(sigma)) if sigma.size and np.isfinite(sigma).all() else math.nan
+
+
+def single_speed(result: Identification) -> bool:
+    """Tell whether the recordings have one speed; False where it is not known."""
+    if result.speed_range is None:
+        return False
+    low, high = result.speed_range
+    return high - low <= _ONE_SPEED * max(abs(low), abs(high))
+
+
+def _figures(result: Identification) -> tuple[Figure, ...]:
+    metrics, drive = result.metrics, result.drive
+    flux, sigma = largest_flux(result), flux_sigma(result)
+    mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
+    share, known = sigma / flux, result.sigma_resistance / max(abs(result.resistance), 1e-12)
+    count = len(result.warnings)
+    found = [
+        Figure(
+            "Warnings", str(count), GOOD if not count else FAIR if count < 3 else WEAK,
+            "Each is a sentence below that says what to do.",
+        ),
+        Figure(
+            "Disc covered", percent(metrics["coverage"]), level(1 - metrics["coverage"], 0.05, 0.2),
+            f"Share of the disc of {number(result.i_max)} A with data. Good from 95 %, weak below 80 %.",
+        ),
+        Figure(
+            "Standard error of the flux", percent(share), level(share, 0.002, 0.01),
+            "Median over the map, of the largest flux. Good up to 0.2 %, weak above 1 %.",
+        ),
+        Figure(
+            "Standard error of R", percent(known), level(known, 0.02, 0.1),
+            f"R = {with_error(result.resistance * 1e3, result.sigma_resistance * 1e3)} mΩ. Good up to 2 %, weak above "
+            "10 %.",
+        ),
+        Figure(
+            "Simulated current", percent(mad), level(mad, 0.01, 0.03),
+            f"Mean deviation of the open-loop simulation from the measurement, of i_max: {number(metrics['mad_d'])} A "
+            f"in d, {number(metrics['mad_q'])} A in q. Good up to 1 %, weak above 3 %.",
+        ),
+    ]  # fmt: skip
+    if drive.has_inverter:
+        found.append(
+            Figure(
+                "Inverter drop", f"{with_error(result.voltage_error, result.sigma_voltage_error)} V", "",
+                "Of one phase at large current, without its linear part, which is in R.",
+            )
+        )  # fmt: skip
+    if math.isfinite(metrics["nrmse_d"]):
+        worst = max(metrics["nrmse_d"], metrics["nrmse_q"])
+        found.append(
+            Figure(
+                "Error against the simulation's truth", percent(worst), level(worst, 0.002, 0.01),
+                f"NRMSE {percent(metrics['nrmse_d'])} in ψ_d, {percent(metrics['nrmse_q'])} in ψ_q. Good up to 0.2 %, "
+                "weak above 1 %.",
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def level(value: float, good: float, weak: float) -> str:
+    """Judge a value that is better the smaller it is."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    return GOOD if value <= good else FAIR if value <= weak else WEAK
+
+
+def _values(result: Identification) -> Table:
+    drive, metrics = result.drive, result.metrics
+    rows = [
+        ("Machine", result.machine or "unknown", ""),
+        ("Method", result.method, ""),
+        ("Resistance", f"{number(1e3 * result.resistance, 6)} mΩ", sigma_text(1e3 * result.sigma_resistance, "mΩ")),
+    ]
+    if drive.has_inverter:
+        voltage = f"{number(result.voltage_error, 5)} V"
+        rows.append(("Inverter drop at large current", voltage, sigma_text(result.sigma_voltage_error, "V")))
+    if drive.magnet_coefficient is not None:
+        value, sigma = drive.magnet_coefficient
+        rows.append(("Magnet flux per kelvin", f"{number(1e6 * value)} µWb/K", sigma_text(1e6 * sigma, "µWb/K")))
+    if result.harmonics:
+        rows.append(("Rotor-position harmonics", ", ".join(str(h.order) for h in result.harmonics), ""))
+    if result.torque is not None:
+        torque = result.torque
+        rows.append(("Common gain by the shaft torque", number(torque.gain, 5), sigma_text(torque.sigma_gain, "")))
+    rows += [
+        ("Radius of the current disc", f"{number(result.i_max)} A", ""),
+        ("Pole pairs", str(result.pole_pairs or "unknown"), ""),
+        ("DC link", f"{number(result.u_dc)} V" if result.u_dc else "unknown", ""),
+        ("Electrical speed", _speed(result), ""),
+        ("Duration of the data", f"{number(result.duration)} s" if result.duration else "unknown", ""),
+        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown", ""),
+        ("Samples used", f"{metrics['samples_used']} of {metrics['samples_read']}", ""),
+        ("Gaps", str(metrics["gaps"]), ""),
+        ("Unknowns determined", f"{metrics['rank']} of {metrics['parameters']}", ""),
+        ("Condition number", number(metrics["condition"], 3), ""),
+    ]
+    return Table("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
+
+
+def _speed(result: Identification) -> str:
+    if result.speed_range is None:
+        return "unknown"
+    low, high = result.speed_range
+    text = f"{number(low)} rad/s" if single_speed(result) else f"{number(low)} to {number(high)} rad/s"
+    if result.pole_pairs is None:
+        return text
+    rpm = [speed * 30 / math.pi / result.pole_pairs for speed in (low, high)]
+    return (
+        f"{text} ({number(rpm[0])} rpm)"
+        if single_speed(result)
+        else f"{text} ({number(rpm[0])} to {number(rpm[1])} rpm)"
+    )
+
+
+def _methods(result: Identification) -> Table:
+    """Lay out the result beside the paper's methods."""
+    rows: list[tuple[str, ...]] = []
+    judged, metrics = result.diagnostics, result.metrics
+    if judged is not None:
+        own = Comparison(
+            method=result.method,
+            samples=int(metrics["samples_used"]),
+            resistance=result.resistance,
+            sigma_resistance=result.sigma_resistance,
+            voltage_error=result.voltage_error,
+            sigma_voltage_error=result.sigma_voltage_error,
+            residual_rms=judged.residual_rms,
+            mad_d=metrics["mad_d"],
+            mad_q=metrics["mad_q"],
+            nrmse_d=metrics["nrmse_d"],
+            nrmse_q=metrics["nrmse_q"],
+        )
+        order = {name: place for place, name in enumerate(METHODS)}
+        every = sorted([own, *judged.comparisons], key=lambda found: order.get(found.method, len(order)))
+        rows = [_method_row(found, own=found is own) for found in every] if judged.comparisons else []
+    return Table(
+        "The same data with and without a model of the inverter",
+        ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
+        tuple(rows),
+    )
+
+
+def _method_row(found: Comparison, *, own: bool) -> tuple[str, ...]:
+    name = f"{METHODS.get(found.method, found.method)}{' (this result)' if own else ''}"
+    if found.failure:
+        return name, f"no result: {found.failure}", "", "", "", ""
+    pair = math.isfinite(found.nrmse_d)
+    return (
+        name,
+        f"{with_error(1e3 * found.resistance, 1e3 * found.sigma_resistance)} mΩ",
+        f"{with_error(found.voltage_error, found.sigma_voltage_error)} V" if found.method != "psm" else "not modelled",
+        f"{number(found.residual_rms, 3)} V" if math.isfinite(found.residual_rms) else "unknown",
+        f"{number(found.mad_d, 3)} / {number(found.mad_q, 3)} A" if math.isfinite(found.mad_d) else "unknown",
+        f"{percent(found.nrmse_d)} / {percent(found.nrmse_q)}" if pair else "no truth known",
+    )
+
+
+def _comparison(result: Identification) -> str:
+    """Say how far the map without a model of the inverter is from the one with it."""
+    judged = result.diagnostics
+    every = {found.method: found for found in judged.comparisons} if judged else {}
+    other = every.get("joint" if result.method == "psm" else "psm")
+    if other is None or other.psi_d is None or other.psi_q is None:
+        return ""
+    apart = map_difference(result, other)
+    inside = result.flux_map.inside
+    largest = max(float(np.abs(values[inside]).max(initial=0.0)) for values in apart)
+    share = percent(largest / largest_flux(result))
+    change = number(1e3 * abs(other.resistance - result.resistance), 3)
+    return (
+        f"Modelling the inverter moves the flux by up to {number(1e3 * largest, 3)} mWb ({share} of the largest flux) "
+        f"and R by {change} mΩ."
+    )
+
+
+def map_difference(result: Identification, other: Comparison) -> tuple[FloatArray, FloatArray]:
+    """Return psi_d and psi_q (D, Q) of another method minus those of the result, Wb."""
+    assert other.psi_d is not None
+    assert other.psi_q is not None
+    return other.psi_d - result.flux_map.psi_d, other.psi_q - result.flux_map.psi_q
+
+
+def _calibrations(result: Identification) -> Table:
+    rows = []
+    for found in result.calibrations:
+        unit = "" if found.unit == "1" else found.unit
+        done = "corrected" if found.applied else "not corrected"
+        rows.append((found.name, f"{number(found.value)} {unit}".strip(), sigma_text(found.sigma, unit), done))
+    return Table(
+        "Sensor faults and effects of the drive", ("Name", "Value", "Standard error", "In the map"), tuple(rows)
+    )
+
+
+def _settings(result: Identification) -> Table:
+    usual = FitSettings()
+    rows = []
+    for name, value in vars(result.provenance.settings).items():
+        changed = "default" if value == getattr(usual, name) else "set"
+        rows.append((name, _setting(value), changed))
+    return Table("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
+
+
+def _setting(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value)) or "none"
+    return "automatic" if value is None else str(value)
+
+
+def _operation(operation: TorqueMap | None) -> Table:
+    """Lay out a few points of the lines of operation."""
+    rows = []
+    for line in operation.lines if operation else ():
+        current = np.hypot(line.i_d, line.i_q)
+        for wanted in np.linspace(current[0], current[-1], 5):
+            if wanted < _LEAST_CURRENT * current[-1]:
+                continue
+            k = int(np.abs(current - wanted).argmin())
+            angle = math.degrees(math.atan2(line.i_q[k], line.i_d[k]))
+            torque = f"{with_error(float(line.torque[k]), float(line.sigma_torque[k]))} Nm"
+            at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
+            rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
+    header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
+    return Table("Points of the lines of operation, where there are data", header, tuple(rows))
+
+
+def _advice(result: Identification) -> tuple[str, ...]:
+    """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
+    found = [_capital(text.removeprefix(_NEXT)) for text in result.statements if text.startswith(_NEXT)]
+    coverage = result.metrics["coverage"]
+    if coverage < 0.95:
+        found.append(
+            f"A trajectory that fills the disc of {number(result.i_max)} A: {percent(1 - coverage)} has no data."
+        )
+    if single_speed(result) and not found:
+        found.append(
+            "A second recording at another speed, ideally in the other direction: at one speed, R rests on the "
+            "transients alone."
+        )
+    if result.pole_pairs is None:
+        found.append("The number of pole pairs, as setting pole_pairs of the fit: without it there is no torque.")
+    if result.method != "full" and result.speed_range is not None:
+        found.append("The same recording by method full: it separates rotor harmonics and sensor faults from the map.")
+    return tuple(found)
+
+
+def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, str]:
+    """Say why a section has nothing to show."""
+    judged, missing = result.diagnostics, {}
+    if judged is None:
+        missing = {"comparison": NOT_STORED, "residuals": NOT_STORED, "currents": NOT_STORED}
+    else:
+        if not judged.comparisons:
+            missing["comparison"] = "The result was stored without a comparison: fit the recording again."
+        if not np.isfinite(judged.over_time.mean).any():
+            missing["residuals"] = "The recordings hold too few samples for a residual."
+        if judged.simulated is None:
+            missing["currents"] = "The simulated current diverged, or no samples were kept to simulate it."
+    if not result.drive.has_inverter:
+        missing["inverter"] = "Method psm does not model the inverter: its drop is in the flux map and in R."
+    elif not np.any(result.drive.inverter_voltage):
+        missing["inverter"] = "The result holds no inverter drop."
+    if operation is None:
+        missing["operation"] = (
+            "The number of pole pairs is unknown, and without it there is no torque: set pole_pairs in the fit, or in "
+            "the signals file."
+        )
+    elif not any(line.name == "MTPV" for line in operation.lines):
+        missing["mtpv"] = (
+            f"No MTPV is shown: it lies beyond {number(result.i_max)} A, or where there are no data. Within the data, "
+            "the largest torque at a given flux is limited by the current."
+        )
+    return missing
+
+
+def _paragraph(result: Identification) -> str:
+    """Write a paragraph of method with the result's own numbers, to be pasted into a paper or a test report."""
+    metrics, drive = result.metrics, result.drive
+    what = f"of the machine {result.machine}" if result.machine else "of the machine"
+    data = f" from {number(result.duration)} s of data" if result.duration else ""
+    speed = f" at an electrical speed of {_speed(result)}" if result.speed_range else ""
+    version = result.provenance.versions.get("drive_id", drive_id.__version__)
+    drop = ""
+    if drive.has_inverter:
+        value = with_error(result.voltage_error, result.sigma_voltage_error)
+        drop = f", the inverter's voltage drop at large current {value} V; R includes the linear part of this drop"
+    resistance = with_error(1e3 * result.resistance, 1e3 * result.sigma_resistance)
+    identified = (
+        f"The flux linkage maps and the resistance {what} were identified{data}{speed}, within a current disc of "
+        f"{number(result.i_max)} A, with drive_id {version}."
+    )
+    sentences = [
+        identified,
+        METHODS_TEXT.get(result.method, f"The map was obtained by method {result.method}."),
+        f"R = {resistance} mΩ{drop} (± standard error).",
+    ]
+    if result.harmonics:
+        orders = ", ".join(str(found.order) for found in result.harmonics)
+        sentences.append(f"Rotor-position harmonics of electrical orders {orders} were separated from the mean map.")
+    sigma = flux_sigma(result)
+    if math.isfinite(sigma):
+        share = percent(sigma / largest_flux(result))
+        sentences.append(
+            f"The median standard error of the flux is {number(1e3 * sigma, 2)} mWb ({share} of its largest value)."
+        )
+    judged = [f"the data cover {percent(metrics['coverage'])} of the disc"]
+    if math.isfinite(metrics["mad_d"]):
+        judged.append(
+            "the current simulated in open loop deviates from the measured one by "
+            f"{number(metrics['mad_d'], 3)} A in d and {number(metrics['mad_q'], 3)} A in q on average"
+        )
+    sentences.append(_capital("; ".join(judged)) + ".")
+    return " ".join(sentences) + " " + CITATION
+
+
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _texts(pair: Sequence[object]) -> tuple[str, ...]:
+    return tuple(map(str, pair))
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number to some significant digits, with a true minus sign; ``unknown`` where it is not finite."""
+    if value is None or not math.isfinite(value):
+        return "unknown"
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, to three significant digits."""
+    return f"{number(100 * share, 3)} %" if math.isfinite(share) else "unknown"
+
+
+def sigma_text(sigma: float, unit: str) -> str:
+    """Return a standard error with its unit."""
+    return f"{number(sigma, 2)} {unit}".strip() if math.isfinite(sigma) else "unknown"
+
+
+def with_error(value: float, sigma: float) -> str:
+    """Return ``value ± sigma``, to two digits of sigma; the value alone where sigma is unknown."""
+    if not (math.isfinite(sigma) and sigma > 0 and math.isfinite(value)):
+        return number(value)
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}".replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,102 @@
+"""The report's pictures without a script: for print, for the PDF and for browsers that run none."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drive_id.core.result.diagnostics import Comparison, Diagnostics
+from drive_id.core.validation.simulated_current import SimulatedCurrent
+from drive_id.fitting.result import Identification
+from drive_id.report.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
+from drive_id.report.page.content import map_difference
+from drive_id.report.page.operation import TorqueMap
+from drive_id.report.panels import CURRENT, PSI, SMALL, Disc, draw_field, name, place
+from drive_id.report.plots import WIDTH, draw_flux_maps
+
+_COLOURS = {"d": DARK, "q": LIGHT}
+
+
+def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str, Figure]:
+    """Return the figures that a result has data for, by the name of their section."""
+    judged, drive = result.diagnostics, result.drive
+    found = {"map": draw_flux_maps(drive.flux_map, drive.i_max, judged.trajectory if judged else None)}
+    if judged is not None:
+        others = [other for other in judged.comparisons if other.psi_d is not None]
+        if others:
+            found["comparison"] = _draw_comparison(result, others[0])
+        if np.isfinite(judged.over_time.mean).any():
+            found["residuals"] = _draw_residuals(judged)
+        if judged.simulated is not None:
+            found["currents"] = _draw_currents(judged.simulated)
+    if drive.has_inverter and np.any(drive.inverter_voltage):
+        found["inverter"] = Figure(figsize=(WIDTH, 2.9))
+        draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
+    if operation is not None:
+        found["operation"] = _draw_operation(result, operation)
+    return found
+
+
+def _draw_comparison(result: Identification, other: Comparison) -> Figure:
+    """Draw the maps of another method minus those of the result."""
+    figure = Figure(figsize=(WIDTH, 3.3))
+    disc = Disc(result.flux_map, result.i_max)
+    for left, component, apart in zip((0.65, 4.17), "dq", map_difference(result, other), strict=True):
+        axes = place(figure, left, 0.5, 2.3, 2.4)
+        title = f"{PSI[component]}: {other.method} minus {result.method} / mWb"
+        draw_field(axes, disc, 1e3 * apart, title, symmetric=True)
+    return figure
+
+
+def _draw_residuals(judged: Diagnostics) -> Figure:
+    figure = Figure(figsize=(WIDTH, 4.6))
+    axes, time = place(figure, 0.65, 2.8, 6.35, 1.5), judged.over_time
+    name(axes, "Residual voltage over time", "time of data / s", "residual / V")
+    for number, component in enumerate("dq"):
+        for values, width, label in ((time.mean, 1.0, "mean"), (time.rms, 0.5, "rms")):
+            axes.plot(
+                time.time, values[:, number], color=_COLOURS[component], linewidth=width, label=f"{component}: {label}"
+            )
+    _finished(axes)
+    draw_residual(place(figure, 0.65, 0.5, 6.35, 1.5), judged.over_angle)
+    return figure
+
+
+def _draw_currents(found: SimulatedCurrent) -> Figure:
+    figure = Figure(figsize=(WIDTH, 5.2))
+    for number, (component, bottom) in enumerate((("d", 3.75), ("q", 2.05))):
+        axes = place(figure, 0.65, bottom, 6.35, 1.15)
+        name(axes, f"{CURRENT[component]}, the second with the largest deviation", "", "current / A")
+        axes.plot(found.time, found.measured[:, number], color="0.45", linewidth=1.6, label="measured")
+        axes.plot(found.time, found.simulated[:, number], color=_COLOURS[component], linewidth=0.8, label="simulated")
+        _finished(axes)
+    axes = place(figure, 0.65, 0.45, 6.35, 1.1)
+    name(axes, "Deviation over all data that were simulated", "time of data / s", "mean deviation / A")
+    for number, component in enumerate("dq"):
+        axes.plot(
+            found.bin_time,
+            found.deviation[:, number],
+            color=_COLOURS[component],
+            linewidth=0.8,
+            label=CURRENT[component],
+        )
+    _finished(axes)
+    return figure
+
+
+def _draw_operation(result: Identification, operation: TorqueMap) -> Figure:
+    figure = Figure(figsize=(WIDTH, 3.9))
+    axes = place(figure, 2.1, 0.5, 2.9, 3.0)
+    draw_field(axes, Disc(result.flux_map, result.i_max), operation.torque, "Torque / Nm")
+    for line, dashes in zip(operation.lines, ("solid", "dashed", "dotted"), strict=False):
+        axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=line.name, zorder=3)
+    if operation.lines:
+        axes.legend(fontsize=SMALL, loc="lower right")
+    return figure
+
+
+def _finished(axes: Axes) -> None:
+    axes.grid(color="0.85", linewidth=0.5)
+    axes.margins(x=0.01)
+    axes.legend(fontsize=SMALL, loc="upper right", ncols=4, framealpha=0.8)

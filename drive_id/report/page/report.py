@@ -1,0 +1,82 @@
+"""Make the report of a result and write it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drive_id.errors import ConfigurationError
+from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.fitting.result import Identification
+from drive_id.report.page.charts import charts_of
+from drive_id.report.page.content import content_of
+from drive_id.report.page.html import GENERATOR, rendered_page
+from drive_id.report.page.operation import torque_map
+from drive_id.report.page.pdf import rendered_pdf
+from drive_id.report.page.pictures import figures_of
+from drive_id.report.plots import rendered
+
+_DPI = 110
+_BEGINNING = 2000
+"""Bytes of a page that hold its generator."""
+
+
+def report_files(result: Identification, stem: str = "report", *, pdf: bool = False) -> dict[str, bytes]:
+    """Return the report as HTML and, if wanted, as PDF, by file name."""
+    operation = torque_map(result)
+    content, figures = content_of(result, operation), figures_of(result, operation)
+    pictures = {name: rendered(figure, dpi=_DPI) for name, figure in figures.items()}
+    files = {f"{stem}.html": rendered_page(content, charts_of(result, operation), pictures).encode()}
+    if pdf:
+        files[f"{stem}.pdf"] = rendered_pdf(content, figures)
+    return files
+
+
+def check_report_output(path: Path, *, pdf: bool = False) -> None:
+    """Check, before the work is done, that a report may be written.
+
+    Raises
+    ------
+    ConfigurationError
+        When the name does not end with .html.
+    OutputError
+        When there is something else than an earlier report.
+    """
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise ConfigurationError(f"The report {path} is an HTML file: give it a name that ends with .html.")
+    for file in _paths(path, pdf=pdf):
+        if not _is_report(file):
+            check_absent(file)
+
+
+def write_report(result: Identification, path: Path, *, pdf: bool = False) -> tuple[Path, ...]:
+    """Write the report to a file, and beside it the PDF if wanted; an earlier report is replaced.
+
+    Returns
+    -------
+    tuple of Path
+        What was written.
+
+    Raises
+    ------
+    ConfigurationError, OutputError
+        See :func:`check_report_output`.
+    """
+    check_report_output(path, pdf=pdf)
+    paths = _paths(path, pdf=pdf)
+    for file, content in zip(paths, report_files(result, pdf=pdf).values(), strict=True):
+        replace_file(file, content)
+    return paths
+
+
+def _paths(path: Path, *, pdf: bool) -> tuple[Path, ...]:
+    return (path, path.with_suffix(".pdf")) if pdf else (path,)
+
+
+def _is_report(path: Path) -> bool:
+    """Tell whether a file is an earlier report of ours."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    told = GENERATOR.encode()
+    return told in (content if content.startswith(b"%PDF") else content[:_BEGINNING])

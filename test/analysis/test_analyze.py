@@ -1,0 +1,262 @@
+"""The analysis as its user meets it: the object, the files, the command, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_results import exact_result
+from machine_kinds import mean_torque
+
+import drive_id
+from drive_id.analysis.field_weakening import Limits
+from drive_id.analysis.maps import CurrentMaps
+from drive_id.analysis.ripple import TorqueRipple
+from drive_id.bench.machines import MACHINES, machine_map
+from drive_id.cli import app as cli
+from drive_id.core.result.identification import HarmonicMap
+from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
+
+SMALL = drive_id.AnalysisSettings(current_points=5, torque_points=2, speed_points=4)
+MACHINE = MACHINES["pmsyrm"]
+
+
+def harmonics_of(machine, i_d, i_q):
+    """Return the harmonics of the analytic machine by Fourier's integrals over the rotor position."""
+    theta = np.linspace(0, 2 * np.pi, 96, endpoint=False)
+    d, q = np.meshgrid(i_d, i_q, indexing="ij")
+    fluxes = machine.flux(d[..., None], q[..., None], theta)
+    out = []
+    for order, _, _ in machine.harmonics:
+        parts = [2 * np.mean(psi * wave(order * theta), axis=-1) for psi in fluxes for wave in (np.cos, np.sin)]
+        out.append(HarmonicMap(order, *parts))
+    return tuple(out)
+
+
+@pytest.fixture(scope="module")
+def result():
+    known = machine_map("pmsyrm")
+    harmonics = harmonics_of(MACHINE, known.i_d, known.i_q)
+    return exact_result(known, sigma=1e-4, drop=lambda i: 2 * np.tanh(i), harmonics=harmonics, sigma_resistance=0.002)
+
+
+@pytest.fixture(scope="module")
+def analysis(result):
+    return drive_id.analyze(result, SMALL)
+
+
+@pytest.fixture(scope="module")
+def folder(analysis, tmp_path_factory):
+    path = tmp_path_factory.mktemp("analysis") / "out"
+    analysis.save(path)
+    return path
+
+
+def table(path):
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    return {name: np.array(values) if name == "limit" else np.array(values, float) for name, values in columns.items()}
+
+
+def test_the_files_are_as_agreed(folder):
+    starts = {
+        "mtpa.csv": ["current", "i_d", "i_q", "psi_d", "psi_q", "torque", "sigma_torque"],
+        "mtpv.csv": ["current", "i_d", "i_q", "psi_d", "psi_q", "torque", "sigma_torque"],
+        "field_weakening.csv": ["torque", "speed", "i_d", "i_q", "voltage", "limit"],
+        "torque_speed.csv": ["speed", "torque", "power"],
+        "compensation.csv": ["current", "voltage", "sigma_voltage"],
+    }
+    assert {path.name for path in folder.iterdir()} == {*starts, "analysis.json", "maps.npz"}
+    for name, columns in starts.items():
+        with (folder / name).open() as file:
+            assert file.readline().strip().split(",")[: len(columns)] == columns
+    with np.load(folder / "maps.npz", allow_pickle=False) as file:
+        names = ["i_d", "i_q", "torque", "sigma_torque", "L_dd", "L_dq", "L_qd", "L_qq", "inside"]
+        assert list(file)[: len(names)] == names
+        arrays = dict(file)
+    shape = (len(arrays["i_d"]), len(arrays["i_q"]))
+    assert all(arrays[name].shape == shape for name in names[2:])
+    assert arrays["inside"].dtype == np.bool_
+    d, q = 60, 17  # the first index is i_d
+    at = arrays["i_d"][d], arrays["i_q"][q]
+    assert arrays["torque"][d, q] == pytest.approx(mean_torque(MACHINE, *at)[0], rel=1e-3)
+    step = 1e-3
+    for axis, name in ((0, "L_dq"), (1, "L_qq")):
+        up, down = (
+            replace(MACHINE, harmonics=()).flux(np.array(at[0]), np.array(at[1] + side * step), np.zeros(1))[axis][0]
+            for side in (1, -1)
+        )
+        assert arrays[name][d, q] == pytest.approx((up - down) / (2 * step), rel=5e-3)
+
+
+def test_the_numbers_are_as_agreed(folder, analysis, result):
+    def refuse(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    tree = json.loads((folder / "analysis.json").read_text(), parse_constant=refuse)
+    assert (tree["format"], tree["pole_pairs"], tree["i_max"], tree["u_dc"]) == ("drive_id/analysis", 2, 40.0, [540.0])
+    assert tree["u_max"] == [pytest.approx(540 / np.sqrt(3))]
+    figures = tree["figures"]
+    assert figures["resistance"] == {"value": 0.3, "sigma": 0.002, "unit": "ohm", "inside": True}
+    assert figures["ki"]["value"] == pytest.approx(2 * np.pi * 500 * 0.3)
+    assert figures["kp_q"]["value"] == pytest.approx(2 * np.pi * 500 * figures["L_qq"]["value"])
+    assert figures["saliency"]["value"] == pytest.approx(figures["L_qq"]["value"] / figures["L_dd"]["value"])
+    assert figures["L_qq"]["sigma"] is None  # correlations are not known
+    assert figures["max_torque"]["value"] == pytest.approx(analysis.mtpa.torque[-1], rel=1e-6)
+    assert set(tree["files"]) == {path.name for path in folder.iterdir()} - {"analysis.json"}
+    assert any("correlated" in sentence for sentence in tree["statements"])
+    speeds = table(folder / "torque_speed.csv")
+    np.testing.assert_allclose(speeds["power"], speeds["torque"] * speeds["speed"], rtol=1e-9)
+    assert np.abs(speeds["speed"] / figures["corner_speed"]["value"] - 1).min() < 1e-6
+    curve = table(folder / "compensation.csv")
+    np.testing.assert_allclose(curve["voltage"], result.inverter_curve.voltage)
+
+
+def test_the_tables_keep_the_limits_and_give_their_torque(folder):
+    found = table(folder / "field_weakening.csv")
+    assert len(found["torque"]) == 4 * 5
+    np.testing.assert_allclose(
+        found["torque"], mean_torque(MACHINE, found["i_d"], found["i_q"]), atol=2e-3 * found["torque"].max()
+    )
+    assert (np.hypot(found["i_d"], found["i_q"]) <= 40.0 * (1 + 1e-6)).all()
+    assert (found["voltage"] <= 540 / np.sqrt(3) * (1 + 1e-6)).all()
+    assert set(found["limit"]) <= {"none", "current", "voltage", "both"}
+    assert {"none", "both"} <= set(found["limit"])
+    assert (found["torque"] < -1).any()
+    lost = found["copper_loss"] + found["iron_loss"] + found["inverter_loss"]
+    np.testing.assert_allclose(found["power"], found["torque"] * found["speed"] + lost, rtol=1e-6, atol=1e-6)
+    assert (found["inside"] == 1).all()
+
+
+def test_the_ripple_is_that_of_the_co_energy(analysis, result):
+    theta = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    ripple = TorqueRipple.of(analysis.model, result.flux_map, result.harmonics, 45.0)
+    for i_d, i_q in ((-12.0, 25.0), (9.0, -17.0), (-30.0, -5.0)):
+        step = 1e-5
+        change = [
+            MACHINE.co_energy(i_d, i_q, theta + side * step) - MACHINE.co_energy(0.0, 0.0, theta + side * step)
+            for side in (1, -1)
+        ]
+        psi_d, psi_q = MACHINE.flux(np.array(i_d), np.array(i_q), theta)
+        torque = 1.5 * 2 * (psi_d * i_q - psi_q * i_d + (change[0] - change[1]) / (2 * step))
+        varying = torque - torque.mean()
+        found = ripple.over_angle(np.array(i_d), np.array(i_q), theta)
+        np.testing.assert_allclose(found, varying, atol=0.01 * np.abs(varying).max())
+        assert ripple.peak_to_peak(np.array(i_d), np.array(i_q)) == pytest.approx(np.ptp(varying), rel=0.02)
+    maps = CurrentMaps.of(analysis.model, ripple, np.array([-12.0, 3.0]), np.array([25.0, 1.0, 2.0]), 500.0)
+    assert maps.ripple[0, 0] == pytest.approx(ripple.peak_to_peak(np.array(-12.0), np.array(25.0)))
+
+
+def test_settings_reach_the_tables(result):
+    chosen = replace(SMALL, u_dc=(300.0, 540.0), i_max=20.0, speed=1500.0, temperature=100.0, modulation=0.9)
+    found = drive_id.analyze(result, chosen)
+    assert [entry.u_dc for entry in found.speed_ranges] == [300.0, 540.0]
+    assert [entry.limits for entry in found.speed_ranges] == [
+        Limits(20.0, 0.9 * 300 / np.sqrt(3)), Limits(20.0, 0.9 * 540 / np.sqrt(3))
+    ]  # fmt: skip
+    assert found.speed_ranges[0].motoring.speed[-1] == pytest.approx(1500 * np.pi / 30)
+    assert found.figures["resistance"].value == pytest.approx(0.3 * (1 + 3.93e-3 * 80))
+    assert found.mtpa.current[-1] == 20.0
+    text = " ".join(found.statements)
+    assert "assumed, as the fit was given no temperatures" in text
+    assert "magnet was not identified" in text
+
+
+def test_points_beyond_the_data_are_marked_and_told(result):
+    grid = result.flux_map.grid()
+    known = replace(result.flux_map, inside=np.hypot(grid[..., 0], grid[..., 1]) <= 25.0)
+    found = drive_id.analyze(replace(result, drive=replace(result.drive, flux_map=known)), SMALL)
+    assert not found.mtpa.inside[-1]
+    assert not found.figures["max_torque"].inside
+    assert np.isnan(found.figures["max_torque"].sigma)
+    assert any("of MTPA lie outside the data" in sentence for sentence in found.statements)
+    assert any("of field weakening at 540 V lie outside" in sentence for sentence in found.statements)
+
+
+def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
+    unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None))
+    with pytest.raises(ConfigurationError, match="--pole-pairs"):
+        drive_id.analyze(unknown, SMALL)
+    assert drive_id.analyze(unknown, replace(SMALL, pole_pairs=3)).model.pole_pairs == 3
+    with pytest.raises(ConfigurationError, match="--u-dc"):
+        drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
+    for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 2.0}):
+        with pytest.raises(ConfigurationError, match=next(iter(wrong))):
+            drive_id.AnalysisSettings(**wrong)
+    with pytest.raises(ResultError, match="is not a result folder"):
+        drive_id.analyze(tmp_path, SMALL)
+
+
+def test_a_foreign_folder_is_left_alone_and_an_own_one_replaced(analysis, folder, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not results of drive_id"):
+        analysis.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    analysis.save(tmp_path, force=True)
+    assert (tmp_path / "notes.txt").exists()
+    analysis.save(folder)
+
+
+def test_maps_that_cannot_be_meant_are_refused(result):
+    found, grid = result.flux_map, result.flux_map.grid()
+    for changed, words in (
+        ({"psi_d": -found.psi_d, "psi_q": -found.psi_q}, "falls with its own current at 100 % of the points"),
+        ({"psi_d": found.psi_q, "psi_q": found.psi_d}, "falls with its own current at"),
+        ({"psi_d": 1e-3 * grid[..., 0], "psi_q": 1e-3 * grid[..., 1]}, "No current up to 40 A gives a torque"),
+        ({"inside": np.zeros_like(found.inside)}, "has only 0 points with data"),
+    ):
+        wrong = replace(result, drive=replace(result.drive, flux_map=replace(found, **changed)))
+        with pytest.raises(DataError, match=words):
+            drive_id.analyze(wrong, SMALL)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["drive-id", "analyze", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return int(end.value.code or 0), *capsys.readouterr()
+
+    return run
+
+
+def test_the_command_writes_what_the_object_does(result, folder, run, tmp_path):
+    result.save(tmp_path / "result", draw=False)
+    small = [
+        f"--set={name}={value}" for name, value in (("current_points", 5), ("torque_points", 2), ("speed_points", 4))
+    ]
+    code, out, err = run(tmp_path / "result", "--output", tmp_path / "out", "--u-dc", "540", *small, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out) == json.loads((tmp_path / "out" / "analysis.json").read_text())
+    for name in ("mtpa.csv", "torque_speed.csv", "compensation.csv"):
+        mine, own = table(tmp_path / "out" / name), table(folder / name)
+        for column in own.keys() - {"limit"}:
+            assert mine[column] == pytest.approx(own[column], rel=1e-6, abs=1e-9, nan_ok=True), (name, column)
+    code, out, _ = run(tmp_path / "result", "--output", tmp_path / "out", *small)
+    assert code == 0
+    for word in ("corner speed", "rpm", "max torque", "Written to"):
+        assert word in out
+
+
+def test_the_command_refuses_bad_input_in_one_sentence(result, run, tmp_path):
+    unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None, u_dc=None))
+    unknown.save(tmp_path / "unknown", draw=False)
+    out = tmp_path / "out"
+    for arguments, words in (
+        ((tmp_path / "unknown", "--output", out), "give --pole-pairs"),
+        ((tmp_path / "unknown", "--output", out, "--pole-pairs", "2"), "give --u-dc"),
+        ((tmp_path / "unknown", "--output", out, "--u-dc", "-5"), "u_dc is -5.0 V"),
+        ((tmp_path / "nothing", "--output", out), "is not a result folder"),
+        ((tmp_path / "unknown", "--output", tmp_path), "not results of drive_id"),
+    ):
+        code, _, err = run(*arguments)
+        assert code == 1
+        assert words in " ".join(err.split())
+        assert "Traceback" not in err
+    assert not out.exists()

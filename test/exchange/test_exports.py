@@ -1,0 +1,405 @@
+"""Each format holds what its tool expects, where it expects it: compared at points without symmetry."""
+
+from __future__ import annotations
+
+import io
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exchange_machine import AT, I_MAX, PAIRS, RESISTANCE, flux, grids, result, torque
+from scipy.io import loadmat, netcdf_file
+
+from drive_id.core.result.identification import HarmonicMap
+from drive_id.errors import ConfigurationError, CoverageError, OutputError
+from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
+from drive_id.exchange.exports.formats import EXPORTS
+from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.writers.gradnet import GradNet
+from drive_id.exchange.imports.importing import ImportOptions, import_map
+from drive_id.exchange.imports.source import Source
+
+AXIS_D, AXIS_Q = np.arange(-17.5, 12.6, 2.5), np.arange(-15.0, 15.1, 1.5)  # 13 x 21
+CHOICE = TableChoice(AXIS_D, AXIS_Q)
+SYMMETRIC = TableChoice(np.arange(-15.0, 15.1, 2.5), AXIS_Q)
+DRIVE = result()
+N, M = 5, 17
+"""Indices of i_d = -5 A and i_q = 10.5 A, where many comparisons are made."""
+ZERO_D, ZERO_Q = 7, 10
+
+
+def turning(amplitude=3e-3):
+    """Return the drive with a 6th harmonic: psi_d + a i_q/18 cos, psi_q + a sin."""
+    i_q = grids()[1]
+    zero = np.zeros_like(i_q)
+    harmonic = HarmonicMap(6, amplitude * i_q / 18, zero, zero, np.full_like(i_q, amplitude))
+    return result(harmonics=(harmonic,))
+
+
+def content(name, choice=CHOICE, drive=DRIVE, **options):
+    return content_of(drive, name, choice, ExportOptions(**options))[0]
+
+
+def mat(name, choice=CHOICE, drive=DRIVE, **options):
+    return loadmat(io.BytesIO(content(name, choice, drive, **options)), squeeze_me=True, struct_as_record=False)
+
+
+def npz(name, choice=CHOICE, drive=DRIVE):
+    return np.load(io.BytesIO(content(name, choice, drive)), allow_pickle=False)
+
+
+def truth(i_d=AXIS_D, i_q=AXIS_Q):
+    return flux(*np.meshgrid(i_d, i_q, indexing="ij"))
+
+
+def inductances(i_d, i_q):
+    """Return L_dd, L_dq, L_qd, L_qq by differences of the exact fluxes."""
+    h = 1e-4
+    by_d = [(a - b) / (2 * h) for a, b in zip(flux(i_d + h, i_q), flux(i_d - h, i_q), strict=True)]
+    by_q = [(a - b) / (2 * h) for a, b in zip(flux(i_d, i_q + h), flux(i_d, i_q - h), strict=True)]
+    return by_d[0], by_q[0], by_d[1], by_q[1]
+
+
+def test_csv():
+    lines = content("csv").decode().splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert "# pole_pairs: 3" in comments
+    assert f"# resistance: {RESISTANCE}" in comments
+    table = np.genfromtxt(lines[len(comments) :], delimiter=",", names=True)
+    assert len(table) == len(AXIS_D) * len(AXIS_Q)
+    for i_d, i_q in zip(*AT, strict=True):
+        (row,) = table[(table["i_d"] == i_d) & (table["i_q"] == i_q)]
+        np.testing.assert_allclose((row["psi_d"], row["psi_q"]), flux(i_d, i_q), atol=1e-9)
+        assert row["torque"] == pytest.approx(torque(i_d, i_q))
+        np.testing.assert_allclose(
+            [row[f"L_{name}"] for name in ("dd", "dq", "qd", "qq")], inductances(i_d, i_q), rtol=0.02, atol=1e-5
+        )
+        assert (row["sigma_d"], row["inside"]) == (1e-4, 1)
+
+
+def test_netcdf():
+    drive = turning()
+    with netcdf_file(io.BytesIO(content("netcdf", drive=drive)), mmap=False) as file:
+        assert file.variables["psi_q"].dimensions == ("i_d", "i_q")
+        np.testing.assert_array_equal(file.variables["i_d"][:], AXIS_D)
+        np.testing.assert_allclose(file.variables["psi_d"][:], truth()[0], atol=1e-9)
+        np.testing.assert_allclose(file.variables["psi_q"][:], truth()[1], atol=1e-9)
+        np.testing.assert_allclose(file.variables["sigma_q"][:], 1e-4)
+        np.testing.assert_allclose(file.variables["psi_d_cos"][0, N, M], 3e-3 * 10.5 / 18, atol=1e-9)
+        assert file.variables["order"][:].tolist() == [6]
+        assert (file.variables["torque"].units, file.pole_pairs) == (b"N m", PAIRS)
+
+
+def test_netcdf_opens_in_xarray(tmp_path):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    (tmp_path / "map.nc").write_bytes(content("netcdf"))
+    with xarray.open_dataset(tmp_path / "map.nc") as data:
+        for i_d, i_q in zip(*AT, strict=True):
+            point = data.sel(i_d=i_d, i_q=i_q)
+            np.testing.assert_allclose((point.psi_d, point.psi_q), flux(i_d, i_q), atol=1e-9)
+        assert data.psi_d.attrs["units"] == "Wb"
+
+
+def test_motulator():
+    file = npz("motulator")
+    assert file["i_s_dq"].shape == (len(AXIS_D), len(AXIS_Q))
+    assert file["i_s_dq"][N, M] == -5.0 + 10.5j
+    psi_d, psi_q = truth()
+    np.testing.assert_allclose(file["psi_s_dq"], psi_d + 1j * psi_q, atol=1e-9)
+    np.testing.assert_allclose(file["tau_M"][N, M], torque(-5.0, 10.5))
+
+
+def test_training_data_for_gradnets():
+    flat = npz("gradnet-data")
+    assert flat["i_s_dq"].ndim == 1
+    assert "theta_m" not in flat
+    file = npz("gradnet-data", drive=turning())
+    theta, current, psi = file["theta_m"], file["i_s_dq"], file["psi_s_dq"]
+    psi_d, psi_q = flux(current.real, current.imag)
+    rippled = psi_d + 3e-3 * current.imag / 18 * np.cos(6 * theta) + 1j * (psi_q + 3e-3 * np.sin(6 * theta))
+    np.testing.assert_allclose(psi, rippled, atol=1e-8)
+    # the co-energy of the harmonic is a i_d i_q / 18 cos / 2 + a i_q sin along a straight line from zero
+    i_d, i_q = current.real, current.imag
+    slope = 6 * 3e-3 * (-(i_d * i_q / 36) * np.sin(6 * theta) + i_q * np.cos(6 * theta))
+    per_pair = 1.5 * (psi.real * i_q - psi.imag * i_d + slope)
+    np.testing.assert_allclose(file["tau_m"], per_pair, atol=1e-6)
+
+
+def test_gradnet_function():
+    """Evaluated here by the formula of its paper, apart from the code that fitted it."""
+    file = npz("gradnet")
+    assert str(file["activation"]) == "PNormGradient"
+    assert file["W"].shape == (1, 12, 2)
+
+    def net(x):
+        beta, p = np.exp(file["beta_log"][0]), int(file["p"])
+        z = beta * (file["W"][0] @ x + file["b"][0])
+        return (
+            np.exp(file["mu_log"]) * x
+            + file["bias"]
+            + file["W"][0].T @ (z ** (p - 1) / (1 + np.sum(z**p)) ** ((p - 1) / p))
+        )
+
+    flip = np.array([1.0, -1.0])
+    for i_d, i_q in zip(*AT, strict=True):
+        x = np.array([i_d, i_q]) / file["i_base"]
+        psi = 0.5 * (net(x) + flip * net(flip * x)) * file["psi_base"]
+        np.testing.assert_allclose(psi, flux(i_d, i_q, skew=0.0), atol=4e-3)
+
+
+def test_gradnet_derivatives():
+    rng = np.random.default_rng(1)
+    vector, x = rng.normal(size=3 * 4 + 5), rng.normal(size=(6, 2))
+    steps = 1e-6 * np.eye(len(vector))
+    numeric = [(GradNet.of(vector + h).symmetric(x) - GradNet.of(vector - h).symmetric(x)) / 2e-6 for h in steps]
+    np.testing.assert_allclose(GradNet.of(vector).symmetric_jacobian(x), np.stack(numeric, -1), atol=1e-7)
+
+
+def test_a_map_that_no_gradnet_fits():
+    psi_d, psi_q = flux(*grids(), skew=6e-3)
+    drive = result()
+    lopsided = replace(drive, drive=replace(drive.drive, flux_map=replace(drive.flux_map, psi_d=psi_d, psi_q=psi_q)))
+    with pytest.raises(ConfigurationError, match=r"differs from this map by .* %"):
+        content("gradnet", drive=lopsided)
+
+
+def test_syre_flux_file():
+    file = mat("syre", drive=turning())
+    assert file["Id"].shape == (len(AXIS_Q), len(AXIS_D))  # [iq, id]
+    assert (file["Id"][M, N], file["Iq"][M, N]) == (-5.0, 10.5)
+    np.testing.assert_allclose((file["Fd"][M, N], file["Fq"][M, N]), flux(-5.0, 10.5), atol=1e-9)
+    assert file["T"][M, N] == pytest.approx(torque(-5.0, 10.5))
+    assert file["dTpp"][M, N] > 2 * file["dT"][M, N] > 0
+    assert file["dataSet"].axisType == "PM"
+    assert file["dataSet"].NumOfRotPosPP == 72
+
+
+def test_syre_motor_model():
+    model = mat("syre-model", drive=turning())["motorModel"]
+    assert (model.data.Rs, model.data.p, model.data.axisType, model.data.Imax) == (RESISTANCE, PAIRS, "PM", I_MAX)
+    np.testing.assert_allclose((model.FluxMap_dq.Fd[M, N], model.FluxMap_dq.Fq[M, N]), flux(-5.0, 10.5), atol=1e-9)
+    L = model.IncInductanceMap_dq
+    np.testing.assert_allclose((L.Ldd[M, N], L.Ldq[M, N], L.Lqd[M, N], L.Lqq[M, N]), inductances(-5, 10.5), rtol=0.01)
+    over = model.FluxMap_dqt
+    assert over.data.Fd.shape == (len(AXIS_D), len(AXIS_Q), len(over.th))  # [id, iq, theta]
+    assert (over.th[0], over.th[-1]) == (0.0, pytest.approx(360.0))
+    ripple = 3e-3 * 10.5 / 18 * np.cos(6 * np.radians(over.th))
+    np.testing.assert_allclose(over.data.Fd[N, M], flux(-5.0, 10.5)[0] + ripple, atol=1e-8)
+    inverse = model.FluxMapInv_dq
+    known = np.isfinite(inverse.Id)
+    assert known.any()
+    back = flux(inverse.Id[known], inverse.Iq[known])
+    np.testing.assert_allclose(back, (inverse.Fd[known], inverse.Fq[known]), atol=5e-4)  # a spline between grid points
+
+
+def test_simscape_over_the_rotor_angle():
+    file = mat("simscape", SYMMETRIC, turning())
+    x = file["xVec2"]
+    assert (x[0], x[-1]) == (0.0, pytest.approx(120 / PAIRS))  # mechanical degrees
+    assert file["fluxD_dq0"].shape == (13, 21, len(x))
+    np.testing.assert_allclose(file["fluxQ_dq0"][..., 0], file["fluxQ_dq0"][..., -1], atol=1e-12)
+    assert (file["idVec2"][4], file["iqVec2"][M]) == (-5.0, 10.5)
+    ripple = 3e-3 * np.sin(6 * np.radians(PAIRS * x))
+    np.testing.assert_allclose(file["fluxQ_dq0"][4, M], flux(-5.0, 10.5)[1] + ripple, atol=1e-8)
+    assert file["Torque_dq0"][4, M, :-1].mean() == pytest.approx(torque(-5.0, 10.5))
+    assert (file["nPolePairs"], file["Rs"]) == (PAIRS, RESISTANCE)
+    still = mat("simscape", SYMMETRIC)
+    assert len(still["xVec2"]) >= 4
+    with pytest.raises(ConfigurationError, match="wants it symmetric about 0"):
+        content("simscape")
+
+
+def test_simscape_refuses_harmonics_that_its_angle_cannot_hold():
+    drive = turning(amplitude=0.02)
+    odd = replace(drive, drive=replace(drive.drive, harmonics=(replace(drive.harmonics[0], order=2),)))
+    with pytest.raises(ConfigurationError, match="order 2 does not repeat after 120 degrees"):
+        content("simscape", SYMMETRIC, odd)
+
+
+def test_simscape_with_inductances():
+    """The fluxes that the block forms of its tables are those of the map, at zero current as well."""
+    file = mat("simscape-2d")
+    i_d, i_q = np.meshgrid(file["idVec"], file["iqVec"], indexing="ij")
+    np.testing.assert_allclose(file["LdMatrix"] * i_d + file["pmFluxMatrix"], truth()[0], atol=1e-9)
+    rest = flux(i_d, 0.0)[1]
+    np.testing.assert_allclose(file["LqMatrix"] * i_q + rest, truth()[1], atol=1e-9)
+    assert np.isfinite(file["LdMatrix"]).all()
+    assert file["LdMatrix"][ZERO_D, ZERO_Q] == pytest.approx(inductances(0.0, 0.0)[0], rel=1e-2)
+
+
+def test_motor_control():
+    pmsm = mat("motor-control")["pmsm"]
+    lut = pmsm.PMSMLUT
+    assert lut.method == "FluxDQ"
+    assert (lut.idVec[N], lut.iqVec[M]) == (-5.0, 10.5)
+    np.testing.assert_allclose((lut.FluxDTable[N, M], lut.FluxQTable[N, M]), flux(-5.0, 10.5), atol=1e-9)
+    assert lut.TorqueTable[N, M] == pytest.approx(torque(-5.0, 10.5))
+    assert lut.idRefTable.shape == (len(lut.trefVec), len(lut.wrpmVec))  # [torque x speed]
+    slow = torque(lut.idRefTable[:, 0], lut.iqRefTable[:, 0])
+    np.testing.assert_allclose(slow, lut.trefVec, atol=0.01 * lut.trefVec[-1])
+    raw = loadmat(io.BytesIO(content("motor-control")))["pmsm"]["PMSMLUT"][0, 0]
+    assert (raw["idVec"][0, 0].shape, raw["iqVec"][0, 0].shape) == ((13, 1), (1, 21))
+
+
+def test_powertrain():
+    file = mat("powertrain")
+    known = np.isfinite(file["id"])
+    psi_d, psi_q = np.meshgrid(file["flux_d"], file["flux_q"], indexing="ij")
+    assert known.mean() > 0.3
+    back = flux(file["id"][known], file["iq"][known])
+    np.testing.assert_allclose(back, (psi_d[known], psi_q[known]), atol=5e-4)  # a spline between grid points
+    assert (file["P"], file["Rs"]) == (PAIRS, RESISTANCE)
+    filled = mat("powertrain", replace(CHOICE, filled=True))
+    assert np.isfinite(filled["id"]).all()
+    control = mat("powertrain-controller")
+    assert control["id_ref"].shape == (len(control["wbp"]), len(control["tbp"]))
+    np.testing.assert_allclose(control["lambda_q"][N, M], flux(-5.0, 10.5)[1], atol=1e-9)
+    np.testing.assert_allclose(torque(control["id_ref"][0], control["iq_ref"][0]), control["tbp"], atol=0.2)
+    with pytest.raises(ConfigurationError, match="--u-dc"):
+        content("powertrain-controller", drive=without_voltage())
+
+
+def without_voltage():
+    drive = result()
+    return replace(drive, provenance=replace(drive.provenance, u_dc=None))
+
+
+def test_plecs():
+    file = mat("plecs", leakage_inductance=1e-3)
+    expected = np.array(flux(-5.0, 10.5)) - 1e-3 * np.array([-5.0, 10.5])
+    np.testing.assert_allclose((file["psid"][N, M], file["psiq"][N, M]), expected, atol=1e-9)
+    own = np.array(inductances(-5.0, 10.5)) - [1e-3, 0, 0, 1e-3]
+    np.testing.assert_allclose([file[f"L{name}"][N, M] for name in ("dd", "dq", "qd", "qq")], own, rtol=0.01)
+    assert (file["id"][N], file["iq"][M], file["Lsigma"]) == (-5.0, 10.5, 1e-3)
+
+
+def test_modelica():
+    lines = content("modelica").decode().splitlines()
+    assert lines[0] == "#1"
+    start = lines.index("double psi_q(14,22)")
+    table = np.array([[float(word) for word in line.split()] for line in lines[start + 1 : start + 15]])
+    np.testing.assert_array_equal(table[1:, 0], AXIS_D)  # u1
+    np.testing.assert_array_equal(table[0, 1:], AXIS_Q)  # u2
+    np.testing.assert_allclose(table[1:, 1:], truth()[1], atol=1e-9)
+
+
+def test_small_controllers():
+    vesc = {entry.tag: float(entry.text) for entry in ET.fromstring(content("vesc", bandwidth=500.0))}
+    l_d, _, _, l_q = inductances(0.0, 0.0)
+    assert vesc["foc_motor_l"] == pytest.approx((l_d + l_q) / 2, rel=1e-2)
+    assert vesc["foc_motor_ld_lq_diff"] == pytest.approx(l_q - l_d, rel=1e-2)
+    assert vesc["foc_motor_flux_linkage"] == pytest.approx(0.1)
+    assert vesc["foc_current_kp"] == pytest.approx(500 * vesc["foc_motor_l"])
+    odrive = json.loads(content("odrive"))
+    assert odrive["axis0.config.motor.torque_constant"] == pytest.approx(1.5 * PAIRS * 0.1)
+    assert odrive["axis0.config.motor.motor_model_l_q"] == pytest.approx(l_q, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "axis"),
+    [("csv", ".csv", None), ("machine", ".npz", None), ("motulator", ".npz", None), ("gradnet-data", ".npz", None),
+     ("syre", ".mat", None), ("syre-model", ".mat", "pm")],
+)  # fmt: skip
+def test_round_trip(tmp_path, name, suffix, axis):
+    drive = turning() if name in ("machine", "gradnet-data", "syre-model") else DRIVE
+    file = tmp_path / f"map{suffix}"
+    export_map(drive, name, file, CHOICE)
+    found = import_map(Source(file, scalars={"pole_pairs": float(PAIRS)}), ImportOptions(axis=axis))
+    np.testing.assert_array_equal(found.flux_map.i_d, AXIS_D)
+    np.testing.assert_array_equal(found.flux_map.i_q, AXIS_Q)
+    np.testing.assert_allclose((found.flux_map.psi_d, found.flux_map.psi_q), truth(), atol=1e-9)
+    assert found.flux_map.inside.all()
+    if drive.harmonics:
+        (harmonic,) = found.harmonics
+        assert harmonic.order == 6
+        np.testing.assert_allclose(harmonic.psi_d_cos[N, M], 3e-3 * 10.5 / 18, atol=1e-8)
+        np.testing.assert_allclose(harmonic.psi_q_sin, 3e-3, atol=1e-8)
+    if name == "csv":
+        np.testing.assert_allclose(found.flux_map.sigma_d, 1e-4)
+
+
+def on_disc():
+    """Return the drive with data on a disc of 16 A only."""
+    inside = np.hypot(*grids()) <= 16.0
+    drive = result()
+    m = drive.flux_map
+    sigma = np.where(inside, 1e-4, np.nan)
+    disc = replace(m, inside=inside, sigma_d=sigma, sigma_q=sigma)
+    known = replace(drive.provenance, u_dc=None)  # without tables over speed, whose search takes time
+    return replace(drive, drive=replace(drive.drive, flux_map=disc), provenance=known)
+
+
+MARKED = {  # where each format of tables keeps psi_d
+    "csv": lambda: import_rows()["psi_d"],
+    "motulator": lambda: npz("motulator", drive=on_disc())["psi_s_dq"].real,
+    "syre": lambda: mat("syre", drive=on_disc())["Fd"].T,
+    "simscape": lambda: mat("simscape", SYMMETRIC, on_disc())["fluxD_dq0"][..., 0],
+    "motor-control": lambda: mat("motor-control", drive=on_disc())["pmsm"].PMSMLUT.FluxDTable,
+    "plecs": lambda: mat("plecs", drive=on_disc())["psid"],
+}
+
+
+def import_rows():
+    lines = [line for line in content("csv", drive=on_disc()).decode().splitlines() if not line.startswith("#")]
+    return np.genfromtxt(lines, delimiter=",", names=True)
+
+
+@pytest.mark.parametrize("name", MARKED)
+def test_points_without_data_are_marked(name):
+    psi_d = MARKED[name]()
+    i_d = SYMMETRIC.i_d if name == "simscape" else AXIS_D
+    corner, inner = (psi_d.reshape(len(i_d), len(AXIS_Q))[place] for place in ((0, 0), (N, M - 3)))
+    assert np.isnan(corner)
+    assert np.isfinite(inner)
+
+
+def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
+    drive = on_disc()
+    for name, entry in EXPORTS.items():
+        if name in ("gradnet", "powertrain-controller") or not entry.grid:
+            continue  # the second holds the tables of motor-control
+        choice = SYMMETRIC if name == "simscape" else CHOICE
+        if name == "machine":
+            with pytest.raises(ConfigurationError, match="points have no data, which a machine file cannot hold"):
+                content_of(drive, name, choice)
+        else:
+            _, exported = content_of(drive, name, choice)
+            assert exported.missing > 0
+            assert ("left out" if name == "gradnet-data" else "marked as NaN") in exported.warnings[0]
+        _, exported = content_of(drive, name, replace(choice, filled=True))
+        assert "continuation" in exported.warnings[0]
+
+
+def test_a_filled_table_is_continued_smoothly():
+    filled = npz("motulator", replace(CHOICE, filled=True), on_disc())
+    known = filled["inside"]
+    assert not known.all()
+    psi_d, psi_q = truth()
+    np.testing.assert_allclose(filled["psi_s_dq"], psi_d + 1j * psi_q, atol=0.06)
+    np.testing.assert_allclose(filled["psi_s_dq"][known], (psi_d + 1j * psi_q)[known], atol=1e-4)
+
+
+def test_errors(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"no export format 'matlab': choose csv, netcdf, .* odrive"):
+        content_of(DRIVE, "matlab")
+    far = TableChoice(np.array([-400.0, -300.0, -200.0, 0.0]) - 100, np.array([-400.0, -300.0, -200.0, 400.0]))
+    with pytest.raises(CoverageError, match="No point of the table has data"):
+        content_of(DRIVE, "csv", far)
+    (tmp_path / "map.csv").write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        export_map(DRIVE, "csv", tmp_path / "map.csv")
+    assert (tmp_path / "map.csv").read_text() == "mine"
+    export_map(DRIVE, "csv", tmp_path / "map.csv", CHOICE, force=True)
+    assert (tmp_path / "map.csv").read_text().startswith("# machine: lopsided")
+    unknown = replace(DRIVE, drive=replace(DRIVE.drive, resistance=np.nan))
+    with pytest.raises(ConfigurationError, match="--resistance"):
+        content("plecs", drive=unknown)
+    nameless = replace(DRIVE, provenance=replace(DRIVE.provenance, pole_pairs=None))
+    with pytest.raises(ConfigurationError, match="--pole-pairs"):
+        content("motor-control", drive=nameless)
+    (heading,) = [line for line in content("csv", drive=nameless).decode().splitlines() if line.startswith("i_d")]
+    assert "torque" not in heading
+    with pytest.raises(ConfigurationError, match="--bandwidth"):
+        ExportOptions(bandwidth=0.0)

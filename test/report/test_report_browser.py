@@ -1,0 +1,249 @@
+"""The report in a browser: it opens quickly, every control does something, and the console stays empty."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drive_id.report.page.report import report_files
+
+BROWSERS, DRIVER = ("chromium", "chromium-browser", "google-chrome"), "chromedriver"
+SWITCHES = (
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1300,900",
+    "--enable-unsafe-swiftshader", "--hide-scrollbars", "--force-prefers-reduced-motion",
+)  # fmt: skip
+WARNING = "A warning with <b>markup</b> & an ampersand."
+STATE = """
+const traces = document.getElementById(`chart-${arguments[0]}`).data;
+const text = JSON.stringify(traces.map((trace) => [trace.type, trace.name, trace.z ?? trace.y]));
+let sum = 0;
+for (let k = 0; k < text.length; k += 1) sum = (31 * sum + text.charCodeAt(k)) % 1000003;
+return `${traces.length} ${sum}`;
+"""
+"""Number of traces, and a check sum of what they show."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
+    binary = next(filter(None, map(shutil.which, BROWSERS)), None)
+    driver = shutil.which(DRIVER)
+    if binary is None or driver is None:
+        pytest.skip("there is no Chromium with its driver here: apt install chromium chromium-driver")
+    assert selenium.__version__
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for switch in SWITCHES:
+        options.add_argument(switch)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driven = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    yield driven
+    driven.quit()
+
+
+@pytest.fixture(scope="module")
+def result(full_like):
+    provenance = replace(full_like.provenance, warnings=(WARNING,), machine="<ipm> & co")
+    return replace(full_like, provenance=provenance, stored=full_like.diagnostics)
+
+
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_bytes(report_files(result)["report.html"])
+    return path
+
+
+@pytest.fixture
+def opened(browser, path):
+    """Open the page, once for all tests; after each, nothing may have been complained of or loaded."""
+    if browser.current_url != path.as_uri():
+        browser.get(path.as_uri())
+        wait_for(browser, "return document.documentElement.dataset.drawn === 'true'")
+    yield browser
+    complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not complaints
+    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    loaded = {entry["params"]["request"]["url"] for entry in asked if entry["method"] == "Network.requestWillBeSent"}
+    assert not {url for url in loaded if not url.startswith(("file:", "data:", "blob:"))}
+
+
+def wait_for(browser, script, *arguments):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    return WebDriverWait(browser, 60, poll_frequency=0.05).until(
+        lambda driven: driven.execute_script(script, *arguments), script
+    )
+
+
+def element(browser, name):
+    return browser.find_element("id", name)
+
+
+def choose(browser, name, value):
+    from selenium.webdriver.support.ui import Select
+
+    Select(element(browser, name)).select_by_value(value)
+
+
+def state(browser, name):
+    return browser.execute_script(STATE, name)
+
+
+def changed(browser, name, before, what):
+    """Wait until a chart shows something else, and return its state."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, 20, poll_frequency=0.05).until(lambda driven: state(driven, name) != before, str(what))
+    return state(browser, name)
+
+
+def test_it_opens_at_once(opened):
+    paint = opened.execute_script(
+        "return performance.getEntriesByName('first-contentful-paint')[0].startTime + performance.timeOrigin "
+        "- performance.timing.navigationStart"
+    )
+    assert paint < 2000
+    assert opened.title == "Identified drive: <ipm> & co"
+    assert WARNING in element(opened, "warnings").text
+    assert opened.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 6
+
+
+def test_every_control_changes_what_it_controls(opened, result):
+    from selenium.webdriver.support.ui import Select
+
+    used = set()
+    for name, chart in (
+        ("map-quantity", "map"), ("comparison-method", "comparison"), ("comparison-flux", "comparison"),
+        ("residuals-over", "residuals"), ("residuals-statistic", "residuals"), ("currents-show", "currents"),
+        ("map-view", "map"),
+    ):  # fmt: skip
+        used.add(name)
+        options = [option.get_attribute("value") for option in Select(element(opened, name)).options]
+        assert len(options) >= 2, name
+        for value in [*options[1:], options[0]]:
+            before = state(opened, chart)
+            choose(opened, name, value)
+            changed(opened, chart, before, (name, value))
+    for name in ("map-continuation", "map-trajectory"):
+        used.add(name)
+        before = state(opened, "map")
+        element(opened, name).click()
+        after = changed(opened, "map", before, name)
+        assert int(after.split()[0]) == int(before.split()[0]) + 1, name
+    used.add("map-turn")
+    eye = "return document.getElementById('chart-map').layout.scene.camera.eye.x"
+    before = opened.execute_script(eye)
+    element(opened, "map-turn").send_keys("\ue014\ue014")  # to the right
+    wait_for(opened, f"{eye} !== arguments[0]", before)
+    used |= {"probe-d", "probe-q"}
+    for name, value in (("probe-d", "-101.5"), ("probe-q", "57")):
+        opened.execute_script("arguments[0].value = ''", element(opened, name))
+        element(opened, name).send_keys(value)
+    said = element(opened, "probe").text
+    psi_d = 1e3 * float(result.flux_map.psi_dq(-101.5, 57.0)[0])
+    assert float(said.split("=")[1].split("±")[0]) == pytest.approx(psi_d, rel=1e-3), said
+    fields = opened.find_elements("css selector", "select, input")
+    assert used == {field.get_attribute("id") for field in fields}
+
+
+def test_the_surface_has_its_axes_in_order(opened, result):
+    """In plotly's own terms: a row of z is a y."""
+    j, k = 40, 22
+    x, y, z = opened.execute_script(
+        "const t = document.getElementById('chart-map').data[0]; return [t.x[arguments[0]], t.y[arguments[1]], "
+        "t.z[arguments[1]][arguments[0]]]", j, k,
+    )  # fmt: skip
+    assert (x, y) == (pytest.approx(result.flux_map.i_d[j], rel=1e-4), pytest.approx(result.flux_map.i_q[k], rel=1e-4))
+    assert z == pytest.approx(1e3 * result.flux_map.psi_d[j, k], rel=1e-4)
+    assert abs(z - 1e3 * result.flux_map.psi_d[k, j]) > 1.0
+
+
+def test_the_buttons_do_what_they_say(opened, result, tmp_path):
+    opened.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
+    element(opened, "download").click()
+    target = tmp_path / "identification.json"
+    wait_for_file(opened, target)
+    assert json.loads(target.read_text(encoding="utf-8"))["machine"] == result.machine
+    opened.execute_script("window.print = () => { window.printed = true; }")
+    element(opened, "print").click()
+    assert opened.execute_script("return window.printed")
+    element(opened, "copy").click()
+    wait_for(opened, "return document.getElementById('copy').textContent !== 'Copy the paragraph'")
+
+
+def wait_for_file(browser, path: Path):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, 30).until(lambda _: path.exists() and path.stat().st_size > 0)
+
+
+def test_it_is_dark_on_request_and_by_the_system(opened):
+    def background():
+        return opened.execute_script("return getComputedStyle(document.body).backgroundColor")
+
+    def text_of_chart():
+        return opened.execute_script("return document.getElementById('chart-inverter').layout.font.color")
+
+    light, before = background(), text_of_chart()
+    assert brightness(light) > 200
+    element(opened, "theme").click()
+    assert brightness(background()) < 60
+    assert element(opened, "theme").get_attribute("aria-pressed") == "true"
+    wait_for(opened, "return document.getElementById('chart-inverter').layout.font.color !== arguments[0]", before)
+    opened.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    )
+    opened.refresh()
+    wait_for(opened, "return document.documentElement.dataset.drawn === 'true'")
+    assert brightness(background()) < 60
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def brightness(colour: str) -> float:
+    return float(np.mean([float(part) for part in colour.partition("(")[2].rstrip(")").split(",")[:3]]))
+
+
+def test_in_print_pictures_stand_for_the_charts(opened):
+    shown = "return [...document.querySelectorAll(arguments[0])].filter((e) => e.offsetParent !== null).length"
+    assert opened.execute_script(shown, ".chart") == 6
+    assert opened.execute_script(shown, ".picture") == 0
+    element(opened, "theme").click()
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert opened.execute_script(shown, ".chart") == 0
+    assert opened.execute_script(shown, ".picture") == 6
+    assert opened.execute_script(shown, "button, select, nav") == 0
+    assert brightness(opened.execute_script("return getComputedStyle(document.body).backgroundColor")) > 250
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    element(opened, "theme").click()
+
+
+def test_a_narrow_window_scrolls_in_one_direction(opened):
+    opened.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    )
+    wait_for(opened, "return document.documentElement.scrollWidth <= 400")
+    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_all_controls_are_reached_by_the_keyboard(opened):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    wanted = {field.get_attribute("id") for field in opened.find_elements("css selector", "select, input, button")}
+    body, reached = opened.find_element(By.TAG_NAME, "body"), set()
+    for _ in range(80):
+        body.send_keys(Keys.TAB) if not reached else opened.switch_to.active_element.send_keys(Keys.TAB)
+        here = opened.switch_to.active_element
+        reached.add(here.get_attribute("id"))
+        if wanted <= reached:
+            break
+    assert wanted <= reached
+    assert opened.execute_script("return getComputedStyle(document.activeElement).outlineStyle") == "solid"

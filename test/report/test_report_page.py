@@ -1,0 +1,373 @@
+"""The report: one file that loads nothing, with all sections, whatever the result holds or lacks."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_page import Page
+
+import drive_id
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import FluxMap
+from drive_id.errors import ConfigurationError, OutputError, ResultError
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.sources import Sources
+from drive_id.report.page import pdf, report
+from drive_id.report.page.charts import MOST_POINTS, charts_of
+from drive_id.report.page.content import content_of, number, with_error
+from drive_id.report.page.html import rendered_page
+from drive_id.report.page.operation import torque_map
+from drive_id.report.page.report import check_report_output, report_files
+from drive_id.report.page.wording import SECTIONS
+
+HOSTILE = '</script><script>alert(1)</script> <b>&amp; "ipm"\' {{ 7 * 7 }} $x$'
+
+
+def page_of(result) -> Page:
+    """Return the report without its pictures, which take most of the time."""
+    operation = torque_map(result)
+    return Page(rendered_page(content_of(result, operation), charts_of(result, operation), {}))
+
+
+@pytest.fixture(scope="module")
+def page(fitted):
+    return Page(report_files(fitted)["report.html"].decode())
+
+
+@pytest.fixture(scope="module")
+def imported(fitted):
+    """A map without standard errors, inverter, residuals or pole pairs."""
+    found = fitted.flux_map
+    unknown = np.full(found.psi_d.shape, np.nan)
+    flux_map = FluxMap(found.i_d, found.i_q, found.psi_d, found.psi_q, unknown, unknown, found.inside)
+    report = replace(fitted.drive.report, mad_d=np.nan, mad_q=np.nan, residual_rms=np.nan, condition=np.inf)
+    drive = replace(
+        fitted.drive,
+        flux_map=flux_map,
+        report=report,
+        sigma_resistance=np.inf,
+        voltage_error=0.0,
+        inverter_voltage=np.zeros_like(fitted.drive.inverter_voltage),
+        error_modes=None,
+        simulated=None,
+    )
+    provenance = replace(
+        fitted.provenance, pole_pairs=None, u_dc=None, speed_range=None, duration=None, date="", nrmse=None, machine=""
+    )
+    return drive_id.Identification(drive, provenance)
+
+
+@pytest.mark.parametrize("name", ["fitted", "full_like", "imported"])
+def test_nothing_is_loaded_and_the_file_is_small(name, request):
+    page = request.getfixturevalue("page") if name == "fitted" else page_of(request.getfixturevalue(name))
+    assert len(page.source.encode()) < 5e6
+    for element in page.all():
+        for attribute in ("src", "href", "srcset", "action", "data", "poster"):
+            link = element.attributes.get(attribute, "#")
+            assert link.startswith(("#", "data:")), (element.tag, link)
+        assert not any(attribute.startswith("on") for attribute in element.attributes)
+    (style,) = page.all("style")
+    assert not re.search(r"url\(|@import|https?:", style.text())
+    policy = next(e for e in page.all("meta") if e.attributes.get("http-equiv") == "Content-Security-Policy")
+    assert policy.attributes["content"].startswith("default-src 'none';")
+    assert not page.all("iframe", "object", "embed", "base")
+
+
+def test_plotly_is_there_once_and_whole(page):
+    from plotly.offline import get_plotlyjs
+
+    packed = "".join(page.by_id("plotly").parts())
+    assert gzip.decompress(base64.b64decode(packed)).decode() == get_plotlyjs()
+    assert page.source.count(packed[:200]) == 1
+
+
+def test_all_sections_are_there_and_reached(page):
+    sections = [element.attributes["id"] for element in page.all("section")]
+    assert sections == list(SECTIONS)
+    (nav,) = page.all("nav")
+    assert [link.attributes["href"] for link in nav.all("a")] == [f"#{name}" for name in SECTIONS]
+    assert [heading.text() for heading in page.all("h2")] == list(SECTIONS.values())
+    assert len(page.all("h1")) == len(page.all("main")) == len(page.all("header")) == 1
+
+
+def test_controls_have_names_and_tables_captions(page):
+    names = [element.attributes["id"] for element in page.all() if "id" in element.attributes]
+    assert len(names) == len(set(names))
+    for control in page.all("select", "input"):
+        assert control.parent.tag == "label", control.attributes
+        assert control.parent.text(), control.attributes
+    assert all(button.text() and button.attributes["type"] == "button" for button in page.all("button"))
+    tables = page.all("table")
+    assert len(tables) >= 6
+    for table in tables:
+        (caption,) = table.all("caption")
+        assert caption.text()
+        assert all(cell.attributes["scope"] in {"col", "row"} for cell in table.all("th"))
+    assert all(image.attributes["alt"] for image in page.all("img"))
+    assert page.all("html")[0].attributes["lang"] == "en"
+
+
+def test_the_twin_is_identification_json(fitted, page, tmp_path):
+    fitted.save(tmp_path / "result", draw=False)
+    stored = json.loads((tmp_path / "result" / "identification.json").read_text(encoding="utf-8"))
+    assert page.data("identification") == stored
+    assert page_of(drive_id.load(tmp_path / "result")).data("identification") == stored
+
+
+def test_names_and_warnings_stay_text(fitted):
+    provenance = replace(
+        fitted.provenance, machine=HOSTILE, warnings=(HOSTILE,), inputs={HOSTILE: "0" * 64}, date="<i>today</i>"
+    )
+    page = page_of(replace(fitted, provenance=provenance))
+    assert len(page.all("script")) == 4
+    assert not page.all("b", "i")
+    (heading,) = page.all("h1")
+    assert heading.text() == f"Identified drive: {HOSTILE}"
+    assert page.by_id("warnings").text().count(HOSTILE) == 1
+    assert page.data("identification")["machine"] == HOSTILE
+    assert page.data("identification")["warnings"][0] == HOSTILE
+
+
+def test_the_map_has_its_axes_in_order(fitted, page):
+    """Checked at a point whose i_d and i_q differ, against the map's own queries."""
+    drawn, found = page.data("charts")["map"], fitted.flux_map
+    quantities = {entry["name"]: entry for entry in drawn["quantities"]}
+    j, k = 40, 22
+    i_d, i_q = drawn["i_d"][j], drawn["i_q"][k]
+    assert i_d == pytest.approx(found.i_d[j], rel=1e-4)
+    assert i_q == pytest.approx(found.i_q[k], rel=1e-4)
+    assert drawn["inside"][k][j] == 1
+    psi_d, psi_q = found.psi_dq(i_d, i_q)
+    assert quantities["psi_d"]["z"][k][j] == pytest.approx(1e3 * psi_d, rel=1e-3)
+    assert quantities["psi_q"]["z"][k][j] == pytest.approx(1e3 * psi_q, rel=1e-3)
+    assert quantities["psi_d"]["sigma"][k][j] == pytest.approx(1e3 * found.sigma(i_d, i_q)[0], rel=0.02)
+    assert quantities["sigma_q"]["z"][k][j] == pytest.approx(1e6 * found.sigma(i_d, i_q)[1], rel=0.02)
+    step = 1e-2
+    for name, flux, current in (("L_dq", 0, (0, step)), ("L_qd", 1, (step, 0)), ("L_dd", 0, (step, 0))):
+        after, before = (found.psi_dq(i_d + s * current[0], i_q + s * current[1])[flux] for s in (1, -1))
+        assert quantities[name]["z"][k][j] == pytest.approx(1e3 * (after - before) / (2 * step), rel=2e-2), name
+    torque = 1.5 * 4 * (psi_d * i_q - psi_q * i_d)
+    assert quantities["torque"]["z"][k][j] == pytest.approx(torque, rel=1e-2)
+    unlike = [quantities[name]["z"][j][k] for name in ("psi_d", "psi_q", "torque")]
+    assert np.abs(np.subtract(unlike, [1e3 * psi_d, 1e3 * psi_q, torque])).min() > 0.5
+    corner = [drawn["inside"][0][0], quantities["sigma_d"]["z"][0][0], quantities["L_dd"]["z"][0][0]]
+    assert corner == [0, None, None]
+
+
+def test_the_methods_are_those_fits_of_their_own(bag, fitted, page):
+    alone = fit_bags(Sources([bag]), None, FitSettings(method="psm"))
+    (psm,) = fitted.diagnostics.comparisons
+    assert psm.method == "psm"
+    assert psm.resistance == pytest.approx(alone.resistance, rel=1e-6)
+    assert (psm.mad_d, psm.mad_q) == pytest.approx((alone.metrics["mad_d"], alone.metrics["mad_q"]), rel=1e-4)
+    assert psm.nrmse_d == pytest.approx(alone.metrics["nrmse_d"], rel=1e-4)
+    np.testing.assert_allclose(psm.psi_q, alone.flux_map.psi_q, rtol=1e-6, atol=1e-9)
+    assert psm.residual_rms > 1.2 * fitted.diagnostics.residual_rms
+    section = page.by_id("comparison")
+    rows = [row.text() for row in section.all("tr")]
+    assert any(with_error(1e3 * alone.resistance, 1e3 * alone.sigma_resistance) in row for row in rows)
+    apart = page.data("charts")["comparison"]["methods"][0]["psi_q"]
+    j, k = 40, 22
+    at = alone.flux_map.psi_q[j, k] - fitted.flux_map.psi_q[j, k]
+    assert apart[k][j] == pytest.approx(1e3 * at, rel=1e-3)
+
+
+def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
+    page = page_of(fit_bags(Sources([bag]), None, FitSettings(method="psm")))
+    assert "does not model the inverter" in page.by_id("inverter").text()
+    assert not page.has_id("chart-inverter")
+    assert "psm: inverter not modelled (this result)" in page.by_id("comparison").text()
+    assert [method["name"] for method in page.data("charts")["comparison"]["methods"]] == ["joint"]
+
+
+def test_a_full_result_shows_bands_phases_and_faults(full_like):
+    page = page_of(full_like)
+    drawn = page.data("charts")["inverter"]
+    assert set(drawn["sigma"]) == {0.05}
+    assert drawn["phases"][1][-1] == pytest.approx(1.1 * drawn["voltage"][-1], rel=1e-4)
+    text = page.by_id("identifiable").text()
+    assert "A first statement." in text
+    assert "A longer recording." in text
+    assert "What would help most" not in text
+    (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver_offset" in row.text())
+    assert [cell.text() for cell in row.children] == ["resolver_offset", "0.01 rad", "0.001 rad", "corrected"]
+    assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
+
+
+def test_an_imported_map_has_a_report(imported):
+    page = page_of(imported)
+    for name in ("comparison", "residuals", "currents"):
+        assert "holds no diagnostics.npz" in page.by_id(name).text(), name
+    assert "pole pairs is unknown" in page.by_id("operation").text()
+    assert "no inverter drop" in page.by_id("inverter").text()
+    assert "unknown" in page.by_id("glance").text()
+    assert "nan" not in re.sub(r"[^a-z ]", " ", page.by_id("main").text().lower()).split()
+    charts = page.data("charts")
+    assert charts["inverter"] is charts["residuals"] is charts["currents"] is charts["operation"] is None
+    assert [entry["name"] for entry in charts["map"]["quantities"]] == [
+        "psi_d",
+        "psi_q",
+        "L_dd",
+        "L_dq",
+        "L_qd",
+        "L_qq",
+    ]
+    assert charts["map"]["quantities"][0]["sigma"] is None
+
+
+def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
+    fitted.save(tmp_path / "result", draw=False)
+    size = (tmp_path / "result" / "diagnostics.npz").stat().st_size
+    assert size < 3e5
+    stored = page_of(drive_id.load(tmp_path / "result"))
+    assert stored.by_id("comparison").text() == page.by_id("comparison").text()
+    ours, theirs = (found.data("charts") for found in (page, stored))
+    pairs = [(ours["currents"], theirs["currents"])]
+    pairs += [(ours["residuals"][name], theirs["residuals"][name]) for name in ("time", "angle")]
+    for mine, other in pairs:
+        assert set(mine) == set(other)
+        for name, values in mine.items():
+            both = (np.array(side, float) for side in (values, other[name]))
+            np.testing.assert_allclose(*both, rtol=1e-4, atol=1e-5, err_msg=name)
+    assert ours["map"] == theirs["map"] | {"trajectory": ours["map"]["trajectory"]}
+
+
+def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
+    """From the sums of all samples while fitting, or from the samples that the result keeps: the same."""
+    fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
+    (stored,) = drive_id.load(tmp_path / "result").diagnostics.comparisons
+    (kept,) = fitted.diagnostics.comparisons
+    for name in ("resistance", "sigma_resistance", "residual_rms", "mad_d", "mad_q", "nrmse_d", "samples"):
+        assert getattr(stored, name) == pytest.approx(getattr(kept, name), rel=1e-4), name
+    np.testing.assert_allclose(stored.psi_d, kept.psi_d, rtol=1e-4, atol=1e-6)
+
+
+def test_a_folder_of_an_earlier_version_has_a_report(fitted, tmp_path):
+    fitted.save(tmp_path / "result", draw=False)
+    (tmp_path / "result" / "diagnostics.npz").unlink()
+    page = page_of(drive_id.load(tmp_path / "result"))
+    assert "holds no diagnostics.npz" in page.by_id("residuals").text()
+    assert page.has_id("chart-inverter")
+    assert page.has_id("chart-operation")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no zip", None])
+def test_damaged_diagnostics_are_named(fitted, tmp_path, content):
+    fitted.save(tmp_path / "result", draw=False)
+    path = tmp_path / "result" / "diagnostics.npz"
+    path.write_bytes(path.read_bytes()[:2000] if content is None else content)
+    with pytest.raises(ResultError, match=r"diagnostics\.npz is damaged .* delete it"):
+        drive_id.load(tmp_path / "result")
+
+
+def test_a_map_of_another_size_beside_its_diagnostics_is_damage(fitted, tmp_path):
+    fitted.save(tmp_path / "result", draw=False)
+    path = tmp_path / "result" / "diagnostics.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["psm_psi_d"] = arrays["psm_psi_d"][:-1]
+    np.savez(path, **arrays)
+    with pytest.raises(ResultError, match="does not fit the flux map"):
+        drive_id.load(tmp_path / "result")
+
+
+def test_fine_maps_are_thinned(fitted):
+    fine = np.linspace(-310.0, 300.0, 401)
+    psi_d, psi_q = 0.1 + 1e-4 * fine[:, None] + 0 * fine, 2e-4 * fine + 0 * fine[:, None]
+    inside = np.ones(psi_d.shape, np.bool_)
+    flux_map = FluxMap(fine, fine, psi_d, psi_q, 1e-5 * inside, 1e-5 * inside, inside)
+    provenance = replace(fitted.provenance, pole_pairs=None)
+    page = page_of(drive_id.Identification(replace(fitted.drive, flux_map=flux_map, error_modes=None), provenance))
+    drawn = page.data("charts")["map"]
+    assert len(drawn["i_d"]) == len(drawn["i_q"]) == MOST_POINTS
+    assert (drawn["i_d"][0], drawn["i_d"][-1]) == (-310.0, 300.0)
+    j, k = 10, 60
+    assert drawn["quantities"][1]["z"][k][j] == pytest.approx(0.2 * drawn["i_q"][k], rel=1e-3)
+    assert len(page.source.encode()) < 5e6
+
+
+def test_the_paragraph_has_the_results_own_numbers(fitted, page):
+    text = page.by_id("paragraph").text()
+    assert f"R = {with_error(1e3 * fitted.resistance, 1e3 * fitted.sigma_resistance)} mΩ" in text
+    assert f"{with_error(fitted.voltage_error, fitted.sigma_voltage_error)} V" in text
+    assert f"{number(fitted.metrics['mad_d'], 3)} A in d" in text
+    assert "500 rpm" in text
+    assert "doi:10.1049/icp.2025.2025" in text
+
+
+def test_the_levels_follow_the_figures(fitted):
+    report = replace(fitted.drive.report, coverage=0.5, mad_d=0.05 * fitted.i_max)
+    page = page_of(replace(fitted, drive=replace(fitted.drive, report=report), stored=fitted.diagnostics))
+    cards = {item.children[0].text(): item for item in page.by_id("glance").all("li")}
+    assert cards["Disc covered"].attributes["class"] == "weak"
+    assert "50 %" in cards["Disc covered"].text()
+    assert cards["Simulated current"].attributes["class"] == "weak"
+    assert "fills the disc" in page.by_id("identifiable").text()
+
+
+def test_the_deviation_over_time_is_the_mad(fitted):
+    found = fitted.diagnostics.simulated
+    deviation = found.deviation.mean(axis=0)
+    assert deviation == pytest.approx([fitted.metrics["mad_d"], fitted.metrics["mad_q"]], rel=1e-3)
+    apart = np.abs(found.simulated - found.measured)
+    assert apart.max() > 0.99 * found.deviation.max()
+    assert found.time[-1] - found.time[0] <= 1.0
+    assert len(found.time) <= 2001
+
+
+# -- the files ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "report_files", lambda _, **__: {"report.html": page.source.encode()})
+    path = tmp_path / "new" / "report.html"
+    assert fitted.report(path) == (path,)
+    assert b"drive_id report" in path.read_bytes()[:300]
+    check_report_output(path)
+    path.write_text("<html>mine</html>")
+    with pytest.raises(OutputError, match="exists already"):
+        fitted.report(path)
+    assert path.read_text() == "<html>mine</html>"
+    with pytest.raises(ConfigurationError, match=r"ends with \.html"):
+        fitted.report(tmp_path / "report.txt")
+    assert [file.name for file in tmp_path.rglob("*")] == ["new", "report.html"]
+
+
+def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monkeypatch):
+    pages = []
+    monkeypatch.setattr(pdf.PdfPages, "savefig", lambda _self, figure, **_: pages.append(figure))
+    warnings = tuple(f"Warning {number} of a report, {'long ' * 40}$x$ <b>." for number in range(30))
+    provenance = replace(full_like.provenance, warnings=warnings, machine=HOSTILE, inputs={"/long" * 60: "0" * 64})
+    path = tmp_path / "report.html"
+    replace(full_like, provenance=provenance).report(path, pdf=True)
+    assert len(pages) > 4
+    words = " ".join(text.get_text() for page in pages for text in page.texts)
+    for heading in SECTIONS.values():
+        assert heading in words
+    for wanted in ("Warning 0 of", "Warning 29 of", "0" * 64, "A first statement.", f"page 1 of {len(pages)}"):
+        assert wanted in words, wanted
+    assert sum(len(page.axes) for page in pages) == 6
+    for page in pages:
+        renderer = page.canvas.get_renderer()
+        width, height = page.bbox.width, page.bbox.height
+        boxes = [text.get_window_extent(renderer) for text in page.texts]
+        assert all(box.x0 > 0 and box.x1 < width and box.y0 > 0 and box.y1 < height for box in boxes)
+
+
+def test_the_pdf_is_one(fitted, tmp_path):
+    written = fitted.report(tmp_path / "report.html", pdf=True)
+    assert [path.name for path in written] == ["report.html", "report.pdf"]
+    content = written[1].read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert content.rstrip().endswith(b"%%EOF")
+    assert len(content) < 3e6
+    check_report_output(written[0], pdf=True)
+    written[1].write_bytes(b"%PDF-1.4 of someone else")
+    with pytest.raises(OutputError, match="exists already"):
+        check_report_output(written[0], pdf=True)

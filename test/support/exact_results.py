@@ -1,0 +1,37 @@
+"""Results with exact maps: what a fit of a machine would give without any error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive
+from drive_id.files.results.identification import Provenance
+from drive_id.fitting.result import Identification
+
+
+def exact_result(machine, *, sigma=np.nan, drop=None, **changes):
+    """Return the result of a MachineMap, with a standard error of the fluxes, Wb, and a drop of each phase.
+
+    Further keywords replace fields of the identified drive.
+    """
+    shape = machine.psi_d.shape
+    flux_map = FluxMap(
+        machine.i_d, machine.i_q, machine.psi_d, machine.psi_q,
+        np.full(shape, sigma), np.full(shape, sigma), np.ones(shape, np.bool_),
+    )  # fmt: skip
+    current = np.linspace(-machine.i_max, machine.i_max, 201)
+    fields = {
+        "method": "full",
+        "i_max": machine.i_max,
+        "resistance": machine.resistance,
+        "sigma_resistance": np.nan,
+        "voltage_error": 0.0,
+        "sigma_voltage_error": np.nan,
+        "inverter_current": current,
+        "inverter_voltage": np.zeros(201) if drop is None else drop(current),
+        "flux_map": flux_map,
+        "report": FitReport(0, 0, 0, 0, 0, 0, 0, 1.0, 0.0, np.nan, np.nan, 1.0, ()),
+    }
+    known = Provenance({}, FitSettings(), machine=machine.name, pole_pairs=machine.pole_pairs, u_dc=machine.u_dc)
+    return Identification(IdentifiedDrive(**fields | changes), known)

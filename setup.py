@@ -72,7 +72,7 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/page/templates/*"]},
+    package_data={NAME: ["py.typed", "files/messages/signals.schema.json", "report/page/templates/*"]},
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[
@@ -97,6 +97,7 @@ setup(
         "fleet": FLEET,
         "test": [
             "hypothesis>=6.98",
+            "jsonschema>=4.18",
             "pytest>=7.4",
             "pytest-xdist>=3.5",
             "selenium>=4.16",

@@ -25,9 +25,11 @@ _WORDS = {
     str: ("a text", "texts"),
     types.NoneType: ("null", "null"),
 }
+_MAPPING = ("a mapping", "mappings")
 _LONGEST_SHOWN = 60
 _MOST_LISTED = 40  # names of settings in a message
 _MOST_NEAR = 5
+_ALIKE = 0.6  # share of common letters from which one name may be meant for another
 
 
 def setting(
@@ -98,7 +100,11 @@ def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) ->
     if unknown:
         near = difflib.get_close_matches(unknown[0], names, _MOST_NEAR, 0.0) if len(names) > _MOST_LISTED else names
         which = "the settings are" if near is names else f"of {len(names)} settings, the nearest are"
-        raise ConfigurationError(f"{where} sets '{unknown[0]:.200}', which does not exist: {which} {', '.join(near)}.")
+        meant = difflib.get_close_matches(unknown[0], names, 1, _ALIKE) if near is names else []
+        guess = f"did you mean '{meant[0]}'? " if meant else ""
+        raise ConfigurationError(
+            f"{where} sets '{unknown[0]:.200}', which does not exist: {guess}{which} {', '.join(near)}."
+        )
     values = {name: _convert(value, hints[name], f"'{name}' in {where}") for name, value in mapping.items()}
     try:
         return cls(**values)
@@ -125,6 +131,8 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
                 continue
         if option in (bool, int, str) and type(value) is option:
             return value
+        if isinstance(option, type) and dataclasses.is_dataclass(option) and isinstance(value, option):
+            return value  # made before, from a mapping within the mapping
     wanted = " or ".join(_wanted(option) for option in options)
     raise ConfigurationError(f"{where} is {_shown(value)}: it must be {wanted}.")
 
@@ -132,10 +140,11 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
 def _wanted(option: Any) -> str:
     """Describe a type in plain words, for the author of a YAML file."""
     if typing.get_origin(option) is not tuple:
-        return _WORDS[option][0]
+        return _WORDS.get(option, _MAPPING)[0]
     entries = typing.get_args(option)
     count = "" if entries[-1] is Ellipsis else f"{len(entries)} "
-    return f"a list of {count}{_WORDS[entries[0]][1]}"
+    kinds = typing.get_args(entries[0]) if isinstance(entries[0], types.UnionType) else (entries[0],)
+    return f"a list of {count}{' or '.join(_WORDS.get(kind, _MAPPING)[1] for kind in kinds)}"
 
 
 def _shown(value: Any) -> str:

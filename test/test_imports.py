@@ -58,7 +58,8 @@ FILES = {
     "storage": {"inputs"},
     "messages": {"inputs", "storage"},
     "machines": {"inputs"},
-    "read": {"inputs", "storage", "messages", "machines"},
+    "logs": {"inputs", "storage"},
+    "read": {"inputs", "storage", "messages", "machines", "logs"},
     "write": {"inputs", "storage", "messages", "machines"},
     "results": {"inputs", "storage", "messages", "machines", "read"},
 }
@@ -66,6 +67,7 @@ EVERY_CORE = below("core", *CORE)
 EVERY_FILE = below("files", *FILES)
 LIBRARY = EVERY_CORE | EVERY_FILE | {"drive_id.bench"}
 STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"}
+CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 
 ROOMS = {
     "drive_id": Room.of(
@@ -87,14 +89,20 @@ ROOMS = {
     "drive_id.bench": Room.of(NOUNS | below("core", "experiment", "maps", "numerics", "signals"), {"numpy", "scipy"}),
     "drive_id.files": Room.of(set(), set()),
     **{
-        f"drive_id.files.{name}": Room.of(NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms), STORED)
+        f"drive_id.files.{name}": Room.of(
+            NOUNS | {"drive_id"} | EVERY_CORE | below("files", *rooms),
+            STORED | (CONTAINERS if name == "logs" else set()),
+        )
         for name, rooms in FILES.items()
     },
     "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
+    "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting"},
+        NOUNS
+        | LIBRARY
+        | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
@@ -106,7 +114,10 @@ ROOMS = {
         {"numpy", "rich", *ROS},
     ),
     "drive_id.cli": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.report"},
+        NOUNS
+        | LIBRARY
+        | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"}
+        | {"drive_id.report"},
         {"typer", "rich", "yaml"},
     ),
 }

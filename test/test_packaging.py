@@ -193,7 +193,7 @@ def test_a_wheel_is_complete_and_its_command_goes_to_bin(tmp_path):
         commands = archive.read(f"{information}/entry_points.txt").decode()
         fields = HeaderParser().parsestr(archive.read(f"{information}/METADATA").decode())
     assert {str(file.relative_to(ROOT)) for file in SOURCES} <= names
-    assert "drive_id/py.typed" in names
+    assert {"drive_id/py.typed", "drive_id/files/messages/signals.schema.json"} <= names
     templates = (ROOT / "drive_id/report/page/templates").iterdir()
     assert {str(file.relative_to(ROOT)) for file in templates} <= names
     assert any(name.startswith(information) and name.endswith("/LICENSE") for name in names)

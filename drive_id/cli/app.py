@@ -12,7 +12,9 @@ import typer
 
 import drive_id
 from drive_id.cli.analyze import analyze
+from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
+from drive_id.cli.convert import convert_log
 from drive_id.cli.exporting import export_result
 from drive_id.cli.importing import import_file
 from drive_id.cli.options import (
@@ -248,7 +250,7 @@ def accumulate(
 @app.command()
 def info(
     path: Annotated[
-        Path, typer.Argument(help="Bag (folder or file), result folder, or information file.", show_default=False)
+        Path, typer.Argument(help="Bag or other log, result folder, or information file.", show_default=False)
     ],
     as_json: JsonFlag = False,
 ) -> None:
@@ -324,6 +326,11 @@ def recover(
         say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
 
+app.command(
+    name="check",
+    epilog="Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml",
+)(check_log)
+app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
 app.command(
     name="plan",
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",

@@ -31,12 +31,13 @@ SetOption = Annotated[
 ]
 SourcesArgument = Annotated[
     list[Path],
-    typer.Argument(help="Bags of one drive, or information files.", show_default=False, metavar="BAG..."),
+    typer.Argument(help="Bags or other logs of one drive, or information files.", show_default=False, metavar="BAG..."),
 ]
 BagsArgument = Annotated[
-    list[Path], typer.Argument(help="Bags (folders or files) of one drive.", show_default=False, metavar="BAG...")
+    list[Path],
+    typer.Argument(help="Bags (folders or files) or other logs of one drive.", show_default=False, metavar="BAG..."),
 ]
-SignalsOption = Annotated[Path | None, typer.Option(help="YAML file that says where the signals are in the bag.")]
+SignalsOption = Annotated[Path | None, typer.Option(help="YAML file that says where the signals are in the log.")]
 NamespaceOption = Annotated[str, typer.Option(help="ROS namespace of the drive, when a bag holds several.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
 RadiusOption = Annotated[

@@ -20,7 +20,9 @@ from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError
+from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
+from drive_id.files.read.column_stream import largest_reference
 from drive_id.files.read.extraction import extract_signals
 from drive_id.files.read.reader import find_topics, read_recordings
 from drive_id.files.results.information import read_information
@@ -98,7 +100,7 @@ def read_bag(
     Parameters
     ----------
     bag : path or sequence of path
-        Folders or files: MCAP, sqlite3, or ROS 1.
+        Folders or files: MCAP, sqlite3, ROS 1, or files of columns (CSV, Parquet, MATLAB, MDF, TDMS, HDF5).
     signals : path or SignalMap, optional
         Signals file: where the signals are in a bag with other messages than ours.
     namespace : str
@@ -279,6 +281,9 @@ def radius_of(path: Path, job: Job) -> float | DriveIdError | None:
     try:
         if is_information(path):
             return read_information(path).accumulated.evidence.i_max
+        if log_kind(path):
+            largest = largest_reference(path, signals)
+            return None if largest is None else float(f"{largest:.3g}") or None
         with open_bag(path) as bag:
             topics = find_topics(bag, signals, job.sources.namespace)
             if "reference" not in topics:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
@@ -15,6 +15,7 @@ _BAD = 0.05
 """Unexplained share of the voltage above which other readings are tried."""
 _BETTER = 1 / 3
 """Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
+_ALIKE = 1.02
 _REFUSED = 0.1
 _HOPELESS = 0.35
 _FEW_RUNS = 3
@@ -60,6 +61,87 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]
     yield from _offset(excerpts, i_max, declared)
     yield from _decimation(declared, runs)
     yield from _outliers(declared, runs, i_max)
+
+
+@dataclass(frozen=True)
+class LikelyReading:
+    """What explains the voltages best, tried on signals of unknown meaning.
+
+    Parameters
+    ----------
+    ratio : int
+        Factor on the angle; negative: it runs against the order of the phases.
+    angle_offset : float
+        To add to the angle then, rad.
+    certain_offset : bool
+        Whether a magnet shows it; without one it is known up to multiples of 90 degrees.
+    unexplained : float
+        Share of the voltage that a rough model leaves unexplained, 0 to 1.
+    turned : int
+        Rotation of the voltages against the currents, in steps of 60 degrees, after which this holds; 0 for none.
+    mirrored : bool
+        Whether two phases of the voltages must be exchanged, before they are turned.
+    """
+
+    ratio: int
+    angle_offset: float
+    certain_offset: bool
+    unexplained: float
+    turned: int = 0
+    mirrored: bool = False
+
+    @property
+    def voltage_order(self) -> tuple[int, int, int]:
+        """Return in which order to read the phases of the voltages."""
+        order = (0, 2, 1) if self.mirrored else (0, 1, 2)
+        thirds = ((self.turned + 3) % 6 if self.turned % 2 else self.turned) // 2
+        a, b, c = (order[(k - thirds) % 3] for k in range(3))
+        return a, b, c
+
+    @property
+    def voltage_sign(self) -> int:
+        """Return the sign of the voltages."""
+        return -1 if self.turned % 2 else 1
+
+
+def likely_reading(runs: Sequence[Samples], i_max: float, ratios: Sequence[int] | None = None) -> LikelyReading | None:
+    """Find the factor on the angle and its offset that explain the voltages best; None if nothing can be said.
+
+    Parameters
+    ----------
+    runs : sequence of Samples
+        Excerpts of one gap-free run each.
+    i_max : float
+        A.
+    ratios : sequence of int, optional
+        To try; default: 1 to 24 both ways.
+    """
+    excerpts = [Excerpt.of(run, i_max) for run in runs]
+    some = [excerpt.coarse() for excerpt in excerpts]
+    tried = ratios or [sign * k for k in range(1, _MULTIPLES + 1) for sign in (1, -1)]
+    best = _least([Reading((ratio, 1)) for ratio in tried], some, excerpts)
+    if best is not None and best.unexplained > _HOPELESS:
+        orders = [(turned, mirrored) for turned in range(6) for mirrored in (False, True)][1:]
+        few = [ratio for ratio in tried if abs(ratio) <= _MULTIPLES // 2]
+        other = _least([Reading((ratio, 1), *order) for ratio in few for order in orders], some[:2], excerpts)
+        best = other if other is not None and other.unexplained < _BETTER * best.unexplained else best
+    if best is None:
+        return None
+    certain = abs(best.magnet) > _LEAST_MAGNET * best.inductance * i_max
+    reading = best.reading
+    return LikelyReading(
+        reading.ratio[0], _offset_of(best, i_max), certain, best.unexplained, reading.turned, reading.mirrored
+    )
+
+
+def _least(readings: Sequence[Reading], some: Sequence[Excerpt], every: Sequence[Excerpt]) -> RoughFit | None:
+    """Return the fit to all excerpts of the reading that explains some best; of equal ones, with the least factor."""
+    fits = [fit for reading in readings if (fit := rough_fit(some, reading, (0.0, 1.0, -1.0))) is not None]
+    if not fits:
+        return None
+    least = min(fit.unexplained for fit in fits)
+    alike = [fit for fit in fits if fit.unexplained <= _ALIKE * least]
+    return rough_fit(every, min(alike, key=lambda fit: abs(fit.reading.ratio[0])).reading)
 
 
 def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:

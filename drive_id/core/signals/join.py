@@ -22,11 +22,13 @@ from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
-from drive_id.types import FloatArray, IntArray, Samples
+from drive_id.types import SCALARS, FloatArray, IntArray, Samples
 
 SECTIONS = ("currents", "voltages", "resolver")
 SHORTEST_RUN = 4
 """Fewest samples of a gap-free run that is kept."""
+ToPhases = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
+"""Turns recorded values into phase quantities, see :class:`StreamJoin`."""
 _LOCKING_PAIRS = 1000
 _UNLIMITED = 1 << 62
 
@@ -60,7 +62,8 @@ def join(
     references: Signal | None = None,
     scalars: Mapping[str, Signal] | None = None,
     *,
-    duty_cycles: bool = False,
+    scaled_by: str = "",
+    to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
 ) -> JoinResult:
     """Join the signals of one drive.
 
@@ -77,9 +80,14 @@ def join(
     references : Signal, optional
         (N, 2) values, current references d, q in A; held until the next one, for at most 1.5 of their periods.
     scalars : mapping of str to Signal, optional
-        (N, 1) values, optional signals by their names in :class:`~drive_id.types.Samples`, of any rate.
-    duty_cycles : bool
-        The voltages are fractions of ``dc_link_voltage``; samples for which it is unknown are cut out.
+        (N, 1) values, optional signals by their names in :class:`~drive_id.types.Samples`, of any rate; another name is
+        that of a signal which only scales the voltages.
+    scaled_by : str
+        Of the ``scalars``, that by which the voltages are multiplied: ``dc_link_voltage`` for duty cycles. Samples for
+        which it is unknown are cut out.
+    to_phases : tuple of callable or None
+        Of currents and voltages that are no phase quantities: returns these (N, 3) for the recorded values, the angle
+        (N,), rad, the speed (N,), rad/s, and the sample period, s.
 
     Raises
     ------
@@ -109,7 +117,8 @@ def join(
         recorded=True,
         reference=reference,
         scalars={name: signal.name for name, signal in (scalars or {}).items()},
-        duty_cycles=duty_cycles,
+        scaled_by=scaled_by,
+        to_phases=to_phases,
     )
     for name, signal in (scalars or {}).items():
         joining.add_scalar(name, signal)
@@ -181,8 +190,12 @@ class StreamJoin:
         Returns the current references (N, 2), A, at increasing stamps (N,), ns, for samples of a period, s.
     scalars : mapping of str to str, optional
         Optional signals that are known to come, by their names in :class:`~drive_id.types.Samples`, and their topics.
-    duty_cycles : bool
-        The voltages are fractions of ``dc_link_voltage``; samples for which it is unknown are cut out.
+    scaled_by : str
+        Of the ``scalars``, that by which the voltages are multiplied: ``dc_link_voltage`` for duty cycles. Samples for
+        which it is unknown are cut out.
+    to_phases : tuple of callable or None
+        Of currents and voltages that are no phase quantities: returns these (N, 3) for the recorded values, the angle
+        (N,), rad, the speed (N,), rad/s, and the sample period, s.
 
     Notes
     -----
@@ -199,7 +212,8 @@ class StreamJoin:
         recorded: bool = False,
         reference: Callable[[IntArray, float], FloatArray | None] | None = None,
         scalars: Mapping[str, str] | None = None,
-        duty_cycles: bool = False,
+        scaled_by: str = "",
+        to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
     ) -> None:
         self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
         self.batch = batch
@@ -212,7 +226,8 @@ class StreamJoin:
         self.gaps = 0
         self.time_lost = 0.0
         self._scalars = {name: ScalarTrack(topic, capacity) for name, topic in (scalars or {}).items()}
-        self._duty_cycles = duty_cycles
+        self._scaled_by = scaled_by
+        self._to_phases = to_phases
         self._waiting: list[Piece] = []  # for the optional signals
         self._cut = 0  # samples without a DC-link voltage
         self._offsets: tuple[int, int] | None = None
@@ -384,11 +399,11 @@ class StreamJoin:
 
     def _with_scalars(self, pieces: list[Piece], *, final: bool) -> list[Piece]:
         """Return the waiting pieces for which the optional signals are decided, with these signals."""
-        if not self._scalars:
+        if not self._scalars and not self._scaled_by:
             return pieces
         self._waiting += pieces
         newest = int(self._waiting[-1].samples.stamp[-1]) if self._waiting else 0
-        decided = min(track.decided(newest) for track in self._scalars.values())
+        decided = min((track.decided(newest) for track in self._scalars.values()), default=newest)
         excess = sum(len(piece.samples) for piece in self._waiting) - self.capacity
         ready = 0
         while ready < len(self._waiting):
@@ -401,19 +416,19 @@ class StreamJoin:
         complete = []
         for piece in chosen:
             scalars: dict[str, Any] = {name: track.at(piece.samples.stamp) for name, track in self._scalars.items()}
+            scale = scalars.get(self._scaled_by)
             for name, track in self._scalars.items():
                 track.unknown += int(np.isnan(scalars[name][int(piece.continues) :]).sum())
-                if np.isnan(scalars[name]).all():
+                if np.isnan(scalars[name]).all() or name not in SCALARS:
                     del scalars[name]
-            complete += self._in_volts(replace(piece, samples=replace(piece.samples, **scalars)))
+            complete += self._in_volts(replace(piece, samples=replace(piece.samples, **scalars)), scale)
         return complete
 
-    def _in_volts(self, piece: Piece) -> list[Piece]:
-        """Multiply duty cycles by the DC-link voltage, and cut out the samples for which it is unknown."""
+    def _in_volts(self, piece: Piece, u_dc: FloatArray | None) -> list[Piece]:
+        """Multiply duty cycles by what scales them (N,), and cut out the samples for which that is unknown."""
         samples = piece.samples
-        if not self._duty_cycles:
+        if not self._scaled_by:
             return [piece]
-        u_dc = samples.dc_link_voltage
         known = np.zeros(len(samples), np.bool_) if u_dc is None else np.isfinite(u_dc)
         cut = int((~known).sum()) - (piece.continues and not known[0])
         self._cut += cut
@@ -564,12 +579,17 @@ class StreamJoin:
         self.samples += len(stamp) - continues
         self.runs += len(runs) - continues
         self._last_stamp = int(stamp[-1])
+        speed = _derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy()
+        i_abc, u_abc = (
+            values if convert is None else convert(values, angle, speed, period)
+            for values, convert in zip((chosen.i_abc, chosen.u_abc), self._to_phases, strict=True)
+        )
         samples = Samples(
             stamp=stamp,
-            i_abc=chosen.i_abc,
-            u_abc=chosen.u_abc,
+            i_abc=i_abc,
+            u_abc=u_abc,
             angle=angle,
-            speed=_derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy(),
+            speed=speed,
             sample_period=period,
             run_starts=starts,
             i_dq_reference=self._reference(stamp, period) if self._reference else None,

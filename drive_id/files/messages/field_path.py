@@ -38,7 +38,7 @@ class FieldPath:
             When the message has no such field, or no numbers there.
         """
         found = self.find(message)
-        if isinstance(found, (str, bytes)) or dataclasses.is_dataclass(found):
+        if isinstance(found, (str, bytes, dict)) or dataclasses.is_dataclass(found):
             raise FieldPathError(f"'{self.text}' is not a number")
         try:
             array = np.atleast_1d(np.asarray(found, dtype=np.float64))
@@ -87,7 +87,11 @@ def parse_field_path(text: str, where: str) -> FieldPath:
 def _follow(value: Any, steps: Sequence[str | int | slice], text: str) -> Any:
     for number, step in enumerate(steps):
         if isinstance(step, str):
+            if isinstance(value, dict) and step in value:  # decoded JSON
+                value = value[step]
+                continue
             names = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+            names += [str(name) for name in value] if isinstance(value, dict) else []
             if step not in names and f"{step}_" not in names:  # rosbags renames Python's keywords
                 has = f"it has {', '.join(names)}" if names else "there are no fields there"
                 raise FieldPathError(f"'{text}' asks for the field '{step}', but {has}")

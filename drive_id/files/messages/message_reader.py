@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +15,7 @@ from drive_id.errors import MessageTypeError
 from drive_id.files.messages.block_codec import decode_block
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
-from drive_id.files.messages.signals_file import (
-    STAMP_UNITS,
-    PhaseSource,
-    ReferenceSource,
-    RotorSource,
-    ScalarSource,
-    SignalMap,
-    TimeSource,
-)
+from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import IntArray
 
@@ -54,14 +47,15 @@ class MessageSamples:
     ----------
     stamp : int or (n,) int64
         Of the first sample or of each, ns.
-    first_sample : int or None
+    first_sample : int, (n,) int64 or None
+        Running count of the first sample, or of each.
     sample_period : float or None
         s.
     columns : tuple of (n,) float32 or float64
     """
 
     stamp: int | IntArray
-    first_sample: int | None
+    first_sample: int | IntArray | None
     sample_period: float | None
     columns: tuple[NDArray[np.floating], ...]
 
@@ -69,32 +63,56 @@ class MessageSamples:
 Reader = Callable[[RawMessage], MessageSamples]
 
 
-def _value_paths(source: TimeSource) -> tuple[str, ...]:
-    if isinstance(source, RotorSource):
-        return (source.angle, source.speed) if source.speed else (source.angle,)
-    if isinstance(source, ScalarSource):
-        return (source.field,)
-    assert isinstance(source, (PhaseSource, ReferenceSource))
-    return source.fields
-
-
 def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
     """Return the function that reads one signal from a message of a topic."""
-    if topic.encoding != "cdr":
+    if topic.encoding == "cdr":
+        columns = block_columns(topic, source, signals)
+        if columns is not None:
+            return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
+    return _field_reader(decoder(topic, signals), source, source.paths)
+
+
+def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryview], object]:
+    """Return the function that decodes a message of a topic; it raises one of :data:`DECODE_ERRORS`.
+
+    Raises
+    ------
+    MessageTypeError
+        When the type or the encoding of the topic is not known.
+    """
+    name = topic.type_name
+    if topic.encoding == "json":
+        return _json_decoded
+    if topic.encoding not in ("cdr", "ros1"):
         raise MessageTypeError(
-            f"{topic.name} is encoded as '{topic.encoding}', not as CDR: record it with ROS 2, or convert the bag."
+            f"{topic.name} is encoded as '{topic.encoding}', not as CDR, ROS 1 or JSON: record it with ROS 2, or "
+            "convert the bag."
         )
-    columns = block_columns(topic, source, signals)
-    if columns is not None:
-        return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
-    return _field_reader(topic.type_name, source, _value_paths(source), _typestore_for(topic, signals))
+    from rosbags.serde import SerdeError  # noqa: PLC0415  # not needed for bags of our own messages
+
+    store = _typestore_for(topic, signals)
+    deserialize = store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
+
+    def decode(data: bytes | memoryview) -> object:
+        try:
+            return deserialize(data, name)
+        except SerdeError as error:
+            raise ValueError(str(error)) from error
+
+    return decode
+
+
+def _json_decoded(data: bytes | memoryview) -> object:
+    return json.loads(bytes(data))
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
     """Return the arrays of our own messages that hold the signal; ``None`` if it is not read from such messages."""
-    paths = _value_paths(source)
+    paths = source.paths
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
-    usual = source.stamp in ("header", "log_time") and source.sample_period == "sample_period"
+    usual = topic.encoding == "cdr" and source.stamp in ("header", "log_time")
+    usual = usual and source.sample_period == "sample_period"
+    usual = usual and not source.equally_spaced
     usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
     if usual and _is_ours(topic, signals):
         return [arrays.index(path) for path in paths]
@@ -127,28 +145,23 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
     return read
 
 
-def _field_reader(type_name: str, source: TimeSource, paths: tuple[str, ...], store: Typestore) -> Reader:
-    """Read any message through its definition and the paths of a signals file."""
-    from rosbags.serde import SerdeError  # noqa: PLC0415  # as above
-
+def _field_reader(decode: Callable[[bytes | memoryview], object], source: TimeSource, paths: tuple[str, ...]) -> Reader:
+    """Read any decoded message through the paths of a signals file."""
     values = [parse_field_path(path, "fields") for path in paths]
     period = source.sample_period
     period_path = parse_field_path(period, "sample_period") if isinstance(period, str) else None
     count_path = parse_field_path(source.first_sample, "first_sample") if source.first_sample else None
-    stamp_path = parse_field_path("header.stamp" if source.stamp in ("header", "log_time") else source.stamp, "stamp")
-    factor = STAMP_UNITS[source.stamp_unit]
+    stamp_path = parse_field_path("header.stamp" if source.stamp in NAMED_STAMPS else source.stamp, "stamp")
+    by_log = source.stamp in ("log_time", "index")
 
     def read(message: RawMessage) -> MessageSamples:
         if len(message.data) > _LARGEST_MESSAGE:
             raise ValueError(f"it has {len(message.data)} bytes")
-        try:
-            decoded = store.deserialize_cdr(message.data, type_name)
-        except SerdeError as error:
-            raise ValueError(str(error)) from error
+        decoded = decode(message.data)
         columns = tuple(path.values(decoded) for path in values)
         if any(len(column) != len(columns[0]) for column in columns):
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
-        stamp = message.log_time if source.stamp == "log_time" else _time(stamp_path, decoded, factor)
+        stamp = message.log_time if by_log else _time(stamp_path, decoded, source.tick)
         if not isinstance(stamp, int) and len(stamp) != len(columns[0]):
             raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {len(columns[0])} samples")
         count = None if count_path is None else int(_one(count_path, decoded))
@@ -168,20 +181,44 @@ def _one(path: FieldPath, decoded: object) -> float:
 def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
     """Return the time at a path, ns: one for a stamp or number, one per sample for an array of numbers."""
     found = path.find(decoded)
-    seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
+    if isinstance(found, dict):  # a time in JSON
+        seconds, nanoseconds = found.get("sec"), found.get("nanosec", found.get("nsec"))
+    else:
+        seconds, nanoseconds = getattr(found, "sec", None), getattr(found, "nanosec", None)
     if isinstance(seconds, int) and isinstance(nanoseconds, int):
         return seconds * 1_000_000_000 + nanoseconds
-    if isinstance(found, int):
+    if isinstance(found, int) and float(factor).is_integer():
         return found * int(factor)
     raw = np.asarray(found)
-    if raw.dtype.kind in "iu":
+    exact = ticks_to_ns(raw if raw.dtype.kind in "iu" and raw.ndim < 2 else path.values(decoded), factor, path.text)
+    return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact
+
+
+def ticks_to_ns(raw: NDArray[Any], factor: float, name: str) -> IntArray:
+    """Return times as ns.
+
+    Parameters
+    ----------
+    raw : (n,) or () array of numbers
+    factor : float
+        ns per unit.
+    name : str
+        Of the field, for messages.
+
+    Raises
+    ------
+    FieldPathError
+        When they are too large, or not finite.
+    """
+    whole = raw.dtype.kind in "iu" and float(factor).is_integer()
+    if whole:
         limit = STAMP_LIMIT // int(factor)
         if raw.size and (int(raw.max()) > limit or int(raw.min()) < -limit):
-            raise FieldPathError(f"'{path.text}' is not a time")
+            raise FieldPathError(f"'{name}' is not a time")
         exact: IntArray = raw.astype(np.int64) * int(factor)
     else:
-        values = path.values(decoded) * factor
+        values = raw.astype(np.longdouble) * np.longdouble(factor)
         if not (np.abs(values) < STAMP_LIMIT).all():
-            raise FieldPathError(f"'{path.text}' is not a time")
+            raise FieldPathError(f"'{name}' is not a time")
         exact = np.rint(values).astype(np.int64)
-    return int(exact.reshape(-1)[0]) if raw.ndim == 0 else exact
+    return exact

@@ -78,7 +78,10 @@ def _known(name: str, signals: SignalMap) -> Typestore:
 @lru_cache(maxsize=64)
 def _embedded(name: str, form: str, definition: str) -> Typestore:
     store = get_typestore(Stores.EMPTY)
-    if form == "ros2msg":
+    if form == "ros1msg":
+        store = get_typestore(Stores.ROS1_NOETIC)
+        _register(store, get_types_from_msg(definition, name))
+    elif form == "ros2msg":
         _register(store, get_types_from_msg(definition, name))
     elif form in ("ros2idl", "omgidl"):
         parts = definition.split(_IDL_SEPARATOR)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
+from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
 from drive_id.files.messages.block_kernel import (
@@ -32,14 +34,8 @@ from drive_id.files.messages.message_reader import (
     message_reader,
 )
 from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.files.messages.signals_file import (
-    PhaseSource,
-    ReferenceSource,
-    RotorSource,
-    ScalarSource,
-    SignalMap,
-    TimeSource,
-)
+from drive_id.files.messages.si_units import in_si_units, is_plain
+from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
@@ -52,6 +48,8 @@ PART_SAMPLES = 1 << 15
 _LEAST_MESSAGE = RECORD.size + MESSAGE.size
 _LONGEST_PERIOD = 1e4
 _SAME_PERIOD = 1e-6
+INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
+"""Sections of any rate, which may begin late and have gaps."""
 
 
 def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> dict[str, Signal]:
@@ -120,6 +118,7 @@ class SignalStream:
 
     def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
         self._bag = bag
+        self._signals = signals
         self._topics = topics
         self._sources = {section: source for section, source in signals.sources().items() if section in topics}
         self._refuse_empty(section for section in self._sources if topics[section].count == 0)
@@ -142,10 +141,9 @@ class SignalStream:
     @property
     def continuous(self) -> bool:
         """Whether every part is complete by itself: all sample periods are declared and the speed is recorded."""
-        resolver = self._sources["resolver"]
-        speed = isinstance(resolver, RotorSource) and bool(resolver.speed)
-        declared = (source.sample_period is not None for name, source in self._sources.items() if name not in SCALARS)
-        return speed and all(declared)
+        required = (source for name, source in self._sources.items() if name not in INTERPOLATED)
+        declared = all(source.sample_period is not None for source in required)
+        return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
 
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals; see :func:`extract_signals`."""
@@ -154,6 +152,10 @@ class SignalStream:
             pieces[section].append(piece)
         self._refuse_empty(section for section in self._sources if section not in pieces)
         return self._built({section: pieces[section] for section in self._sources if section in pieces})
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return sentences on how the time of the signals was found; after :meth:`whole`."""
+        return spacing_remarks(self._builders.values())
 
     def parts(self) -> Generator[SignalPart, None, None]:
         """Yield the signals part by part; for the errors, see :func:`extract_signals`.
@@ -171,7 +173,7 @@ class SignalStream:
 
     def _refuse_empty(self, sections: Iterator[str]) -> None:
         for section in sections:
-            if section in SCALARS:
+            if section in INTERPOLATED:
                 continue
             raise EmptyTopicError(
                 f"{self._topics[section].name} in {self._bag.path} holds no sample: record again while the drive "
@@ -302,8 +304,13 @@ class SignalBuilder:
         self.source = source
         self.period: float | None = None
         """As declared by the first piece, s."""
+        self.spacing: EqualSpacing | None = None
+        """Of equally spaced samples, once built."""
         self._begun = False
         self._expected: int | None = None
+        self._read = 0
+        self._last_stamp: int | None = None
+        self._last_angle: float | None = None
 
     def build(self, pieces: list[MessageSamples]) -> Signal:
         """Return the next pieces, one or more, as a signal.
@@ -313,29 +320,59 @@ class SignalBuilder:
         MessageTypeError, SamplePeriodError
         """
         count = np.array([len(piece.columns[0]) for piece in pieces])
-        start = np.concatenate(([0], np.cumsum(count)[:-1]))
         self._check_periods(pieces)
-        period = self.period
         if all(isinstance(piece.stamp, int) for piece in pieces):
             each = [int(piece.stamp) for piece in pieces]
             self._check_time(min(each), max(each))
-            stamp = np.repeat(np.array(each, np.int64), count)
-            if count.max() > 1:
-                period = self._block_period(int(count.max()))
-                within = np.arange(len(stamp)) - np.repeat(start, count)
-                stamp = stamp + np.rint(within * (period * 1e9)).astype(np.int64)
-            block_start = start
+            stamp = np.array(each, np.int64)
         else:
             stamp = np.concatenate([np.atleast_1d(np.asarray(piece.stamp, np.int64)) for piece in pieces])
-            block_start = np.arange(len(stamp))
+        first = _counts(pieces)
+        if len(stamp) > len(pieces) or (first is not None and len(first) > len(pieces)):
+            count = np.ones(int(count.sum()), np.int64)
+            first = first if first is None or len(first) == len(count) else None
+        lost = (0, 0) if first is None else self._losses(first, count)
+        stamp, period = self._timed(stamp, first, count)
+        start = np.concatenate(([0], np.cumsum(count)[:-1]))
+        if count.max() > 1:
+            period = self._block_period(int(count.max())) if period is None else period
+            within = np.arange(int(count.sum())) - np.repeat(start, count)
+            stamp = np.repeat(stamp, count) + np.rint(within * (period * 1e9)).astype(np.int64)
         columns = [
             np.concatenate([piece.columns[k] for piece in pieces]).astype(np.float64)
             for k in range(len(pieces[0].columns))
         ]
-        counts = [piece.first_sample for piece in pieces]
-        known = [first for first in counts if first is not None]
-        lost = self._losses(known, count) if len(known) == len(counts) else (0, 0)
-        return self._signal(stamp, _in_si_units(columns, self.source), block_start, lost)
+        self._unwrap_angle(columns)
+        return self._signal(stamp, in_si_units(columns, self.source), start, lost, period)
+
+    def _timed(self, stamp: IntArray, first: NDArray[Any] | None, count: IntArray) -> tuple[IntArray, float | None]:
+        """Return stamps of messages (B,), ns, as the source says how to take them, and the period, s, if known."""
+        source = self.source
+        if source.stamp_bits is not None:
+            modulus = round(2.0**source.stamp_bits * source.tick)
+            stamp = _unwrapped(stamp, modulus, self._last_stamp)
+            self._last_stamp = int(stamp[-1])
+        if source.stamp == "index":
+            period = self._block_period(int(count.max()))
+            index = self._read + np.concatenate([[0], np.cumsum(count)[:-1]]) if first is None else first
+            self._read += int(count.sum())
+            return np.rint(index * (period * 1e9)).astype(np.int64), period
+        if source.equally_spaced:
+            known = None if first is None or first.dtype == object else first
+            spacing = equal_spacing(stamp, count, known, self.period, self.topic)
+            self.spacing = spacing
+            return spacing.stamp, spacing.period
+        return stamp, self.period
+
+    def _unwrap_angle(self, columns: list[FloatArray]) -> None:
+        """Make the angle of an encoder continuous that starts again at another value than whole revolutions."""
+        modulus = getattr(self.source, "angle_modulus", None)
+        if modulus is None or not len(columns[0]):
+            return
+        columns[0] = np.unwrap(columns[0], period=modulus)
+        if self._last_angle is not None:
+            columns[0] += modulus * np.rint((self._last_angle - columns[0][0]) / modulus)
+        self._last_angle = float(columns[0][-1])
 
     def build_blocks(self, data: ByteArray, table: IntArray, periods: FloatArray, columns: list[int]) -> Signal:
         """Return blocks of our own messages, one or more and none of them empty, as a signal.
@@ -366,17 +403,19 @@ class SignalBuilder:
         stamp, values = np.empty(count.sum(), np.int64), np.empty((count.sum(), len(columns)))
         own = np.full(len(table), declared)
         copy_blocks(data, table, np.array(columns, np.int64), own, logged, stamp, values)
-        if not _plain(self.source):
-            values = _in_si_units(list(values.T), self.source)
+        if not is_plain(self.source):
+            values = in_si_units(list(values.T), self.source)
         start = np.concatenate(([0], np.cumsum(count)[:-1]))
-        return self._signal(stamp, values, start, self._losses(table[:, FIRST], count))
+        return self._signal(stamp, values, start, self._losses(table[:, FIRST], count), self.period)
 
-    def _signal(self, stamp: IntArray, values: FloatArray, block_start: IntArray, lost: tuple[int, int]) -> Signal:
+    def _signal(
+        self, stamp: IntArray, values: FloatArray, block_start: IntArray, lost: tuple[int, int], period: float | None
+    ) -> Signal:
         offset = int(np.rint(self.source.stamp_offset * 1e9))
         if offset:
             stamp += offset
         self._check_time(int(stamp.min()), int(stamp.max()))
-        return Signal(self.topic, stamp, values, self.period, block_start, *lost)
+        return Signal(self.topic, stamp, values, period, block_start, *lost)
 
     def _check_time(self, earliest: int, latest: int) -> None:
         for stamp in (earliest, latest):
@@ -422,9 +461,8 @@ class SignalBuilder:
                 "record each rate in a bag of its own."
             )
 
-    def _losses(self, first: Sequence[int] | IntArray, count: IntArray) -> tuple[int, int]:
+    def _losses(self, begin: NDArray[Any], count: IntArray) -> tuple[int, int]:
         """Return the number of samples missing by ``first_sample``, and of gaps; a count that restarts is no loss."""
-        begin = np.array(first, object) if isinstance(first, list) else first
         due = begin + count
         before = np.append(begin[0] if self._expected is None else self._expected, due[:-1])
         missing = np.maximum(begin - before, 0)
@@ -432,26 +470,36 @@ class SignalBuilder:
         return int(missing.sum()), int((missing > 0).sum())
 
 
-def _plain(source: TimeSource) -> bool:
-    """Tell whether the fields of a source are in SI units and electrical radians."""
-    if isinstance(source, PhaseSource):
-        return len(source.fields) == 3 and set(source.factors) == {1.0}
-    if isinstance(source, RotorSource):
-        return (source.angle_factor, source.angle_offset, source.speed_factor) == (1.0, 0.0, 1.0)
-    if isinstance(source, ScalarSource):
-        return (source.scale, source.offset) == (1.0, 0.0)
-    return isinstance(source, ReferenceSource) and source.scale == 1.0
+def _counts(pieces: list[MessageSamples]) -> NDArray[Any] | None:
+    """Return the running counts of the messages, or of all their samples; None unless each has one."""
+    counts = [piece.first_sample for piece in pieces if piece.first_sample is not None]
+    if len(counts) < len(pieces):
+        return None
+    whole = [first for first in counts if isinstance(first, int)]
+    if len(whole) == len(counts):
+        found = np.array(whole, object)
+        return found.astype(np.int64) if all(abs(first) < STAMP_LIMIT for first in whole) else found
+    return np.concatenate([np.atleast_1d(np.asarray(first, np.int64)) for first in counts])
 
 
-def _in_si_units(columns: list[FloatArray], source: TimeSource) -> FloatArray:
-    """Return the values (N, K) in SI units and electrical radians."""
-    if isinstance(source, PhaseSource):
-        phases = [column * factor for column, factor in zip(columns, source.factors, strict=True)]
-        return np.column_stack(phases if len(phases) == 3 else [*phases, -phases[0] - phases[1]])
-    if isinstance(source, RotorSource):
-        scaled = [columns[0] * source.angle_factor + source.angle_offset]
-        return np.column_stack([*scaled, *(column * source.speed_factor for column in columns[1:])])
-    if isinstance(source, ScalarSource):
-        return np.column_stack(columns) * source.scale + source.offset
-    assert isinstance(source, ReferenceSource)
-    return np.column_stack(columns) * source.scale
+def _unwrapped(stamp: IntArray, modulus: int, before: int | None) -> IntArray:
+    """Return a time that starts again at zero, ns, as one that goes on; ``before`` is the last one so far."""
+    ahead = np.diff(stamp, prepend=stamp[0] if before is None else before)
+    rounds = np.cumsum(-np.floor_divide(ahead + modulus // 2, modulus))
+    return np.asarray(stamp + rounds * modulus, np.int64)
+
+
+def spacing_remarks(builders: Iterable[SignalBuilder]) -> tuple[str, ...]:
+    """Return a sentence for each topic whose samples were taken as equally spaced."""
+    found: dict[str, str] = {}
+    for builder in builders:
+        spacing = builder.spacing
+        if spacing is None or builder.topic in found:
+            continue
+        by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
+        lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
+        found[builder.topic] = (
+            f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
+            f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
+        )
+    return tuple(found.values())

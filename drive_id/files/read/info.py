@@ -6,10 +6,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drive_id.errors import BagError, DriveIdError
+from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.storage.bag import Bag, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
+
+if TYPE_CHECKING:
+    from drive_id.files.logs.column_log import ColumnLog
 
 _LONGEST_SENTENCE = 2000
 
@@ -63,6 +68,11 @@ def bag_info(path: Path) -> BagInfo:
     BagError
         When nothing of it can be read.
     """
+    if log_kind(path):
+        from drive_id.files.logs.open_log import open_log  # noqa: PLC0415  # numpy takes longer than to list a bag
+
+        with printable_errors(), open_log(path) as log:
+            return _log_info(log)
     with printable_errors(), open_bag(path, salvage=True) as bag:
         problems = [storage.damage for storage in bag.storages if storage.damage]
         declared = bag.metadata.counts if bag.metadata else {}
@@ -87,6 +97,29 @@ def bag_info(path: Path) -> BagInfo:
             problem="; ".join(problems),
             ground_truth=_has_truth(bag),
         )
+
+
+def _log_info(log: ColumnLog) -> BagInfo:
+    """Describe a file of columns: each stands for a topic, its rows for messages."""
+    columns = tuple(
+        TopicInfo(f"{group.name}: {name}" if group.name else name, kind, group.rows, "")
+        for group in log.groups
+        for name, kind in group.columns.items()
+    )
+    return BagInfo(
+        path=str(log.path),
+        storage=log.kind,
+        compression="",
+        files=(str(log.path),),
+        size=file_size(log.path),
+        topics=columns,
+        messages=max((group.rows or 0 for group in log.groups), default=0),
+        start=0,
+        duration=0.0,
+        complete=True,
+        problem="",
+        ground_truth=False,
+    )
 
 
 @contextmanager

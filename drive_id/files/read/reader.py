@@ -15,10 +15,14 @@ from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.logs.open_log import open_log
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar
-from drive_id.files.read.extraction import SignalPart, SignalStream, UnusualError
+from drive_id.files.read.column_stream import ColumnFile, ColumnStream
+from drive_id.files.read.conversion import conversions, rotor_at_currents, undecimated
+from drive_id.files.read.extraction import INTERPOLATED, SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
@@ -192,7 +196,12 @@ def bag_pieces(
 @contextmanager
 def _opened(
     path: Path, signals: SignalMap, namespace: str
-) -> Iterator[tuple[Bag, dict[str, TopicInfo], GroundTruth | None, SignalStream]]:
+) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, SignalStream | ColumnStream]]:
+    if log_kind(path):
+        with printable_errors(), open_log(path) as log:
+            columns = ColumnStream(log, signals)
+            yield ColumnFile(path), columns.topics, None, columns
+        return
     with printable_errors(), open_bag(path) as bag:
         topics = find_topics(bag, signals, namespace)
         data = bag.attachment(TRUTH_ATTACHMENT)
@@ -200,17 +209,21 @@ def _opened(
         yield bag, topics, truth, SignalStream(bag, signals, topics)
 
 
-def _joined_at_once(path: Path, stream: SignalStream, signals: SignalMap) -> JoinResult:
+def _joined_at_once(path: Path, stream: SignalStream | ColumnStream, signals: SignalMap) -> JoinResult:
     found = stream.whole()
     with _naming(path):
-        return join(
+        resolver, said = rotor_at_currents(found, signals)
+        result = join(
             found["currents"],
             found["voltages"],
-            found["resolver"],
+            resolver,
             found.get("reference"),
-            {name: signal for name, signal in found.items() if name in SCALARS},
-            duty_cycles=signals.voltages.duty_cycles,
+            {name: signal for name, signal in found.items() if name in INTERPOLATED},
+            scaled_by=signals.voltages.scaled_by,
+            to_phases=conversions(signals),
         )
+    report = replace(result.report, warnings=(*result.report.warnings, *stream.remarks(), *said))
+    return JoinResult(undecimated(result.samples, signals), report)
 
 
 @contextmanager
@@ -224,7 +237,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _joined(
     path: Path,
-    stream: SignalStream,
+    stream: SignalStream | ColumnStream,
     signals: SignalMap,
     topics: dict[str, TopicInfo],
     warnings: list[str],
@@ -240,14 +253,15 @@ def _joined(
         locking=_LOCKING_PAIRS,
         recorded=True,
         reference=references.at,
-        scalars={name: topics[name].name for name in SCALARS if name in topics},
-        duty_cycles=signals.voltages.duty_cycles,
+        scalars={name: topics[name].name for name in INTERPOLATED if name in topics},
+        scaled_by=signals.voltages.scaled_by,
+        to_phases=conversions(signals),
     )
     before: SignalPart | None = None
     with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:
         for part in parts:
             references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
-            for name in SCALARS:
+            for name in INTERPOLATED:
                 if name in part.signals:
                     joining.add_scalar(name, part.signals[name])
             if before is not None:
@@ -305,8 +319,11 @@ def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, 
     ConfigurationError
         When several namespaces hold all topics and ``namespace`` is empty.
     """
-    sources = signals.sources()
-    needed = (*REQUIRED, "dc_link_voltage") if signals.voltages.duty_cycles else REQUIRED
+    sources, needed = signals.sources(), signals.needed
+    if signals.of_columns:
+        raise ConfigurationError(
+            f"{bag.path} is a bag, and the signals file names columns: name the topic of each section."
+        )
     relative = {section: source.topic for section, source in sources.items() if not source.topic.startswith("/")}
     chosen = "/" + namespace.strip("/") if namespace.strip("/") else None
     prefix = _namespace(bag, {k: v for k, v in relative.items() if k in REQUIRED}, chosen)

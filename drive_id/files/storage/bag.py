@@ -216,7 +216,9 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
     elif magic.startswith(SQLITE_MAGIC):
         storage = SqliteStorage(path, shown)
     elif magic.startswith(ROSBAG1_MAGIC):
-        raise NotABagError(f"{shown} is a ROS 1 bag: convert it first, for instance with 'rosbags-convert'.")
+        from drive_id.files.storage.rosbag1 import Rosbag1Storage  # noqa: PLC0415  # loads rosbags
+
+        storage = Rosbag1Storage(path, shown)
     elif not magic:
         raise NotABagError(f"{shown} is empty: record it again.")
     else:

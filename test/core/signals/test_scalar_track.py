@@ -175,7 +175,9 @@ def test_duty_cycles_are_cut_where_the_dc_link_voltage_is_unknown(streamed):
     stamp = np.concatenate([signals[0].stamp[500:900], signals[0].stamp[1500:1990]])
     u_dc = scalar(stamp, 500.0 + np.arange(len(stamp)), PERIOD)
     if streamed:
-        joining = StreamJoin(NAMES, batch=70, locking=50, scalars={"dc_link_voltage": "/u_dc"}, duty_cycles=True)
+        joining = StreamJoin(
+            NAMES, batch=70, locking=50, scalars={"dc_link_voltage": "/u_dc"}, scaled_by="dc_link_voltage"
+        )
         joining.add_scalar("dc_link_voltage", u_dc)
         pieces = []
         for at in range(0, 2000, 70):
@@ -185,7 +187,7 @@ def test_duty_cycles_are_cut_where_the_dc_link_voltage_is_unknown(streamed):
         end.check()
         samples, report = joined([*pieces, *rest]), end.report()
     else:
-        result = join(*signals, scalars={"dc_link_voltage": u_dc}, duty_cycles=True)
+        result = join(*signals, scalars={"dc_link_voltage": u_dc}, scaled_by="dc_link_voltage")
         samples, report = result.samples, result.report
     kept = np.r_[300:1100, 1300:2000]  # with 2 s on either side
     np.testing.assert_array_equal(samples.stamp, signals[0].stamp[kept])
@@ -200,4 +202,4 @@ def test_duty_cycles_without_any_dc_link_voltage_are_refused():
     signals = drive_signals(200)
     far = scalar(signals[0].stamp + 60_000_000_000, np.full(200, 500.0), PERIOD)
     with pytest.raises(NoOverlapError, match="duty cycles, and the DC-link voltage is unknown during all of them"):
-        join(*signals, scalars={"dc_link_voltage": far}, duty_cycles=True)
+        join(*signals, scalars={"dc_link_voltage": far}, scaled_by="dc_link_voltage")

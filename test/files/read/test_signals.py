@@ -41,12 +41,8 @@ def test_the_defaults_are_the_shipped_defaults():
     assert read_signals(CONFIG / "signals_default.yaml") == SignalMap()
 
 
-def test_the_example_shows_every_setting():
-    text = (CONFIG / "signals_example_stranger.yaml").read_text(encoding="utf-8")
+def test_the_example_means_what_it_says():
     signals = read_signals(CONFIG / "signals_example_stranger.yaml")
-    for source in signals.sources().values():
-        for name in type(source).__dataclass_fields__:
-            assert f"  {name}: " in text, name
     assert signals.currents.sample_period == 1e-4
     assert signals.currents.factors == (0.001, -0.001)
     assert set(signals.definitions) == {"inverter_msgs/msg/Phase", "inverter_msgs/msg/Status"}

@@ -95,7 +95,7 @@ def test_paths_that_are_no_bag(tmp_path):
     (tmp_path / "empty.mcap").touch()
     refused(tmp_path / "empty.mcap", NotABagError, "is empty")
     (tmp_path / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    refused(tmp_path / "one.bag", NotABagError, "ROS 1 bag: convert it first")
+    refused(tmp_path / "one.bag", TruncatedBagError, "is no readable ROS 1 bag")
     sqlite3.connect(tmp_path / "other.db3").executescript("CREATE TABLE t(x); INSERT INTO t VALUES(1);").close()
     refused(tmp_path / "other.db3", NotABagError, "without the tables 'topics' and 'messages'")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
@@ -311,16 +311,20 @@ def test_wrong_type(tmp_path):
     refused(tmp_path / "bag", MessageTypeError, said)
 
 
-def test_a_topic_that_is_not_ros(tmp_path):
+@pytest.mark.parametrize(
+    ("encoding", "said"),
+    [("protobuf", "is encoded as 'protobuf', not as CDR, ROS 1 or JSON"), ("json", "there are no fields there")],
+)
+def test_a_topic_that_is_not_ros(tmp_path, encoding, said):
     with (tmp_path / "x.mcap").open("wb") as stream:
         writer = McapWriter(stream)
         writer.start("")
         for name in TOPICS:
             schema = writer.register_schema("drive", "jsonschema", b"{}")
-            channel = writer.register_channel(name, "json", schema)
+            channel = writer.register_channel(name, encoding, schema)
             writer.add_message(channel, START, b"{}", START)
         writer.finish()
-    refused(tmp_path / "x.mcap", MessageTypeError, "is encoded as 'json', not as CDR")
+    refused(tmp_path / "x.mcap", MessageTypeError, said)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,119 @@
+"""Tell from its values what a recorded column may be: a rotor angle, a running count, a constant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.types import FloatArray
+
+_FEWEST = 50
+_WRAP = 0.6
+"""Step relative to the range above which a column starts again."""
+_LARGEST_STEP = 0.45
+_STEADY, _MONOTONE = 0.9, 0.98
+_UNEVEN, _MANY = 20, 1000
+_UNITS = ((2 * np.pi, "rad", 0.02), (360.0, "deg", 0.02), (1.0, "rev", 0.02))
+_LINES = (500, 512, 600, 720, 900, 1000, 1024, 1250, 1500, 2000, 2048, 2500, 3600, 4000, 4096, 5000, 8192, 10_000)
+_FULL_COUNTS = (*(4 * lines for lines in _LINES), *(2**n for n in range(8, 25)))
+"""Usual counts of an encoder per revolution: four per line, or powers of two."""
+
+
+@dataclass(frozen=True, eq=False)
+class AngleLike:
+    """A column that moves like the angle of a rotor.
+
+    Parameters
+    ----------
+    unit : str
+        ``rad``, ``deg``, ``rev`` or ``counts``.
+    turn : float
+        By how much it changes per revolution (of whatever it counts); 0 if it never starts again and has no known unit.
+    wraps : bool
+        Whether it starts again.
+    certain : bool
+        Whether the unit follows from the values.
+    """
+
+    unit: str
+    turn: float
+    wraps: bool
+    certain: bool
+
+    def unwrapped(self, x: FloatArray) -> FloatArray:
+        """Return the column (N,) without the steps where it starts again."""
+        return np.asarray(np.unwrap(x, period=self.turn)) if self.wraps else x
+
+
+def angle_like(x: FloatArray) -> AngleLike | None:
+    """Tell whether a column (N,) moves like an angle, and in which unit; None if it does not."""
+    x = x[np.isfinite(x)]
+    spread, steps = (float(np.ptp(x)), np.diff(x)) if len(x) >= _FEWEST else (0.0, x)
+    if not spread > 0:
+        return None
+    wraps = np.abs(steps) > _WRAP * spread
+    small = steps[~wraps]
+    moving = small[small != 0]
+    if len(moving) < _FEWEST // 2 or np.abs(small).max() > _LARGEST_STEP * spread:
+        return None
+    forward = float(np.mean(moving > 0))
+    steady = max(forward, 1 - forward)
+    if wraps.sum() >= 2:
+        against = np.sign(steps[wraps]) == -np.sign(np.median(moving))
+        turn = float(np.median(np.abs(steps[wraps]))) + float(np.median(np.abs(small)))
+        good = steady >= _STEADY and against.mean() >= _STEADY
+        return _in_unit(turn, x) if good else None
+    if steady < _MONOTONE or np.abs(steps).max() > _UNEVEN * np.median(np.abs(steps)) + 2:
+        return None
+    whole = bool(np.all(x == np.rint(x))) and spread > _MANY
+    return AngleLike("counts" if whole else "rad", 0.0 if whole else 2 * np.pi, wraps=False, certain=False)
+
+
+def _in_unit(turn: float, x: FloatArray) -> AngleLike | None:
+    whole = bool(np.all(x == np.rint(x)))
+    for value, name, tolerance in _UNITS:
+        if abs(turn / value - 1) < tolerance and not (whole and name == "rad"):
+            return AngleLike(name, value, wraps=True, certain=True)
+    if whole and turn > _FEWEST:
+        reach = float(x.max()) + 1 - min(float(x.min()), 0.0)
+        near = [count for count in _FULL_COUNTS if abs(count / turn - 1) < 0.02 and count >= reach - 1]
+        best = min(near, key=lambda count: abs(count - turn), default=round(reach))
+        return AngleLike("counts", float(best), wraps=True, certain=bool(near))
+    return None
+
+
+def is_count(x: FloatArray) -> bool:
+    """Tell whether a column (N,) is a running count of its rows, with losses perhaps."""
+    if len(x) < _FEWEST or not np.isfinite(x).all():
+        return False
+    steps = np.diff(x)
+    return bool(np.all(x == np.rint(x))) and float(np.mean(steps == 1)) > _STEADY
+
+
+def likely_counts(turns: float, moved: float) -> list[tuple[int, int]]:
+    """Return usual counts per revolution, each with the pole pairs by which they explain the electrical turns.
+
+    Parameters
+    ----------
+    turns : float
+        Electrical revolutions.
+    moved : float
+        Counts meanwhile.
+    """
+    pairs = [(count, turns * count / moved) for count in _FULL_COUNTS]
+    good = [(count, round(abs(p)), abs(abs(p) - round(abs(p))) / max(abs(p), 1)) for count, p in pairs]
+    likely = sorted(
+        (away, pole_pairs, count) for count, pole_pairs, away in good if 1 <= pole_pairs <= 24 and away < 0.03
+    )
+    return [(count, pole_pairs) for _, pole_pairs, count in likely]
+
+
+def rotation_of(z: NDArray[np.complex128]) -> float:
+    """Return the rotation, rad, of a vector (N,) over its samples by its strongest frequency; negative: backwards."""
+    if len(z) < _FEWEST:
+        return 0.0
+    spectrum = np.abs(np.fft.fft(z * np.hanning(len(z)), 4 * len(z)))
+    frequency = np.fft.fftfreq(4 * len(z))
+    return float(2 * np.pi * frequency[int(spectrum.argmax())] * len(z))

@@ -1,0 +1,129 @@
+"""Named arrays: MATLAB files of version 5 by scipy, and HDF5 (MATLAB 7.3 among them) by h5py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows, shares
+
+_MOST_COLUMNS = 64
+_NUMBERS = "iufb"
+
+
+class MatLog:
+    """A MATLAB file of version 5, held in memory as a whole; fields of structs are ``log.i_a``."""
+
+    kind = "mat"
+    bounded = False
+
+    def __init__(self, path: Path) -> None:
+        from scipy.io import loadmat  # noqa: PLC0415  # takes as long to load as a bag
+
+        self.path = path
+        self._arrays: dict[str, NDArray[Any]] = {}
+        tree = loadmat(str(path), squeeze_me=True, struct_as_record=False)
+        for name, value in tree.items():
+            if not name.startswith("__"):
+                self._take(name, value)
+        self.groups = grouped({name: (str(array.dtype), len(array)) for name, array in self._arrays.items()})
+
+    def _take(self, name: str, value: Any) -> None:
+        if hasattr(value, "_fieldnames"):
+            for field in value._fieldnames:  # noqa: SLF001  # its documented interface
+                self._take(f"{name}.{field}", getattr(value, field))
+            return
+        array = np.asarray(value)
+        if array.dtype.kind not in _NUMBERS or array.ndim not in (1, 2):
+            return
+        if array.ndim == 1:
+            self._arrays[name] = array
+            return
+        rows = array if array.shape[0] >= array.shape[1] else array.T
+        for k in range(min(rows.shape[1], _MOST_COLUMNS)):
+            self._arrays[f"{name}[{k}]"] = rows[:, k]
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part."""
+        lengths = {column.name: len(self._arrays[column.name]) for column in wanted}
+        for at, progress in shares(lengths, rows):
+            yield Rows({column: self._arrays[column.name][at[column.name]] for column in wanted}, progress)
+
+    def close(self) -> None:
+        """Do nothing: the file is closed."""
+
+
+class Hdf5Log:
+    """An HDF5 file; its groups and datasets are named by their path, ``log/i_a``, in MATLAB files ``log.i_a``."""
+
+    bounded = True
+
+    def __init__(self, path: Path, *, matlab: bool) -> None:
+        import h5py  # noqa: PLC0415  # takes as long to load as a bag
+
+        self.kind = "mat73" if matlab else "hdf5"
+        self.path = path
+        self._file = h5py.File(path, "r")
+        self._where: dict[str, tuple[str, int | None, int]] = {}  # dataset, its column or None, axis of time
+        self._lengths: dict[str, tuple[str, int]] = {}
+        separator = "." if matlab else "/"
+
+        def take(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+                self._take(name, name.replace("/", separator), item)
+
+        self._file.visititems(take)
+        self.groups = grouped(self._lengths)
+
+    def _take(self, dataset: str, name: str, item: Any) -> None:
+        if item.dtype.names:
+            for field in item.dtype.names:
+                if item.ndim == 1 and item.dtype[field].kind in _NUMBERS:
+                    self._where[f"{name}.{field}"] = (dataset, None, 0)
+                    self._lengths[f"{name}.{field}"] = (str(item.dtype[field]), len(item))
+            return
+        if item.dtype.kind not in _NUMBERS or item.ndim not in (1, 2) or "MATLAB_empty" in item.attrs:
+            return
+        if item.ndim == 1:
+            self._where[name] = (dataset, None, 0)
+            self._lengths[name] = (str(item.dtype), len(item))
+            return
+        axis = int(item.shape[1] > item.shape[0])  # time runs along the longer one
+        count = item.shape[1 - axis]
+        for k in range(min(count, _MOST_COLUMNS)):
+            own = name if count == 1 else f"{name}[{k}]"
+            self._where[own] = (dataset, k, axis)
+            self._lengths[own] = (str(item.dtype), item.shape[axis])
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part."""
+        lengths = {column.name: self._lengths[column.name][1] for column in wanted}
+        for at, progress in shares(lengths, rows):
+            yield Rows({column: self._slice(column.name, at[column.name]) for column in wanted}, progress)
+
+    def _slice(self, name: str, at: slice) -> NDArray[Any]:
+        dataset, k, axis = self._where[name]
+        item = self._file[dataset]
+        if item.dtype.names:
+            return np.asarray(item.fields(name.rpartition(".")[2])[at])
+        if k is None:
+            return np.asarray(item[at])
+        return np.asarray(item[at, k] if axis == 0 else item[k, at])
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+
+def grouped(columns: dict[str, tuple[str, int]]) -> tuple[ColumnGroup, ...]:
+    """Return the columns, name to type and length, as groups of equal length; the longest come first."""
+    lengths = sorted({rows for _, rows in columns.values()}, reverse=True)
+    groups = []
+    for rows in lengths:
+        members = {name: kind for name, (kind, length) in columns.items() if length == rows}
+        groups.append(ColumnGroup("" if len(lengths) == 1 else f"{rows} rows", members, rows))
+    return tuple(groups)

@@ -1,0 +1,148 @@
+"""The Protocol of logs of columns, and how a column is found by its name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from numpy.typing import NDArray
+
+from drive_id.errors import MissingTopicError, NotABagError
+
+ROWS = 1 << 16
+"""Rows of a part."""
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True)
+class ColumnGroup:
+    """Columns of equal length that share their time.
+
+    Parameters
+    ----------
+    name : str
+        Empty in a container without groups.
+    columns : dict of str to str
+        Name to type, such as ``float64``.
+    rows : int or None
+        None where a file does not tell without being read.
+    own_time : bool
+        The container itself knows the time of the rows.
+    """
+
+    name: str
+    columns: dict[str, str]
+    rows: int | None
+    own_time: bool = False
+
+
+class Column(NamedTuple):
+    """A column by group and name; the name ``""`` is the container's own time, ns."""
+
+    group: str
+    name: str
+
+
+OWN_TIME = ""
+"""Name of the container's own time."""
+
+
+class Rows(NamedTuple):
+    """Some consecutive rows of some columns, and the share of the file that has been read by now."""
+
+    values: dict[Column, NDArray[Any]]
+    progress: float
+
+
+class ColumnLog(Protocol):
+    """One file of columns, open for reading."""
+
+    @property
+    def kind(self) -> str:
+        """Such as ``csv`` or ``mdf``."""
+        ...
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        ...
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the file is read part by part; otherwise it is held in memory as a whole."""
+        ...
+
+    @property
+    def groups(self) -> tuple[ColumnGroup, ...]:
+        """Its columns."""
+        ...
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time."""
+        ...
+
+    def close(self) -> None:
+        """Release the file."""
+        ...
+
+
+def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Column:
+    """Find a column by its name, in a group or in the only group that has it.
+
+    Raises
+    ------
+    MissingTopicError
+        When there is none, or several groups have one.
+    """
+    near = [entry for entry in log.groups if not group or same_name(entry.name, group)]
+    if not near and any(same_name(known, f"{group}.{name}") for entry in log.groups for known in entry.columns):
+        near, name = list(log.groups), f"{group}.{name}"  # the group is a struct
+    if not near:
+        names = ", ".join(entry.name or "(none)" for entry in log.groups[:_MOST_NAMED])
+        raise MissingTopicError(f"{log.path} has no group '{group}' for the {wanted_for}: its groups are {names}.")
+    if name == OWN_TIME:
+        return Column(near[0].name, OWN_TIME)
+    found = [Column(entry.name, known) for entry in near for known in entry.columns if same_name(known, name)]
+    exact = [column for column in found if column.name == name]
+    found = exact or found
+    if len({column.group for column in found}) > 1:
+        groups = ", ".join(column.group for column in found[:_MOST_NAMED])
+        raise MissingTopicError(
+            f"Several groups of {log.path} have a column '{name}' ({groups}): name the group in the section for the "
+            f"{wanted_for}."
+        )
+    if found:
+        return found[0]
+    known_names = list(dict.fromkeys(known for entry in near for known in entry.columns))
+    meant = difflib.get_close_matches(name, known_names, 1, 0.5)
+    guess = f", did you mean '{meant[0]}'" if meant else ""
+    shown = ", ".join(known_names[:_MOST_NAMED]) + (", ..." if len(known_names) > _MOST_NAMED else "")
+    raise MissingTopicError(
+        f"{log.path} has no column '{name}' for the {wanted_for}{guess} (it has {shown or 'none at all'}): name "
+        "another one in the signals file."
+    )
+
+
+def same_name(one: str, other: str) -> bool:
+    """Tell whether two names are the same, structs and groups divided by a dot or a slash."""
+    return one.strip("/").replace("/", ".") == other.strip("/").replace("/", ".")
+
+
+def shares(lengths: Mapping[str, int], rows: int) -> Iterator[tuple[dict[str, slice], float]]:
+    """Yield for each part the rows of each group, by name: all groups advance by the same share of their length."""
+    longest = max(lengths.values(), default=0)
+    count = max(-(-longest // rows), 1)
+    for part in range(count):
+        at = {name: slice(n * part // count, n * (part + 1) // count) for name, n in lengths.items()}
+        yield at, (part + 1) / count
+
+
+def missing_library(path: Path, kind: str, error: ImportError) -> NotABagError:
+    """Return the error for a container whose library is not installed."""
+    return NotABagError(
+        f"{path} is a {kind} file, and {error.name} is not installed, which reads it: run pip install "
+        "'drive_id[containers]'."
+    )

@@ -1,0 +1,192 @@
+"""CSV by pandas, and Parquet by pyarrow: one table, read part by part."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from drive_id.errors import MessageTypeError
+from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows
+
+_HEAD = 1 << 16
+_EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+"""Pandas 3 reads every digit without being asked."""
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class CsvDialect:
+    """How a text file writes its table.
+
+    Parameters
+    ----------
+    delimiter, decimal : str
+    header : int
+        Line of the names, from 0.
+    skipped : tuple of int
+        Lines below it that hold no numbers, such as units.
+    names : tuple of str
+    """
+
+    delimiter: str
+    decimal: str
+    header: int
+    skipped: tuple[int, ...]
+    names: tuple[str, ...]
+
+
+class CsvLog:
+    """A text file with one row per sample and the names of the columns above."""
+
+    kind = "csv"
+    bounded = True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._dialect = csv_dialect(path)
+        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part."""
+        dialect, size = self._dialect, max(self.path.stat().st_size, 1)
+        numbers = sorted({dialect.names.index(column.name) for column in wanted})
+        with self.path.open("rb") as stream:
+            chunks = pd.read_csv(
+                stream,
+                sep=dialect.delimiter,
+                decimal=dialect.decimal,
+                header=None,
+                names=list(range(len(dialect.names))),
+                skiprows=[*range(dialect.header + 1), *dialect.skipped],
+                usecols=numbers,
+                chunksize=rows,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+                encoding_errors="replace",
+                index_col=False,
+                **_EXACT,
+            )
+            for chunk in chunks:
+                values = {column: self._numbers(chunk, column.name) for column in wanted}
+                yield Rows(values, min(stream.tell() / size, 1.0))
+
+    def _numbers(self, chunk: Any, name: str) -> NDArray[Any]:
+        found = chunk[self._dialect.names.index(name)]
+        if found.dtype.kind in "iufb":
+            return np.asarray(found)
+        return times_or_numbers(found, name, self.path)
+
+    def close(self) -> None:
+        """Do nothing: the file is open only while it is read."""
+
+
+class ParquetLog:
+    """A Parquet file."""
+
+    kind = "parquet"
+    bounded = True
+
+    def __init__(self, path: Path) -> None:
+        from pyarrow.parquet import ParquetFile  # noqa: PLC0415  # text needs only pandas
+
+        self.path = path
+        self._file = ParquetFile(path)
+        schema = self._file.schema_arrow
+        columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
+        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", columns, self._file.metadata.num_rows),)
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part."""
+        total, done = max(self._file.metadata.num_rows, 1), 0
+        names = list(dict.fromkeys(column.name for column in wanted))
+        for batch in self._file.iter_batches(batch_size=rows, columns=names):
+            done += batch.num_rows
+            values = {}
+            for column in wanted:
+                found = batch.column(column.name).to_pandas()
+                plain = found.dtype.kind in "iufb"
+                values[column] = np.asarray(found) if plain else times_or_numbers(found, column.name, self.path)
+            yield Rows(values, done / total)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+
+def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
+    """Return dates as ns, and texts of numbers as numbers.
+
+    Raises
+    ------
+    MessageTypeError
+        When they are neither.
+    """
+    if found.dtype.kind == "M":
+        return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
+    numbers = pd.to_numeric(found, errors="coerce")
+    if numbers.notna().mean() > 0.5:
+        return np.asarray(numbers, np.float64)
+    dates = pd.to_datetime(found, errors="coerce", utc=True, format="ISO8601")
+    if dates.notna().all():
+        return np.asarray(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64))
+    raise MessageTypeError(
+        f"Column '{name}' of {path} holds no numbers, such as '{found.iloc[0]!s:.40}': name another."
+    )
+
+
+def csv_dialect(path: Path) -> CsvDialect:
+    """Tell delimiter, decimal sign and header from the first lines.
+
+    Raises
+    ------
+    MessageTypeError
+        When there is no table with names above.
+    """
+    with path.open("rb") as stream:
+        text = stream.read(_HEAD).decode("utf-8-sig", errors="replace")
+    lines = text.splitlines()[:200]
+    lines = lines[:-1] if len(text) >= _HEAD and len(lines) < 200 else lines
+    for delimiter in ("\t", ";", ",", "|"):
+        rows = [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), []) for line in lines]
+        found = _table(rows, delimiter)
+        if found is not None:
+            return found
+    raise MessageTypeError(
+        f"{path} is no table of numbers with the names of its columns above: write these into a line of their own."
+    )
+
+
+def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
+    """Return the dialect if these rows, divided by the delimiter, end in numbers below a row of names."""
+    widths = [len(row) for row in rows if any(cell.strip() for cell in row)]
+    if not widths or max(widths) < 2:
+        return None
+    numeric = [_is_numeric(row) and len(row) > 1 for row in rows]
+    first = next((k for k, good in enumerate(numeric) if good and all(numeric[k : k + 3])), None)
+    if first is None or not first:
+        return None
+    width = len(rows[first])
+    above = [k for k in range(first) if len(rows[k]) == width and all(cell.strip() for cell in rows[k][:-1])]
+    if not above:
+        return None
+    header = above[0] if len(above) > 1 and first - above[0] <= len(above) else above[-1]
+    names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(rows[header])]
+    names[0] = names[0].lstrip("#% ")
+    unique = tuple(name if name not in names[:k] else f"{name} ({k + 1})" for k, name in enumerate(names))
+    comma = delimiter != "," and any("," in cell for row in rows[first : first + 20] for cell in row)
+    return CsvDialect(delimiter, "," if comma else ".", header, tuple(range(header + 1, first)), unique)
+
+
+def _is_numeric(row: list[str]) -> bool:
+    """Tell whether a row holds numbers, perhaps beside a date and empty cells."""
+    cells = [cell for cell in row if cell.strip()]
+    numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
+    return numbers >= max(len(cells) - 1, 1)

@@ -1,0 +1,85 @@
+"""What the signals file asks for beyond units: frames, an angle of another rate, and decimated voltages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.signals.decimated import mean_voltages
+from drive_id.core.signals.join import ToPhases
+from drive_id.core.signals.rotor_interpolation import interpolated_rotor
+from drive_id.core.signals.rotor_smoothing import smoothed_rotor
+from drive_id.core.signals.signal import Signal
+from drive_id.files.messages.signal_sources import ROTOR_SPEED, PhaseSource, SignalMap
+from drive_id.types import FloatArray, Samples
+
+
+def conversions(signals: SignalMap) -> tuple[ToPhases | None, ToPhases | None]:
+    """Return for currents and voltages how d and q components become phase quantities; None where they need not."""
+    return _conversion(signals.currents), _conversion(signals.voltages)
+
+
+def _conversion(source: PhaseSource) -> ToPhases | None:
+    if not source.by_rotor:
+        return None
+
+    def to_phases(values: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
+        return frames.to_abc(values, angle + source.angle_advance * period * speed)
+
+    return to_phases
+
+
+def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, list[str]]:
+    """Return the resolver's signal, with a speed recorded apart, at the times of the currents if it is interpolated.
+
+    Parameters
+    ----------
+    found : dict of str to Signal
+        By section.
+    signals : SignalMap
+
+    Returns
+    -------
+    signal : Signal
+    warnings : list of str
+
+    Raises
+    ------
+    DataError
+        When the angle cannot be interpolated.
+    """
+    rotor = found["resolver"]
+    if ROTOR_SPEED in found:
+        speed = found[ROTOR_SPEED]
+        order = np.argsort(speed.stamp, kind="stable")
+        values = np.interp(rotor.stamp, speed.stamp[order], speed.values[order, 0] * signals.resolver.speed_factor)
+        rotor = replace(rotor, values=np.column_stack([rotor.values[:, 0], values]))
+    remarks = []
+    if signals.resolver.smoothing is not None:
+        rotor, change = smoothed_rotor(rotor, signals.resolver.smoothing)
+        said = (
+            f"The angle of {rotor.name} was smoothed over {signals.resolver.smoothing * 1e3:.3g} ms, by "
+            f"{change * 1e3:.2g} mrad rms, and the speed is that of the smoothed angle."
+        )
+        remarks = [said]
+    if not signals.resolver.interpolate:
+        return rotor, remarks
+    moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))
+    said = (
+        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated: every second of its "
+        f"samples is found from the others within {moved.error * 1e3:.2g} mrad rms, which bounds the error. It counts "
+        "as an error of the angle, which the standard errors do not include."
+    )
+    return moved.signal, [*remarks, said]
+
+
+def undecimated(samples: Samples, signals: SignalMap) -> Samples:
+    """Return samples whose voltages are the means over each sample, if the log is decimated."""
+    every = signals.voltages.decimation
+    if every == 1:
+        return samples
+    u_dq = frames.to_dq(samples.u_abc, samples.angle)
+    mean = mean_voltages(u_dq, samples.angle, samples.speed, samples.sample_period, every, samples.run_starts)
+    return replace(samples, u_abc=frames.phases(mean[:, 0] + 1j * mean[:, 1]))

@@ -1,0 +1,353 @@
+"""Choose the columns of a log that are currents, voltages and angle: by names, by values, and by a rough machine."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.checks.readings import LikelyReading, likely_reading
+from drive_id.core.checks.recognition import AngleLike, angle_like, is_count, likely_counts, rotation_of
+from drive_id.core.signals.equal_spacing import equal_spacing
+from drive_id.core.signals.matching import nearest
+from drive_id.errors import ConfigurationError, DataError
+from drive_id.files.messages.signal_sources import STAMP_UNITS
+from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.names import NameGroup, name_groups, suggests
+from drive_id.types import FloatArray, IntArray, Samples
+
+_SPAN = 1 << 13
+_SPANS = 5
+_FEWEST = 200
+_BALANCED = 0.35
+_JITTER = 0.02
+_LARGEST_DUTY = 1.17
+_MOST_TRIED = 12
+_GOOD = 0.15
+_NAME = 0.1
+"""Share of the voltage, unexplained, that weighs as much as one hint of a name."""
+_PERIODS = (5e-7, 0.05)
+_LEAST_LINK = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGroup:
+    """Phase quantities or components in one table."""
+
+    table: Table
+    group: NameGroup
+    values: FloatArray
+
+    @property
+    def label(self) -> str:
+        """What the names of the table and of the columns have in common."""
+        return f"{self.table.name} {self.group.stem}"
+
+
+@dataclass(frozen=True, eq=False)
+class AngleColumn:
+    """A column that moves like the angle of a rotor."""
+
+    table: Table
+    name: str
+    like: AngleLike
+    values: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Currents, voltages and angle, how the angle is read, and the samples so read."""
+
+    currents: PhaseGroup
+    voltages: PhaseGroup
+    angle: AngleColumn
+    reading: LikelyReading
+    turn: float
+    modulus: float | None
+    samples: Samples
+
+
+def choose(contents: Contents) -> tuple[list[Table], Choice]:
+    """Choose currents, voltages and angle of a log.
+
+    Returns
+    -------
+    tables : list of Table
+        Those with a time.
+    choice : Choice
+
+    Raises
+    ------
+    ConfigurationError
+        When no columns look like currents, voltages and an angle: says which are missing.
+    """
+    tables = [_timed(table, contents) for table in contents.tables]
+    tables = [table for table in tables if len(table.stamp) > _FEWEST and table.columns]
+    groups = [found for table in tables for found in _groups(table)]
+    angles = sorted((found for table in tables for found in _angles(table)), key=_as_angle, reverse=True)
+    currents = sorted(groups, key=_as_current, reverse=True)
+    voltages = sorted(groups, key=_as_voltage, reverse=True)
+    kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
+    missing = [what for what, found in kinds if not found]
+    if missing:
+        raise ConfigurationError(
+            f"Nothing in {contents.path} looks like {' or '.join(missing)}: write the signals file by hand, from "
+            "config/signals_example_stranger.yaml or signals_example_columns.yaml."
+        )
+    choice = _chosen(currents, voltages, angles, dc_link(tables))
+    if choice is None:
+        raise ConfigurationError(
+            f"{contents.path} holds no two sets of phase quantities that share their time with an angle: write the "
+            "signals file by hand, from config/signals_example_stranger.yaml or signals_example_columns.yaml."
+        )
+    return tables, choice
+
+
+# -- recognizing ---------------------------------------------------------------------------------------------------
+
+
+def _timed(table: Table, contents: Contents) -> Table:
+    """Return a table of columns with stamps from the column that looks like its time."""
+    if len(table.stamp) or contents.is_bag:
+        return table
+    found = time_column(table)
+    if found is None:
+        return table
+    name, unit = found
+    values = table.columns[name]
+    stamp = np.rint((values - values[0]) * STAMP_UNITS[unit]).astype(np.int64)
+    return replace(table, stamp=stamp, stamp_source=name)
+
+
+def time_column(table: Table) -> tuple[str, str] | None:
+    """Return the column that looks like the time, and its unit; None if none does."""
+    for name, x in sorted(table.columns.items(), key=lambda item: not suggests(item[0], "time")):
+        if len(x) < 200 or not np.isfinite(x).all() or not suggests(name, "time"):
+            continue
+        step = float(np.median(np.diff(x)))
+        if step <= 0 or float(np.mean(np.diff(x) > 0)) < 0.9:
+            continue
+        said = re.search(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$", name.lower())
+        units = [said.group(1).replace("µ", "u")] if said else ["s", "ms", "us", "ns"]
+        for unit in units:
+            if _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
+                return name, unit
+    return None
+
+
+def _groups(table: Table) -> Iterator[PhaseGroup]:
+    moving = {name: x for name, x in table.columns.items() if len(x) == len(table.stamp) and np.ptp(x) > 0}
+    for group in name_groups(list(moving)):
+        values = np.column_stack([moving[name] for name in group.names])
+        if np.isfinite(values).all() and (group.frame != "abc" or _balanced(values)):
+            yield PhaseGroup(table, group, values)
+
+
+def _balanced(values: FloatArray) -> bool:
+    """Tell whether phases (N, 2 or 3) have about equal size, their common part left out, and are no angles or times."""
+    three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
+    part = three - three.mean(axis=1, keepdims=True)
+    size = part.std(axis=0)
+    return bool(size.min() > 0 and size.max() / size.min() < 1 + _BALANCED)
+
+
+def _angles(table: Table) -> Iterator[AngleColumn]:
+    for name, x in table.columns.items():
+        if len(x) != len(table.stamp) or is_count(x) or suggests(name, "time"):
+            continue
+        like = angle_like(x)
+        if like is not None:
+            yield AngleColumn(table, name, like, x)
+
+
+def _hints(found: PhaseGroup, meaning: str) -> float:
+    return 2.0 * suggests(found.group.stem, meaning) + 1.0 * suggests(found.table.name, meaning)
+
+
+def _as_current(found: PhaseGroup) -> float:
+    common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
+    score = _hints(found, "current") - _hints(found, "voltage") - 2 * _hints(found, "reference")
+    return score + (len(found.values.T) == 3) * (common < 0.05) + (found.group.frame == "abc")
+
+
+def _as_voltage(found: PhaseGroup) -> float:
+    score = _hints(found, "voltage") - _hints(found, "current")
+    return score + 0.5 * (found.group.frame == "abc") + 0.1 * len(found.values.T)
+
+
+def _as_angle(found: AngleColumn) -> float:
+    name = suggests(found.name, "angle") + 0.5 * suggests(found.table.name, "angle")
+    return 2 * name + found.like.certain + found.like.wraps
+
+
+def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
+    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone."""
+    best: tuple[float, Table, str] | None = None
+    for table in tables:
+        for name, x in table.columns.items():
+            if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < 0.25 * x.mean()):
+                continue
+            named = suggests(name, "dc") or suggests(table.name, "dc")
+            likely = x.std() > 0 and suggests(name, "voltage")
+            alone = (
+                x.std() > 0 and x.min() > 0 and not any(suggests(name, what) for what in ("current", "speed", "time"))
+            )
+            score = 4.0 * suggests(name, "dc") + 2.0 * suggests(table.name, "dc") + likely + 0.5 * alone
+            if (named or likely or alone) and score > 0 and (best is None or score > best[0]):
+                best = (score, table, name)
+    return best and (best[1], best[2])
+
+
+def is_named_link(table: Table, name: str) -> bool:
+    """Tell whether the names suggest that a column is the DC-link voltage."""
+    return suggests(name, "dc") or suggests(table.name, "dc")
+
+
+# -- choosing ------------------------------------------------------------------------------------------------------
+
+
+def _chosen(
+    currents: Sequence[PhaseGroup],
+    voltages: Sequence[PhaseGroup],
+    angles: Sequence[AngleColumn],
+    dc: tuple[Table, str] | None,
+) -> Choice | None:
+    """Return the likeliest currents, voltages and angle, by their names and by what a rough machine explains."""
+    pairs = [
+        (i, u)
+        for i in currents
+        for u in voltages
+        if not set(zip([i.table.name] * 3, i.group.names, strict=False))
+        & set(zip([u.table.name] * 3, u.group.names, strict=False))
+    ]
+    pairs.sort(key=lambda pair: _as_current(pair[0]) + _as_voltage(pair[1]), reverse=True)
+    best: tuple[float, Choice] | None = None
+    tried = 0
+    for i, u in pairs:
+        for angle in angles[:3]:
+            if tried >= _MOST_TRIED:
+                break
+            tried += 1
+            found = _read(i, u, angle, dc)
+            if found is None:
+                continue
+            likely = found.reading.unexplained - _NAME * (_as_current(i) + _as_voltage(u) + _as_angle(angle))
+            if best is None or likely < best[0]:
+                best = likely, found
+            if found.reading.unexplained < _GOOD and _as_current(i) > 1.5 and _as_voltage(u) > 1:
+                return best[1]
+    return best and best[1]
+
+
+def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str] | None) -> Choice | None:
+    """Read the angle in the likeliest way, for these currents and voltages."""
+    options: list[tuple[float, float | None, tuple[int, ...] | None]] = []
+    if angle.like.turn:
+        options.append((angle.like.turn, None, None))
+    if angle.like.unit == "counts":
+        options += _by_rotation(u, angle)
+    best: Choice | None = None
+    for turn, modulus, ratios in options:
+        if best is not None and best.reading.unexplained < _GOOD:
+            break
+        try:
+            samples = _samples(i, u, replace(angle, like=replace(angle.like, turn=turn)), modulus, dc)
+        except DataError:
+            continue
+        if samples is None:
+            continue
+        largest = float(np.quantile(np.abs(frames.space_vector(samples.i_abc)), 0.999))
+        in_rotor = "dq" in (i.group.frame, u.group.frame)
+        found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
+        if found is not None and (best is None or found.unexplained < best.reading.unexplained):
+            best = Choice(i, u, angle, found, turn, modulus, samples)
+    return best
+
+
+def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float | None, tuple[int, ...] | None]]:
+    """Return counts per revolution, modulus and pole pairs by which the angle turns as the voltages do."""
+    if u.group.frame == "dq":
+        return []
+    z = _vector(u)
+    seconds = float(u.table.stamp[-1] - u.table.stamp[0])
+    x = angle.like.unwrapped(angle.values)
+    moved = float(x[-1] - x[0]) / float(angle.table.stamp[-1] - angle.table.stamp[0]) * seconds
+    if not moved:
+        return []
+    modulus = angle.like.turn or None
+    likely = likely_counts(rotation_of(z) / (2 * np.pi), moved)[:6]
+    return [(float(count), modulus, (pole_pairs, -pole_pairs)) for count, pole_pairs in likely]
+
+
+def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    if found.group.frame == "alpha_beta":
+        return np.asarray(found.values[:, 0] + 1j * found.values[:, 1])
+    values = found.values
+    three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
+    return np.asarray(frames.space_vector(three))
+
+
+def regular_stamps(table: Table) -> IntArray:
+    """Return the stamps of a table, without jitter if they have much."""
+    period, jitter = table.period, table.jitter
+    if period is None or jitter is None or jitter < _JITTER * period * table.block:
+        return table.stamp
+    return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
+
+
+def _samples(
+    i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, modulus: float | None, dc: tuple[Table, str] | None
+) -> Samples | None:
+    """Put currents, voltages and angle on the stamps of the currents."""
+    clock = regular_stamps(i.table)
+    if np.any(np.diff(clock) <= 0):
+        kept = np.append(True, np.diff(np.maximum.accumulate(clock)) > 0)
+        clock, i = clock[kept], replace(i, values=i.values[kept])
+    period = float(np.median(np.diff(clock))) * 1e-9
+    if not _PERIODS[0] <= period <= _PERIODS[1]:
+        return None
+    x = np.unwrap(angle.values, period=modulus or angle.like.turn) if angle.like.wraps else angle.values
+    x = x * (2 * np.pi / angle.like.turn)
+    at = regular_stamps(angle.table)
+    theta = np.interp((clock - clock[0]).astype(float), (at - clock[0]).astype(float), x)
+    i_s = _rotated(i, i.values, theta)
+    at = regular_stamps(u.table)
+    u_values = u.values if u.table is i.table and len(u.values) == len(clock) else u.values[nearest(clock, at)]
+    u_s = _rotated(u, u_values, theta)
+    if dc is not None and np.abs(u.values).max() < _LARGEST_DUTY:
+        table, name = dc
+        u_s = u_s * np.interp(
+            (clock - clock[0]).astype(float), (table.stamp - clock[0]).astype(float), table.columns[name]
+        )
+    inside = (clock >= max(angle.table.stamp[0], at[0])) & (clock <= min(angle.table.stamp[-1], at[-1]))
+    if inside.sum() < _FEWEST:
+        return None
+    clock, theta, i_s, u_s = clock[inside], theta[inside], i_s[inside], u_s[inside]
+    starts = np.append(0, np.flatnonzero(np.diff(clock) > 1.5e9 * period) + 1)
+    return Samples(
+        clock, frames.phases(i_s), frames.phases(u_s), theta, np.gradient(theta, period), period, run_starts=starts
+    )
+
+
+def _rotated(
+    found: PhaseGroup, values: FloatArray, theta: FloatArray
+) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    if found.group.frame == "dq":
+        return np.asarray((values[:, 0] + 1j * values[:, 1]) * np.exp(1j * theta))
+    return _vector(replace(found, values=values))
+
+
+def _runs(samples: Samples) -> list[Samples]:
+    """Return some gap-free excerpts, spread over the samples."""
+    long = sorted((run for run in samples.runs() if run.stop - run.start >= 64), key=lambda run: run.start - run.stop)
+    pieces = [
+        samples.part(start, min(start + _SPAN, run.stop))
+        for run in long[:20]
+        for start in range(run.start, run.stop, _SPAN)
+    ]
+    pieces = [piece for piece in pieces if len(piece) >= 64]
+    every = -(-len(pieces) // _SPANS)
+    return pieces[:: max(every, 1)]

@@ -1,0 +1,269 @@
+"""The numbers of a log of any kind as tables: topics of a bag, or groups of columns, the first rows of each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drive_id.errors import DriveIdError
+from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.logs.open_log import open_log
+from drive_id.files.messages.field_path import FieldPathError, parse_field_path
+from drive_id.files.messages.message_reader import DECODE_ERRORS, decoder
+from drive_id.files.messages.signal_sources import SignalMap
+from drive_id.files.storage.bag import Bag, open_bag
+from drive_id.files.storage.container import TopicInfo
+from drive_id.types import FloatArray, IntArray
+
+ROWS = 40_000
+"""Messages or rows of each topic or group that are looked at."""
+_MOST_MESSAGES = 200_000
+_MOST_ELEMENTS = 16
+"""Longest array whose elements are columns of their own; longer ones are blocks of samples."""
+_DEPTH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """The first rows of a topic, or of a group of columns.
+
+    Parameters
+    ----------
+    name : str
+        Topic, or group.
+    kind : str
+        Message type, or kind of file.
+    rows : int or None
+        In the log; messages of a topic.
+    columns : dict of str to (n,) float
+        By field path, or name.
+    types : dict of str to str
+    stamp : (n,) int64
+        Of each row, ns; empty where only a column may hold the time.
+    stamp_source : str
+        ``header``, ``log_time``, ``own`` (the container's), or empty.
+    block : int
+        Samples per message; 1 for columns.
+    problem : str
+        Why a topic cannot be read; empty otherwise.
+    """
+
+    name: str
+    kind: str
+    rows: int | None
+    columns: dict[str, FloatArray] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+    stamp: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    stamp_source: str = ""
+    block: int = 1
+    problem: str = ""
+
+    @property
+    def period(self) -> float | None:
+        """Usual time between rows, s; None without stamps."""
+        if len(self.stamp) < 3:
+            return None
+        return float(self.stamp[-1] - self.stamp[0]) / (len(self.stamp) - 1) * 1e-9 or None
+
+    @property
+    def jitter(self) -> float | None:
+        """Root mean square deviation of the time between messages from its median, s."""
+        each = self.stamp[:: self.block]
+        if len(each) < 3:
+            return None
+        steps = np.diff(each).astype(np.float64)
+        near = steps[np.abs(steps - np.median(steps)) < 20 * max(np.median(np.abs(steps)), 1.0)]
+        return float(np.sqrt(np.mean((near - np.median(near)) ** 2))) * 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a log holds.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        ``mcap``, ``sqlite3``, ``rosbag1``, ``csv``, ``parquet``, ``mat``, ``mat73``, ``hdf5``, ``mdf`` or ``tdms``.
+    tables : tuple of Table
+    bounded : bool
+        Whether a fit reads it part by part.
+    """
+
+    path: Path
+    kind: str
+    tables: tuple[Table, ...]
+    bounded: bool = True
+
+    @property
+    def is_bag(self) -> bool:
+        """Whether its tables are topics."""
+        return bool(set(self.kind.split("+")) & {"mcap", "sqlite3", "rosbag1"})
+
+
+def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
+    """Read the first rows of everything in a log.
+
+    Raises
+    ------
+    BagError
+        When it is no log, or cannot be read.
+    """
+    if log_kind(path):
+        with open_log(path) as log:
+            return Contents(path, log.kind, tuple(_of_group(log, group) for group in log.groups), log.bounded)
+    with open_bag(path) as bag:
+        kinds = "+".join(sorted({storage.kind for storage in bag.storages}))
+        return Contents(path, kinds, tuple(_of_topics(bag, signals or SignalMap())))
+
+
+def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
+    wanted = [Column(group.name, name) for name in group.columns]
+    time = Column(group.name, OWN_TIME)
+    found: dict[Column, list[Any]] = defaultdict(list)
+    problem, count, total = "", 0, group.rows
+    try:
+        for rows in log.parts([*wanted, *([time] if group.own_time else [])], ROWS):
+            for column, values in rows.values.items():
+                found[column].append(values)
+            count += len(next(iter(rows.values.values()), ()))
+            if count >= ROWS:
+                break
+        else:
+            total = count if total is None else total
+    except DriveIdError as error:
+        problem = str(error)
+    columns = {
+        column.name: np.concatenate(values).astype(np.float64)
+        for column, values in found.items()
+        if column != time and all(np.asarray(part).dtype.kind in "iufb" for part in values)
+    }
+    stamp = np.concatenate(found[time]).astype(np.int64) if time in found else np.zeros(0, np.int64)
+    return Table(
+        group.name, log.kind, total, columns, dict(group.columns), stamp, "own" if time in found else "", 1, problem
+    )
+
+
+def _of_topics(bag: Bag, signals: SignalMap) -> Iterator[Table]:
+    readers = {name: _TopicReader(topic, signals) for name, topic in bag.topics.items()}
+    usable = {name for name, reader in readers.items() if not reader.problem}
+    for seen, message in enumerate(bag.messages(frozenset(usable)), 1):
+        reader = readers[message.topic]
+        if len(reader.logged) < ROWS and not reader.problem:
+            reader.add(bytes(message.data), message.log_time)
+        if seen >= _MOST_MESSAGES or all(len(readers[name].logged) >= ROWS for name in usable):
+            break
+    for name in sorted(readers):
+        yield readers[name].table()
+
+
+class _TopicReader:
+    """Collects all numbers in the messages of a topic."""
+
+    def __init__(self, topic: TopicInfo, signals: SignalMap) -> None:
+        self.topic = topic
+        self.problem = ""
+        self.logged: list[int] = []
+        self._stamps: list[int] = []
+        self._paths: dict[str, Any] = {}
+        self._values: dict[str, list[FloatArray]] = {}
+        self._block = 1
+        try:
+            self._decode = decoder(topic, signals)
+        except DriveIdError as error:
+            self.problem = str(error)
+
+    def add(self, data: bytes, log_time: int) -> None:
+        """Take one message; one of another shape than the first is left out."""
+        try:
+            decoded = self._decode(data)
+        except DECODE_ERRORS as error:
+            self.problem = f"A message cannot be decoded ({' '.join(str(error).split())[:120]})."
+            return
+        if not self._paths:
+            self._begin(decoded)
+        try:
+            row = {name: path.values(decoded) for name, path in self._paths.items()}
+        except FieldPathError:
+            return
+        if self._block > 1:
+            sizes = {len(values) for values in row.values() if len(values) > 1}
+            if len(sizes) != 1:
+                return
+            size = sizes.pop()
+            row = {name: values if len(values) > 1 else np.repeat(values, size) for name, values in row.items()}
+        for name, values in row.items():
+            self._values[name].append(values)
+        self.logged.append(log_time)
+        stamp = getattr(getattr(decoded, "header", None), "stamp", None)
+        if stamp is not None:
+            self._stamps.append(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
+
+    def _begin(self, decoded: Any) -> None:
+        paths = dict(leaves(decoded))
+        long = {name: count for name, count in paths.items() if count > _MOST_ELEMENTS}
+        size = max(long.values(), default=1)
+        for name, count in paths.items():
+            if size > 1:
+                names = [name] if count in (0, size) else []
+            else:
+                names = [name] if count == 0 else [f"{name}[{k}]" for k in range(count)]
+            for own in names:
+                self._paths[own] = parse_field_path(own, "field")
+                self._values[own] = []
+        self._block = size
+
+    def table(self) -> Table:
+        """Return what was collected."""
+        columns = {name: np.concatenate(values) for name, values in self._values.items() if values}
+        headed = len(self._stamps) == len(self.logged) and len(set(self._stamps[:50])) > 1
+        stamp = np.array(self._stamps if headed else self.logged, np.int64)
+        if self._block > 1 and len(stamp) > 1:
+            step = (stamp[-1] - stamp[0]) / (len(stamp) - 1) / self._block
+            stamp = (stamp[:, None] + np.rint(step * np.arange(self._block)).astype(np.int64)).ravel()
+            if any(len(values) != len(stamp) for values in columns.values()):
+                columns = {}
+        return Table(
+            self.topic.name,
+            self.topic.type_name,
+            self.topic.count if self.topic.count is not None else len(self.logged),
+            columns,
+            dict.fromkeys(columns, "number"),
+            stamp,
+            "header" if headed else "log_time",
+            self._block,
+            self.problem,
+        )
+
+
+def leaves(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, int]]:
+    """Yield the paths of all numbers in a decoded message, with the length of arrays; 0 for single numbers."""
+    if depth > _DEPTH:
+        return
+    if dataclasses.is_dataclass(value):
+        members = {item.name.rstrip("_"): getattr(value, item.name) for item in dataclasses.fields(value)}
+    elif isinstance(value, dict):
+        members = value
+    else:
+        members = {}
+    for name, member in members.items():
+        own = f"{path}.{name}" if path else str(name)
+        if name in ("__msgtype__", "header", "stamp"):
+            continue
+        if isinstance(member, (bool, int, float, np.number)):
+            yield own, 0
+        elif isinstance(member, (list, tuple, np.ndarray)) and len(member):
+            if isinstance(member[0], (int, float, np.number)):
+                yield own, len(member)
+            elif len(member) <= _MOST_ELEMENTS and not isinstance(member[0], (str, bytes)):
+                for k, entry in enumerate(member):
+                    yield from leaves(entry, f"{own}[{k}]", depth + 1)
+        else:
+            yield from leaves(member, own, depth + 1)

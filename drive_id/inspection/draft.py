@@ -1,0 +1,320 @@
+"""Propose a signals file for a log, with comments on what is not sure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.checks.recognition import is_count
+from drive_id.core.signals.matching import nearest
+from drive_id.files.messages.signal_sources import SPEED_UNITS
+from drive_id.inspection.choice import Choice, PhaseGroup, choose, dc_link, is_named_link, regular_stamps, time_column
+from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.names import name_groups, suggests, words
+
+_JITTER = 0.02
+_SAME_RATE = 0.005
+_LARGEST_DUTY = 1.17
+_POOR = 0.35
+_NO_OFFSET = 0.035
+"""Estimated offset, rad, that is not told from none."""
+_COARSE, _SMOOTHING = 1e-3, 0.003
+"""Electrical angle of one count, rad, from which the angle is smoothed, and for how long, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A proposed signals file.
+
+    Parameters
+    ----------
+    text : str
+        YAML with comments.
+    unsure : tuple of str
+        Sentences on what to look at.
+    """
+
+    text: str
+    unsure: tuple[str, ...] = ()
+
+
+def propose(contents: Contents) -> Draft:
+    """Propose a signals file.
+
+    Raises
+    ------
+    ConfigurationError
+        When no columns look like currents, voltages and an angle: says which are missing.
+    """
+    return _Writer(contents, *choose(contents)).draft()
+
+
+class _Writer:
+    """Writes the proposal as YAML."""
+
+    def __init__(self, contents: Contents, tables: Sequence[Table], choice: Choice) -> None:
+        self._contents = contents
+        self._tables = tables
+        self._choice = choice
+        self._unsure: list[str] = []
+        self._period = choice.currents.table.period or 0.0
+
+    def draft(self) -> Draft:
+        """Return the proposal."""
+        body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
+        left = self._choice.reading.unexplained
+        if left > _POOR:
+            self._doubt(
+                f"A rough machine model leaves {100 * left:.0f} % of the voltage unexplained by these signals: "
+                "currents, voltages or angle may be other columns, or phases be swapped."
+            )
+        head = [
+            f"# Signals file proposed for {self._contents.path.name}. docs/signals_file.md explains every setting.",
+            f"# A rough machine model explains all but {100 * left:.2g} % of the voltage with it.",
+        ]
+        head += [f"# NOT SURE: {sentence}" for sentence in self._unsure] or ["# Nothing is left open."]
+        return Draft("\n".join([*head, "", *body]) + "\n", tuple(self._unsure))
+
+    def _doubt(self, sentence: str) -> None:
+        self._unsure.append(sentence)
+
+    def _time(self, table: Table, lines: list[str]) -> list[str]:
+        """Return the lines that say where and when the samples of a table are."""
+        found = []
+        if self._contents.is_bag:
+            found.append(f"  topic: {table.name}")
+            if table.stamp_source == "log_time":
+                found.append("  stamp: log_time                 # the messages have no header")
+        else:
+            if table.name and len(self._contents.tables) > 1:
+                found.append(f"  group: {_quoted(table.name)}")
+            if table.stamp_source not in ("", "own"):
+                _, unit = time_column(table) or ("", "s")
+                found += [f"  stamp: {_quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
+        period, jitter = table.period, table.jitter
+        counts = [
+            name for name, x in table.columns.items() if table.block == 1 and is_count(x) and name != table.stamp_source
+        ]
+        if counts:
+            found.append(f"  first_sample: {_quoted(counts[0])}")
+        if period is not None and jitter is not None and jitter > _JITTER * period * table.block:
+            found.append(f"  equally_spaced: true            # the stamps jitter by {jitter * 1e6:.3g} us rms")
+            if table.block > 1:
+                found.append(f"  sample_period: {_nice(period)}")
+        elif period is not None:
+            usual = float(np.median(np.diff(table.stamp))) * 1e-9
+            found.append(f"  sample_period: {_nice(usual if abs(usual / period - 1) > 1e-3 else period)}")
+        return [*found, *lines]
+
+    def _currents(self) -> list[str]:
+        i = self._choice.currents
+        lines = [f"  fields: {_listed(i.group.names)}", *_frame(i)]
+        label = " ".join(i.group.names).lower()
+        scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
+        scale *= self._choice.reading.voltage_sign
+        if scale != 1.0:
+            lines.append(f"  scale: {scale:g}")
+        return ["currents:", *self._time(i.table, lines)]
+
+    def _voltages(self) -> list[str]:
+        u = self._choice.voltages
+        reading, names = self._choice.reading, u.group.names
+        if u.group.frame == "abc" and len(names) == 3:
+            names = tuple(u.group.names[k] for k in reading.voltage_order)
+            if names != u.group.names:
+                self._doubt(
+                    f"The voltages explain the currents only in the order {', '.join(names)}: compare the wiring."
+                )
+            if reading.voltage_sign < 0:
+                self._doubt("Currents and voltages have opposite signs: currents must be positive into the machine.")
+        lines = [f"  fields: {_listed(names)}", *_frame(u)]
+        low, high = float(u.values.min()), float(u.values.max())
+        percent = low >= 0 and _LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
+        if max(-low, high) <= _LARGEST_DUTY or percent:
+            share = 0.01 if percent else 1.0 if low >= -0.02 else 0.5
+            range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
+            dc = dc_link(self._tables)
+            if dc is None:
+                lines.append(
+                    f"  scale: {share * 100:g}  # EDIT: duty cycles, so {share:g} times the DC-link voltage, V"
+                )
+                self._doubt(
+                    f"The voltages are duty cycles from {range_}, and no DC-link voltage is in the log: set scale of "
+                    f"the voltages to {share:g} times that voltage (written for 100 V)."
+                )
+            else:
+                table, name = dc
+                if not is_named_link(table, name):
+                    self._doubt(f"{name} was taken for the DC-link voltage by its values, not by its name.")
+                where = self._where(table)
+                scaled = "" if share == 1.0 else f", scale: {share:g}"
+                lines.append(f"  scale: {{{where}field: {_quoted(name)}{scaled}}}   # duty cycles from {range_}")
+        elif not suggests(u.label, "voltage"):
+            self._doubt(f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names.")
+        if u.group.frame == "dq":
+            lines.append(
+                "  angle_advance: 0.0  # EDIT if the drive transforms them back with an angle ahead: often 1.5"
+            )
+            self._doubt("The voltages are d and q components: set angle_advance if the drive compensates its delay.")
+        rate = u.table.period
+        if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
+            self._doubt("Voltages and currents are recorded at different rates, which a fit refuses.")
+        return ["voltages:", *self._time(u.table, lines)]
+
+    def _where(self, table: Table) -> str:
+        if self._contents.is_bag:
+            stamp = "stamp: log_time, " if table.stamp_source == "log_time" else ""
+            return f"topic: {table.name}, {stamp}"
+        group = f"group: {_quoted(table.name)}, " if table.name and len(self._contents.tables) > 1 else ""
+        if table.stamp_source in ("", "own"):
+            return group
+        _, unit = time_column(table) or ("", "s")
+        return f"{group}stamp: {_quoted(table.stamp_source)}, stamp_unit: {unit}, "
+
+    def _rotor(self) -> list[str]:
+        choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
+        lines = [f"  angle: {_quoted(angle.name)}"]
+        unit = angle.like.unit
+        if unit == "counts":
+            lines += ["  angle_unit: counts", f"  counts_per_turn: {choice.turn:g}"]
+            if choice.modulus:
+                lines.append(f"  angle_modulus: {choice.modulus:g}")
+            if choice.modulus or not angle.like.wraps:
+                self._doubt(
+                    "The encoder never starts again at a whole revolution: only the ratio of counts_per_turn and "
+                    "pole_pairs follows from the log."
+                )
+        elif unit != "rad":
+            lines.append(f"  angle_unit: {unit}")
+        pole_pairs = abs(reading.ratio)
+        if pole_pairs != 1 or unit == "counts":
+            lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}"]
+        if reading.ratio < 0:
+            lines.append("  direction: -1                   # counts against the order of the phases")
+        lines += self._offset()
+        coarse = 2 * np.pi * pole_pairs / choice.turn if unit == "counts" else 0.0
+        if coarse > _COARSE:
+            lines.append(
+                f"  smoothing: {_SMOOTHING:g}                # s: one count is {coarse * 1e3:.2g} mrad electrical"
+            )
+        else:
+            lines += self._speed()
+        rate = angle.table.period
+        if rate and abs(rate / self._period - 1) > _SAME_RATE:
+            lines.append(
+                f"  interpolate: true             # every {rate * 1e6:.4g} us, the currents {self._period * 1e6:.4g} us"
+            )
+        return ["resolver:", *self._time(angle.table, lines)]
+
+    def _offset(self) -> list[str]:
+        """Return the estimated offset of the angle."""
+        choice, reading = self._choice, self._choice.reading
+        if choice.currents.group.frame == choice.voltages.group.frame == "dq":
+            return []
+        offset = reading.angle_offset
+        if reading.voltage_sign < 0:  # written as a sign of the currents, which turns the axes by half a turn
+            offset -= float(np.copysign(np.pi, offset))
+        offset = offset if abs(offset) > _NO_OFFSET else 0.0
+        if not reading.certain_offset:
+            self._doubt(
+                "The angle offset follows from the saliency only, so it may be wrong by a multiple of 90 degrees "
+                "(1.5708), which exchanges or reverses the axes: compare with the d axis of your drive."
+            )
+        said = "estimated; method full corrects the rest" if offset else "no offset was found"
+        return [f"  angle_offset: {offset:.4g}          # {said}"]
+
+    def _speed(self) -> list[str]:
+        """Return the speed beside the angle, if its unit is plain from the angle."""
+        angle, choice = self._choice.angle, self._choice
+        at = regular_stamps(angle.table)
+        x = np.unwrap(angle.values, period=choice.modulus or choice.turn) if angle.like.wraps else angle.values
+        x = x * (2 * np.pi / choice.turn)
+        moved, seconds = float(x[-1] - x[0]), float(at[-1] - at[0]) * 1e-9
+        half = len(x) // 2
+        first = float(x[half] - x[0]) / (float(at[half] - at[0]) * 1e-9)
+        for name, y in angle.table.columns.items():
+            if name == angle.name or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
+                continue
+            for unit, factor in SPEED_UNITS.items():
+                for scale in (1, -1):
+                    ratio = scale * float(y.mean()) * factor * seconds / moved
+                    halves = scale * float(y[:half].mean()) * factor / first if first else 0.0
+                    close = abs(ratio - 1) < 0.004 and abs(halves - 1) < 0.01
+                    if close and (suggests(name, "speed") or np.ptp(y) > 0):
+                        sign = ["  speed_scale: -1"] if scale < 0 else []
+                        return [f"  speed: {_quoted(name)}", f"  speed_unit: {unit}", *sign]
+        return ["  # no field is the speed of this angle: it is derived from the angle"]
+
+    def _reference(self) -> list[str]:
+        """Return the pair of columns that the currents follow."""
+        choice = self._choice
+        theta = choice.samples.angle * choice.reading.ratio + choice.reading.angle_offset
+        i_dq = frames.to_dq(choice.samples.i_abc, theta)
+        clock, own = choice.samples.stamp, choice.currents.group.names
+        for table in self._tables:
+            for group in name_groups(list(table.columns)):
+                if group.frame != "dq" or group.names in (own, choice.voltages.group.names):
+                    continue
+                values = np.column_stack([table.columns[name] for name in group.names])
+                if len(values) != len(table.stamp) or not np.isfinite(values).all():
+                    continue
+                there = (clock >= table.stamp[0]) & (clock <= table.stamp[-1])
+                if there.sum() < 200:
+                    continue
+                wanted, found = values[nearest(clock[there], table.stamp)], i_dq[there]
+                gain = float(np.sum(wanted * found) / max(np.sum(wanted**2), 1e-300))
+                alike = float(np.sum(wanted * found) / np.sqrt(max(np.sum(wanted**2) * np.sum(found**2), 1e-300)))
+                if alike > 0.9 and 0.8 < gain < 1.25:
+                    return ["", "reference:", *self._time(table, [f"  fields: {_listed(group.names)}"])]
+        self._doubt(
+            "No columns are the references of i_d and i_q: a fit then takes i_max from the currents and corrects less "
+            "for their noise."
+        )
+        return []
+
+    def _optional(self) -> list[str]:
+        dc = dc_link(self._tables)
+        if dc is None or not is_named_link(*dc):
+            return []
+        table, name = dc
+        time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
+        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {_quoted(name)}"]
+
+
+def _frame(found: PhaseGroup) -> list[str]:
+    return [] if found.group.frame == "abc" else [f"  frame: {found.group.frame}"]
+
+
+def _quoted(name: str) -> str:
+    """Return a name as YAML takes it, quoted unless it is a plain word."""
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in (
+        "y",
+        "n",
+        "yes",
+        "no",
+        "on",
+        "off",
+        "true",
+        "false",
+        "null",
+    ):
+        return name
+    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _listed(names: Sequence[str]) -> str:
+    return "[" + ", ".join(_quoted(name) for name in names) + "]"
+
+
+def _nice(period: float) -> str:
+    """Write a period, s, as that of the nearest round rate if it is one."""
+    rate = 1 / period
+    for step in (1000.0, 100.0, 10.0, 1.0):
+        near = round(rate / step) * step
+        if near and abs(rate / near - 1) < 2e-4:
+            return f"{1 / near:.10g}"
+    return f"{period:.7g}"

@@ -1,0 +1,234 @@
+"""Look at a log before a fit: contents, findings of the one prescan, an overview, and a proposed signals file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drive_id.core.checks.overview import Overview, Overviewing
+from drive_id.core.checks.prescan import Prescan
+from drive_id.errors import (
+    ConfigurationError,
+    DataError,
+    DriveIdError,
+    EmptyTopicError,
+    MessageTypeError,
+    MissingTopicError,
+)
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.messages.messages import BLOCK_FIELDS
+from drive_id.files.messages.signals_file import SignalMap, parse_signals
+from drive_id.files.read.extraction import UnusualError
+from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
+from drive_id.files.storage.bag import open_bag
+from drive_id.inspection.contents import Contents, Table, read_contents
+from drive_id.inspection.draft import Draft, propose
+from drive_id.types import Finding, Progress, silent
+
+_MUCH_JITTER = 0.1
+_LOOKED = (ConfigurationError, DataError, EmptyTopicError, MessageTypeError, MissingTopicError)
+"""What is wrong with the signals of a log that can be read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What is in a log.
+
+    Parameters
+    ----------
+    contents : Contents
+    findings : tuple of Finding
+    overview : Overview or None
+        None where no samples could be joined.
+    draft : Draft or None
+        Proposed if no signals file was given and the log does not hold our messages.
+    warnings : tuple of str
+        Of reading and joining.
+    """
+
+    contents: Contents
+    findings: tuple[Finding, ...]
+    overview: Overview | None
+    draft: Draft | None
+    warnings: tuple[str, ...]
+
+    def tree(self) -> dict[str, Any]:
+        """Return everything but the curves as plain values for JSON."""
+        return {
+            "path": str(self.contents.path),
+            "kind": self.contents.kind,
+            "topics": [_table_tree(table) for table in self.contents.tables],
+            "overview": self.overview and {name: _plain(x) for name, x in self.overview.figures().items()},
+            "findings": [finding_tree(finding) for finding in self.findings],
+            "warnings": list(self.warnings),
+            "draft": self.draft and {"text": self.draft.text, "unsure": list(self.draft.unsure)},
+        }
+
+
+def inspect_log(
+    path: Path,
+    signals: SignalMap | None = None,
+    *,
+    namespace: str = "",
+    draft: bool = False,
+    tell: Progress = silent,
+) -> Inspection:
+    """Look at a log.
+
+    Parameters
+    ----------
+    path : Path
+        Bag or file of columns.
+    signals : SignalMap, optional
+        Default: our own messages, or else a proposal.
+    namespace : str
+        Of the drive, when a bag holds several.
+    draft : bool
+        Propose a signals file even for our own messages.
+    tell : callable, optional
+
+    Raises
+    ------
+    BagError
+        When it cannot be read.
+    """
+    tell("Reading", 0.0)
+    contents = read_contents(path, signals)
+    findings: list[Finding] = []
+    proposal: Draft | None = None
+    if draft or (signals is None and not _is_ours(path, namespace)):
+        tell("Recognizing signals", None)
+        try:
+            proposal = propose(contents)
+        except ConfigurationError as error:
+            found = (Finding("no_draft", str(error), {}, "error"), *_time_findings(contents, SignalMap()))
+            return Inspection(contents, found, None, None, ())
+        signals = parse_signals(proposal.text, "the draft") if signals is None else signals
+        findings += [Finding("draft_unsure", sentence) for sentence in proposal.unsure]
+    signals = signals or SignalMap()
+    problems, overview, warnings = _look(path, signals, namespace, tell)
+    return Inspection(
+        contents, (*problems, *findings, *_time_findings(contents, signals)), overview, proposal, warnings
+    )
+
+
+def _look(
+    path: Path, signals: SignalMap, namespace: str, tell: Progress
+) -> tuple[list[Finding], Overview | None, tuple[str, ...]]:
+    """Read the log as a fit does, and return findings, overview and warnings."""
+    for whole in (False, True):
+        prescan, overviewing = Prescan(), Overviewing()
+        refused: DriveIdError | None = None
+        warnings: tuple[str, ...] = ()
+        pieces = bag_pieces(
+            path, signals, namespace, whole=whole, threads=False, tell=lambda share: tell("Reading", share)
+        )
+        try:
+            while True:
+                piece = next(pieces)
+                prescan.add(piece.samples, continues=piece.continues)
+                overviewing.add(piece)
+        except StopIteration as end:
+            warnings = end.value.warnings
+        except UnusualError:
+            continue
+        except _LOOKED as error:
+            refused = error
+        break
+    found = [] if refused is None else [Finding(refused.code, str(refused), {}, "error")]
+    if prescan.samples:
+        found += prescan.findings()
+    overview = overviewing.overview(prescan.radius) if prescan.samples else None
+    if overview is not None:
+        found += overview.findings()
+    return found, overview, warnings
+
+
+def _is_ours(path: Path, namespace: str) -> bool:
+    """Tell whether a bag holds our own messages of currents, voltages and rotor on their usual topics."""
+    if log_kind(path):
+        return False
+    with open_bag(path) as bag:
+        try:
+            topics = find_topics(bag, SignalMap(), namespace)
+        except ConfigurationError:  # of several drives, which the reader says, too
+            return True
+        except MissingTopicError:
+            return False
+    return {topics[section].type_name for section in REQUIRED} <= set(BLOCK_FIELDS)
+
+
+def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Finding]:
+    """Yield topics whose stamps jitter, unless their samples are taken as equally spaced."""
+    spaced = {source.topic or source.group for source in signals.sources().values() if source.equally_spaced}
+    for table in (_stamped(table, signals) for table in contents.tables):
+        if table.name in spaced:
+            continue
+        period, jitter = table.period, table.jitter
+        if not table.columns or period is None or jitter is None or jitter <= _MUCH_JITTER * period * table.block:
+            continue
+        yield Finding(
+            "stamp_jitter",
+            f"The time between the {'messages' if contents.is_bag else 'rows'} of {table.name or 'the table'} varies "
+            f"by {jitter * 1e6:.3g} us rms around {period * table.block * 1e6:.5g} us: if the samples are equally "
+            "spaced, set equally_spaced: true in the signals file, with first_sample if there is a count.",
+            {"jitter": jitter, "period": period},
+        )
+    if not contents.bounded:
+        yield Finding("memory", "A MATLAB 5 file is held in memory as a whole while it is read.")
+
+
+def _stamped(table: Table, signals: SignalMap) -> Table:
+    """Return a table of columns with the stamps that the signals file names."""
+    if len(table.stamp):
+        return table
+    for source in signals.sources().values():
+        values = table.columns.get(source.stamp)
+        if values is not None and np.isfinite(values).all() and np.abs(values * source.tick).max(initial=0.0) < 2.0**61:
+            stamp = np.rint((values - values[:1]) * source.tick).astype(np.int64)
+            return replace(table, stamp=stamp, stamp_source=source.stamp)
+    return table
+
+
+def finding_tree(finding: Finding) -> dict[str, Any]:
+    """Return a finding as plain values: its first number is its value."""
+    values = {name: _plain(value) for name, value in finding.values.items()}
+    return {
+        "code": finding.code,
+        "message": finding.message,
+        "value": next(iter(values.values()), None),
+        "values": values,
+        "severity": finding.severity,
+    }
+
+
+def _table_tree(table: Table) -> dict[str, Any]:
+    period = table.period
+    fields = []
+    for name, x in table.columns.items():
+        known = x[np.isfinite(x)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (math.nan, math.nan)
+        fields.append({"name": name, "type": table.types.get(name, ""), "min": _plain(low), "max": _plain(high)})
+    return {
+        "name": table.name,
+        "type": table.kind,
+        "count": table.rows,
+        "rate": period and _plain(1 / period),
+        "jitter": None if table.jitter is None else _plain(table.jitter),
+        "samples_per_message": table.block,
+        "fields": fields,
+        "problem": table.problem,
+    }
+
+
+def _plain(value: float) -> float | None:
+    """Return a number that JSON has, None for one that is not finite."""
+    value = float(value)
+    if not math.isfinite(value):
+        return None
+    return int(value) if value.is_integer() and abs(value) < 1e15 else value

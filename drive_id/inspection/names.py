@@ -1,0 +1,110 @@
+"""What the names of columns suggest: which belong together as phases, and what they may be."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+_PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
+_PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
+_WORDS = {
+    "current": ("i", "is", "im", "iabc", "idq", "cur", "curr", "current", "amp", "ampere", "strom", "a"),
+    "voltage": ("u", "v", "us", "vs", "uabc", "vabc", "udq", "vdq", "volt", "voltage", "duty", "pwm", "spannung", "mod",
+                "modulation"),
+    "reference": ("ref", "reference", "set", "setpoint", "cmd", "command", "target", "des", "desired", "soll", "star"),
+    "angle": ("angle", "theta", "position", "pos", "phi", "rotor", "enc", "encoder", "counts", "epos", "winkel", "th",
+              "resolver", "el"),
+    "speed": ("speed", "velocity", "vel", "omega", "rpm", "n", "w", "drehzahl"),
+    "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
+    "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds"),
+}  # fmt: skip
+_UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
+
+
+@dataclass(frozen=True)
+class NameGroup:
+    """Columns that belong together by their names.
+
+    Parameters
+    ----------
+    names : tuple of str
+    frame : str
+        ``abc``, ``alpha_beta`` or ``dq``.
+    stem : str
+        What the names have in common.
+    """
+
+    names: tuple[str, ...]
+    frame: str
+    stem: str
+
+
+def words(name: str) -> set[str]:
+    """Return the words of a name, lower case: at capitals, digits and signs."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    found = {word for word in re.split(r"[^a-zA-Z]+", spaced.lower()) if word}
+    return found | {word.rstrip("s") for word in found if len(word) > 3}
+
+
+def suggests(name: str, meaning: str) -> bool:
+    """Tell whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
+    lower = name.lower().strip()
+    unit = any(lower.endswith(end) for end in _UNITS.get(meaning, ()))
+    own = words(name)
+    long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
+    return unit or long or bool(own & set(_WORDS[meaning]))
+
+
+def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
+    """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
+    known, seen = set(names), set()
+    for group in (*_triples(names, known), *_components(names, known), *_two_phases(names, known)):
+        if group.names not in seen:
+            seen.add(group.names)
+            yield group
+
+
+def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    for name in names:
+        for match in re.finditer(r"\d+", name):
+            width = len(match.group())
+            three = tuple(
+                f"{name[: match.start()]}{int(match.group()) + j:0{width}d}{name[match.end() :]}" for j in range(3)
+            )
+            if known.issuperset(three):
+                yield NameGroup(three, "abc", f"{name[: match.start()]} {name[match.end() :]}")
+        for three, stem in _replaced(name):
+            if known.issuperset(three):
+                yield NameGroup(three, "abc", stem)
+
+
+def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    for name in names:
+        for three, stem in _replaced(name):
+            if known.issuperset(three[:2]) and three[2] not in known and stem:
+                yield NameGroup(three[:2], "abc", stem)
+
+
+def _replaced(name: str) -> Iterator[tuple[tuple[str, str, str], str]]:
+    """Yield the names of three phases that begin with this one, with their stem, for each letter that may be one."""
+    for position, letter in enumerate(name):
+        for phases in _PHASES:
+            if letter.lower() == phases[0]:
+                own = phases.upper() if letter.isupper() else phases
+                a, b, c = (name[:position] + phase + name[position + 1 :] for phase in own)
+                yield (a, b, c), f"{name[:position]} {name[position + 1 :]}"
+
+
+def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    for name in names:
+        for one, other, frame in _PAIRS:
+            for match in re.finditer(one, name.lower()):
+                capital = name[match.start()].isupper()
+                second = (
+                    name[: match.start()]
+                    + (other.upper() if capital and len(other) == 1 else other)
+                    + name[match.end() :]
+                )
+                if second in known and second != name:
+                    yield NameGroup((name, second), frame, f"{name[: match.start()]} {name[match.end() :]}")

@@ -1,0 +1,312 @@
+"""Logs that are wrong in one way each are named before a fit, and foreign logs get a signals file that fits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from column_files import write_csv, write_mdf, write_parquet
+from foreign_rows import write_rows
+
+from drive_id.core import frames
+from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
+from drive_id.files.messages.signals_file import parse_signals
+from drive_id.files.read.reader import read_recording
+from drive_id.files.write.writer import Topics, write_recording
+from drive_id.inspection.inspect import inspect_log
+from drive_id.inspection.names import name_groups, suggests
+from drive_id.types import Samples
+
+POLE_PAIRS = 4
+
+
+@pytest.fixture(scope="module")
+def samples(simulation):
+    made = simulation.samples
+    return replace(made.part(0, 12_000), truth=None, stamp=made.stamp[:12_000] - made.stamp[0])
+
+
+def columns(samples: Samples, **changed):
+    phases = {f"{name}{phase}": x[:, k] for name, x in (("i", samples.i_abc), ("u", samples.u_abc))
+              for k, phase in enumerate("abc")}  # fmt: skip
+    rotor = {"theta": np.mod(samples.angle, 2 * np.pi), "omega": samples.speed}
+    references = {"id_ref": samples.i_dq_reference[:, 0], "iq_ref": samples.i_dq_reference[:, 1]}
+    found = {"time_s": samples.stamp * 1e-9, **phases, **rotor, **references} | changed
+    return {name: x for name, x in found.items() if x is not None}
+
+
+def shaft(samples):
+    return np.unwrap(samples.angle) / POLE_PAIRS
+
+
+def swapped(x):
+    return x[:, [0, 2, 1]]
+
+
+WRONG = {
+    "duty cycles": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 400 + 0.5}),
+    "duty cycles around zero": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 200}),
+    "degrees": ("angle_unit", lambda s: {"angle": np.rad2deg(np.mod(s.angle, 2 * np.pi))}),
+    "mechanical angle": ("pole_pairs", lambda s: {"angle": shaft(s), "speed": s.speed / POLE_PAIRS}),
+    "rpm": ("angle_speed", lambda s: {"speed": s.speed / POLE_PAIRS * 30 / np.pi}),
+    "clockwise": ("direction", lambda s: {"angle": -s.angle, "speed": -s.speed}),
+    "swapped voltages": ("phases_swapped", lambda s: {"u_abc": swapped(s.u_abc)}),
+    "swapped currents": ("phases_swapped", lambda s: {"i_abc": swapped(s.i_abc)}),
+    "shifted voltages": ("phases_shifted", lambda s: {"u_abc": s.u_abc[:, [1, 2, 0]]}),
+    "reversed phase": ("phase_reversed", lambda s: {"i_abc": s.i_abc * [1, -1, 1]}),
+    "generator sign": ("current_sign", lambda s: {"i_abc": -s.i_abc}),
+    "offset": ("angle_offset", lambda s: {"angle": s.angle + 0.8}),
+    "milliamperes": ("current_scale", lambda s: {"i_abc": 1e3 * s.i_abc}),
+    "no voltage": ("no_voltage", lambda s: {"u_abc": 0 * s.u_abc}),
+    "jump": ("angle_jump", lambda s: {"angle": s.angle + 2 * (np.arange(len(s)) > 5000)}),
+    "slow clock": ("sample_period", lambda s: {"stamp": s.stamp * 1000, "sample_period": 0.1}),
+    "gaps": ("gaps", lambda s: {"stamp": s.stamp + 1_000_000 * (np.arange(len(s)) > 5000)}),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples):
+    code, change = WRONG[name]
+    changed = {"run_starts": np.array([0, 5001])} if name == "gaps" else {}
+    if name in ("generator sign", "offset", "swapped currents"):
+        changed["i_dq_reference"] = None  # would be wrong, too
+    write_bag = replace(samples, **changed, **change(samples))
+    write_path = tmp_path / "log.parquet"
+    table = {
+        "t": write_bag.stamp * 1e-9,
+        **{f"i{k}": x for k, x in enumerate(write_bag.i_abc.T)},
+        **{f"u{k}": x for k, x in enumerate(write_bag.u_abc.T)},
+        "th": write_bag.angle,
+        "w": write_bag.speed,
+    }
+    text = "defaults: {stamp: t, stamp_unit: s}\ncurrents: {fields: [i0, i1, i2]}\nvoltages: {fields: [u0, u1, u2]}\n"
+    text += "resolver: {angle: th, speed: w}\n"
+    if write_bag.i_dq_reference is not None:
+        table |= {"d": write_bag.i_dq_reference[:, 0], "q": write_bag.i_dq_reference[:, 1]}
+        text += "reference: {fields: [d, q]}\n"
+    found = inspect_log(write_parquet(write_path, table), parse_signals(text, "test"))
+    assert code in [finding.code for finding in found.findings], [finding.message for finding in found.findings]
+    told = json.loads(json.dumps(found.tree(), allow_nan=False))["findings"]
+    entry = next(entry for entry in told if entry["code"] == code)
+    assert set(entry) >= {"code", "message", "value"}
+
+
+def test_stamps_of_another_unit_are_named(tmp_path, samples):
+    """A time in ms, declared as s beside a period in s."""
+    path = write_parquet(tmp_path / "log.parquet", columns(samples))
+    text = """
+defaults: {stamp: time_s, stamp_unit: ms, sample_period: 1e-4}
+currents: {fields: [ia, ib, ic]}
+voltages: {fields: [ua, ub, uc]}
+resolver: {angle: theta, speed: omega}
+"""
+    found = inspect_log(path, parse_signals(text, "test"))
+    assert found.findings[0].code == "sample_period"
+    assert "as if one were in ms" in found.findings[0].message
+    assert found.overview is None
+
+
+def test_our_own_recording_has_no_finding(bag, simulation):
+    found = inspect_log(bag)
+    assert [finding.code for finding in found.findings] == []
+    view = found.overview
+    assert view.samples == len(simulation.samples)
+    assert view.coverage > 0.8
+    assert view.speed[1] == pytest.approx(500 / 60 * 2 * np.pi * POLE_PAIRS, rel=1e-3)
+    assert view.turn == pytest.approx(view.speed[1] * 1e-4, rel=1e-3)
+    assert found.draft is None
+    names = {table.name: table for table in found.contents.tables}
+    assert names["/phase_currents"].block == 100
+    assert set(names["/resolver"].columns) >= {"angle", "speed"}
+
+
+def test_our_messages_on_other_topics_get_a_draft(tmp_path, samples):
+    write_recording(tmp_path / "bag", samples, topics=Topics(currents="sensors/i", voltages="u", resolver="rotor"))
+    found = inspect_log(tmp_path / "bag")
+    read = read_recording(tmp_path / "bag", parse_signals(found.draft.text, "draft")).samples
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc.astype(np.float32))
+    assert read.i_dq_reference is not None
+
+
+# -- drafts --------------------------------------------------------------------------------------------------------
+
+
+def assert_reads(path, draft, samples, *, angle=0.05, noise=1e-3):
+    """Check that the signals file reads what was recorded; an angle offset is estimated."""
+    found = read_recording(path, parse_signals(draft.text, "the draft")).samples
+    assert len(found) > len(samples) - 50
+    there = np.searchsorted(samples.stamp, found.stamp - found.stamp[0] + samples.stamp[0])
+    for mine, true, least in ((found.i_abc, samples.i_abc, noise), (found.u_abc, samples.u_abc, 0.05)):
+        assert np.abs(frames.space_vector(mine) - frames.space_vector(true)[there]).max() < least
+    away = np.angle(np.exp(1j * (found.angle - samples.angle[there])))
+    assert np.abs(away).max() < angle
+    assert np.mean(found.speed) == pytest.approx(np.mean(samples.speed), rel=0.01)
+    return found
+
+
+def degrees_and_rpm(s):
+    return {"theta": np.rad2deg(np.mod(shaft(s), 2 * np.pi)), "omega": s.speed / POLE_PAIRS * 30 / np.pi}
+
+
+def counts(s, per_turn, modulus, sign=1, start=777):
+    return np.mod(np.floor(sign * shaft(s) / (2 * np.pi) * per_turn) + start, modulus)
+
+
+def dq_names(s, angle, kind):
+    i, u = (frames.to_dq(x, angle) for x in (s.i_abc, s.u_abc))
+    none = dict.fromkeys(("ia", "ib", "ic", "ua", "ub", "uc"))
+    return none | {f"i_{kind[0]}": i[:, 0], f"i_{kind[1]}": i[:, 1], f"u_{kind[0]}": u[:, 0], f"u_{kind[1]}": u[:, 1]}
+
+
+KINDS = {
+    "plain": lambda _: {},
+    "degrees of the shaft and rpm": degrees_and_rpm,
+    "counts": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4096, 4096)},
+    "counts backwards": lambda s: {"theta": None, "omega": None, "enc": counts(s, 8192, 8192, -1)},
+    "a 16-bit count of 10000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 10_000, 65_536)},
+    "alpha and beta": lambda s: dq_names(s, np.zeros(len(s)), ("alpha", "beta")),
+    "d and q": lambda s: dq_names(s, s.angle, ("d", "q")),
+    "two currents": lambda _: {"ic": None},
+    "swapped voltages": lambda s: {"ub": s.u_abc[:, 2], "uc": s.u_abc[:, 1]},
+    "no names": lambda s: (
+        {f"ch{k}": x for k, x in enumerate(np.column_stack([s.i_abc, s.u_abc]).T)}
+        | dict.fromkeys(("ia", "ib", "ic", "ua", "ub", "uc"))
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_drafts_read_what_was_recorded(kind, tmp_path, samples):
+    path = write_parquet(tmp_path / "log.parquet", columns(samples, **KINDS[kind](samples)))
+    found = inspect_log(path)
+    assert not [finding for finding in found.findings if finding.severity == "error"]
+    zero_sequence = np.abs(samples.i_abc.sum(axis=1)).max()
+    read = assert_reads(path, found.draft, samples, noise=zero_sequence if kind == "two currents" else 1e-3)
+    assert read.i_dq_reference is not None or kind == "no names"
+
+
+def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
+    u_dc = 400 + 20 * np.sin(20e-9 * samples.stamp)
+    duty = {f"duty_{phase}": samples.u_abc[:, k] / u_dc + 0.5 for k, phase in enumerate("UVW")}
+    none = dict.fromkeys(("ua", "ub", "uc"))
+    path = write_csv(tmp_path / "log.csv", columns(samples, **none, **duty, V_bus=u_dc))
+    draft = inspect_log(path).draft
+    assert "duty cycles from 0 to 1" in draft.text
+    assert_reads(path, draft, samples)
+    path = write_csv(tmp_path / "without.csv", columns(samples, **none, **duty))
+    draft = inspect_log(path).draft
+    assert "# EDIT: duty cycles" in draft.text
+    assert any("no DC-link voltage is in the log" in sentence for sentence in draft.unsure)
+    edited = draft.text.replace("scale: 100 ", "scale: 400 ")
+    assert edited != draft.text
+    found = read_recording(path, parse_signals(edited, "edited")).samples
+    part = found.u_abc - found.u_abc.mean(axis=1, keepdims=True)
+    assert np.abs(frames.space_vector(part) / frames.space_vector(samples.u_abc) - 400 / u_dc).max() < 1e-6
+
+
+def test_a_foreign_bag_of_several_topics_with_jitter(tmp_path, samples):
+    """Encoder at a third of the rate, a slow DC link, stamps of arrival that jitter by a tenth of the period."""
+    samples = samples.part(0, 5000)
+    rng = np.random.default_rng(1)
+    n, start = len(samples), 1_700_000_000_000_000_000
+    stamp = start + samples.stamp
+    u_dc = 400 + 20 * np.sin(20e-9 * samples.stamp)
+    topics = {
+        "/inverter/phase_currents": samples.i_abc,
+        "/inverter/duty": samples.u_abc / u_dc[:, None] + 0.5,
+        "/encoder": counts(samples, 65_536, 65_536)[::3, None],
+        "/dc_link": u_dc[::50, None],
+    }
+    stamps = {
+        "/inverter/phase_currents": stamp,
+        "/inverter/duty": stamp,
+        "/encoder": stamp[::3],
+        "/dc_link": stamp[::50],
+    }
+    moved = {name: x + rng.integers(-10_000, 10_000, len(x)) for name, x in stamps.items()}
+    path = write_rows(tmp_path / "bag", topics, moved)
+    found = inspect_log(path)
+    jittering = [finding for finding in found.findings if finding.code == "stamp_jitter"]
+    assert not [finding for finding in jittering if "/inverter" in finding.message]  # taken as equally spaced
+    assert {"equally_spaced: true", "interpolate: true"} <= {
+        line.split("  #")[0].strip() for line in found.draft.text.splitlines()
+    }
+    read = read_recording(path, parse_signals(found.draft.text, "draft")).samples
+    assert len(read) > n - 10
+    assert len(read.run_starts) == 1
+    first = int(np.abs(samples.i_abc - read.i_abc[0]).sum(axis=1).argmin())
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc[first : first + len(read)])
+    away = np.angle(np.exp(1j * (read.angle - samples.angle[first : first + len(read)])))
+    assert np.abs(away).max() < 0.05
+
+
+def test_jitter_is_named_where_the_signals_file_does_not(tmp_path, samples):
+    """At 20 kHz, 20 us of jitter: as it is, a fit would invent gaps; equally spaced, it has none."""
+    rng = np.random.default_rng(2)
+    table = columns(samples, n=np.arange(len(samples)), theta=samples.angle)
+    table["time_s"] = 5e-5 * np.arange(len(samples)) + rng.uniform(-20e-6, 20e-6, len(samples))
+    path = write_parquet(tmp_path / "log.parquet", table)
+    text = """
+defaults: {stamp: time_s, stamp_unit: s, equally_spaced: SPACED}
+currents: {fields: [ia, ib, ic]}
+voltages: {fields: [ua, ub, uc]}
+resolver: {angle: theta}
+"""
+    jittering = inspect_log(path, parse_signals(text.replace("SPACED", "false"), "test"))
+    assert "stamp_jitter" in [finding.code for finding in jittering.findings]
+    spaced = inspect_log(path, parse_signals(text.replace("SPACED", "true"), "test"))
+    assert spaced.overview.runs == 1
+    assert spaced.overview.samples == len(samples)
+    assert not {"stamp_jitter", "gaps"} & {finding.code for finding in spaced.findings}
+
+
+def test_nothing_that_looks_like_signals(tmp_path, samples):
+    t = samples.stamp * 1e-9
+    path = write_csv(tmp_path / "log.csv", {"time_s": t, "x": np.sin(t), "y": np.ones(len(t))})
+    found = inspect_log(path)
+    assert [finding.code for finding in found.findings] == ["no_draft"]
+    assert found.draft is None
+
+
+def test_channel_groups_are_named(tmp_path, samples):
+    path = write_mdf(tmp_path / "log.mf4", columns(samples))
+    found = inspect_log(path)
+    assert_reads(path, found.draft, samples)
+    assert found.contents.tables[0].stamp_source == "own"
+
+
+def test_recording_of_strangers_written_again_as_ours(tmp_path, samples):
+    path = write_parquet(tmp_path / "log.parquet", columns(samples))
+    recording = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft"))
+    write_recording(tmp_path / "bag", recording.samples)
+    assert [finding.code for finding in inspect_log(tmp_path / "bag").findings] == []
+
+
+# -- parts ---------------------------------------------------------------------------------------------------------
+
+
+def test_names():
+    groups = {
+        group.names for group in name_groups(["i_U [A]", "i_V [A]", "i_W [A]", "id", "iq", "x7", "x8", "x9", "ua"])
+    }
+    assert groups >= {("i_U [A]", "i_V [A]", "i_W [A]"), ("id", "iq"), ("x7", "x8", "x9")}
+    assert suggests("phaseCurrent ", "current")
+    assert suggests("V_bus", "dc")
+    assert not suggests("speed", "angle")
+
+
+def test_angles_and_counts():
+    k = np.arange(3000)
+    assert angle_like(np.mod(0.03 * k, 2 * np.pi)).unit == "rad"
+    assert angle_like(np.mod(-1.7 * k, 360)).unit == "deg"
+    assert angle_like(np.mod(0.011 * k, 1.0)).unit == "rev"
+    found = angle_like(np.floor(np.mod(17.3 * k, 4096)))
+    assert (found.unit, found.turn, found.certain) == ("counts", 4096, True)
+    assert angle_like(np.sin(0.01 * k)) is None
+    assert angle_like(np.random.default_rng(0).normal(size=3000)) is None
+    assert angle_like(np.ones(3000)) is None
+    assert is_count(np.delete(k, [5, 6, 900]))
+    assert not is_count(2 * k)
+    assert (4096, 3) in likely_counts(30.0, 40_960.0)

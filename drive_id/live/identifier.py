@@ -210,8 +210,17 @@ class Identifier:
             **self.refits.values(),
         }
         findings: list[Observation] = []
+        for stream in (*self._streams, *self._scalar_streams.values()):
+            if stream.count.counts_nothing:
+                sentence = (
+                    f"first_sample of {stream.topic} is always 0, so that losses do not show: have its publisher count "
+                    "the samples."
+                )
+                findings.append((Level.WARN, sentence))
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
             values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
+            if signal.not_finite:
+                values[f"{signal.topic}: samples NaN or infinite"] = str(signal.not_finite)
             findings += publisher_findings(signal.topic, kind, found)
         for stream in self._scalar_streams.values():
             if stream.count.samples:
@@ -224,10 +233,8 @@ class Identifier:
         if evidence is None:
             sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
             findings.append((Level.WARN, sentence))
-        level = max((level for level, _ in findings), default=Level.OK)
-        sentences = [doing, f"{report.samples} live samples.", self._forgotten, *(sentence for _, sentence in findings)]
-        said = " ".join(filter(None, sentences))
-        return Health(level, said, values)
+        findings.append((Level.OK, self._forgotten or f"{report.samples} live samples."))
+        return Health.of(doing, findings, values)
 
     def _new_streams(self) -> tuple[BlockStream, ...]:
         return tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))

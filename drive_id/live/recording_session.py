@@ -118,6 +118,8 @@ class RecordingSession:
         self._before = self._snapshot()
         self._file_begin: int | None = None
         self._error = ""
+        self.remark = ""
+        """A sentence on the log times for report and metadata, by the receiving thread."""
         self._open, self._failed = True, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
@@ -128,6 +130,7 @@ class RecordingSession:
             live=True,
             opener=opener,
         )
+        self._place = self._found()
         self._optional = frozenset(topic.name for topic in topics if topic.optional)
         self._absent = {topic.name: topic for topic in topics if topic.optional}  # not in the bag yet
         for topic in topics:
@@ -197,22 +200,30 @@ class RecordingSession:
             topics.append(
                 TopicReport(
                     name, written.messages, count.samples, written.samples, count.lost, count.losses,
-                    received.overflowed, discarded, count.restarts, received.unreadable, written.first_stamp,
-                    written.last_stamp,
+                    received.overflowed, discarded, count.restarts, received.unreadable, count.counts_nothing,
+                    written.first_stamp, written.last_stamp,
                 )
             )  # fmt: skip
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
-        return RecordingReport(self.path, tuple(topics), len(files), self._writer.size, waiting, self._error)
+        return RecordingReport(
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark
+        )
 
     # -- the writing thread ----------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         try:
             self._write_until_stopped()
-            self._writer.close(self.report().custom_data())
+            if self._is_gone():
+                self._give_up()
+            else:
+                self._writer.close(self.report().custom_data())
         except (DriveIdError, OSError) as error:
-            self._fail(str(error))
+            if self._is_gone():
+                self._give_up()
+            else:
+                self._fail(str(error))
         except Exception as error:  # noqa: BLE001  # a writer that dies without a word would lose everything
             self._fail(f"The writer of {self.path} failed ({type(error).__name__}: {error}): report this as a bug.")
 
@@ -225,6 +236,8 @@ class RecordingSession:
                 self._write(self._queue.popleft())
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
                 self._writer.flush(sync=True)
+                if self._is_gone():
+                    return
                 flushed = time.monotonic()
 
     def _write(self, message: _Waiting) -> None:
@@ -232,6 +245,7 @@ class RecordingSession:
             self._file_begin = message.log_time
         elif self._is_full(message.log_time):
             self._writer.split()
+            self._place = self._found()
             self._file_begin = message.log_time
             self._before = self._snapshot()
         if message.topic in self._absent:
@@ -248,6 +262,32 @@ class RecordingSession:
         size, duration = self._settings.max_file_size, self._settings.max_file_duration
         begin = self._file_begin or 0
         return (0 < size <= self._writer.file_size / 1e6) or (0 < duration <= (log_time - begin) / NANOSECONDS)
+
+    def _found(self) -> tuple[tuple[int, int], ...] | None:
+        """Return the identities of the folder and of the file being written; None if one of them is not there."""
+        try:
+            found = [path.stat() for path in (self.path, self._writer.files[-1])]
+        except OSError:
+            return None
+        return tuple((entry.st_dev, entry.st_ino) for entry in found)
+
+    def _is_gone(self) -> bool:
+        """Tell whether the bag was removed or renamed: writing to such a file succeeds, only its name tells."""
+        return self._place is None or self._found() != self._place
+
+    def _give_up(self) -> None:
+        """End a bag that is gone: none of its samples counts as written, and nothing is put in its place."""
+        self._open = False
+        self._queue.clear()
+        self._bytes_out = self._bytes_in
+        with suppress(DriveIdError):
+            self._writer.end_early()  # for a folder that was only renamed
+        self._written = {name: _Written() for name in self._written}
+        self._failed = True
+        self._error = (
+            f"{self.path} was removed or renamed while it was being recorded, so the recording has ended: if the "
+            "folder is elsewhere, complete it with 'drive-id recover'."
+        )
 
     def _fail(self, reason: str) -> None:
         """End the bag behind the last record that was written, and count its messages again."""

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import type_hash
 from drive_id.health import Health
+from drive_id.live.clock_watch import ClockWatch
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recorder_health import TopicState, recorder_health
 from drive_id.live.recording_session import RecordedTopic, RecordingSession
@@ -49,6 +50,7 @@ class Recorder(Node):
         self._stopping = False
         self._told_error = False
         self._last: dict[str, float] = {}
+        self._clock_watch = ClockWatch()
         self._topics = [
             MatchedSubscription(
                 self, kind, name, partial(self._on_message, self.resolve_topic_name(name)),
@@ -73,6 +75,7 @@ class Recorder(Node):
         """Complete the bag of a running recording."""
         if self._session is not None:
             self._drain()
+            self._session.remark = self._clock_watch.remark()
             ended = self._session.stop(_LAST_PATIENCE)
             outcome = self._session.report().outcome()
             self.get_logger().info(outcome if ended else f"{outcome} The disk does not answer: the bag breaks off.")
@@ -95,6 +98,7 @@ class Recorder(Node):
         return int(clock.now().nanoseconds) if clock.ros_time_is_active else time.time_ns()
 
     def _check_topics(self) -> None:
+        self._clock_watch.look(self._now(), time.monotonic())
         for topic in self._topics:
             topic.match()
         if self._session is not None and self._session.error and not self._told_error:
@@ -110,10 +114,17 @@ class Recorder(Node):
             optional = topic.topic in self._optional
             states.append(TopicState(topic.topic, topic.type_name, topic.publishers, silent_for, optional))
         report = None if self._session is None else self._session.report()
-        return recorder_health(report, states, self._settings.silence, self._settings.queue_size)
+        clock = [] if report is None else self._clock_watch.findings()
+        return recorder_health(report, states, self._settings.silence, self._settings.queue_size, clock)
 
     def _on_start(self, request: Any, response: Any) -> Any:
         before = ""
+        if self._now() <= 0:
+            response.message = (
+                "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set "
+                "use_sim_time to false."
+            )
+            return response
         if self._session is not None and self._session.error:
             before = f" The recording before it was cut short: {self._session.error}"
         elif self._session is not None:
@@ -136,6 +147,7 @@ class Recorder(Node):
             return response
         self._told_error = self._stopping = False
         self._last.clear()
+        self._clock_watch.begin(time.monotonic())
         response.success, response.uri, response.message = True, str(path), f"Recording {path}.{before}"
         self.get_logger().info(response.message)
         return response
@@ -146,6 +158,8 @@ class Recorder(Node):
             return response
         if not self._stopping:
             self._drain()
+            self._clock_watch.look(self._now(), time.monotonic())
+            self._session.remark = self._clock_watch.remark()
         self._stopping = True
         if not self._session.stop(_PATIENCE):
             response.uri = str(self._session.path)

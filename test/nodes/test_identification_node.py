@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from drive_bags import TRAJECTORY
 from ros_bench import DEADLINE, require_ros, ros_bench
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
@@ -123,11 +127,28 @@ def assert_close(reply, identification, tolerance=1e-9):
     assert (reply.report.samples_read, reply.report.samples_used, reply.report.rows, reply.report.gaps) == (
         report.samples_read, report.samples_used, report.rows, report.gaps
     )  # fmt: skip
-    assert reply.report.coverage == pytest.approx(report.coverage)
+    assert reply.report.coverage == reply.flux_map.coverage == pytest.approx(report.coverage)
+    assert share_of_the_disc(reply.flux_map) == pytest.approx(report.coverage, abs=0.03)
+    assert reply.flux_map.i_max == identification.i_max
+    assert list(reply.flux_map.warnings) == list(reply.report.warnings)
     found = identification.calibrations
-    assert list(reply.report.calibration_names) == [entry.name for entry in found]
-    assert list(reply.report.calibration_units) == [entry.unit for entry in found]
-    assert list(reply.report.calibration_applied) == [entry.applied for entry in found]
+    for message in (reply.report, reply.flux_map):
+        assert list(message.calibration_names) == [entry.name for entry in found]
+        assert list(message.calibration_units) == [entry.unit for entry in found]
+        assert list(message.calibration_applied) == [entry.applied for entry in found]
+        assert message.calibration_values == pytest.approx([entry.value for entry in found], rel=1e-4, abs=1e-6)
+    assert list(reply.flux_map.harmonic_orders) == [harmonic.order for harmonic in identification.harmonics]
+    for name in ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin"):
+        sent = np.array(getattr(reply.flux_map, f"harmonic_{name}")).reshape(-1, *flux_map.inside.shape)
+        for amplitude, harmonic in zip(sent, identification.harmonics, strict=True):
+            np.testing.assert_allclose(amplitude, getattr(harmonic, name), rtol=0, atol=tolerance * scale)
+
+
+def share_of_the_disc(message):
+    """The share of the nodes in the disc that are inside."""
+    i_d, i_q = np.meshgrid(message.i_d, message.i_q, indexing="ij")
+    disc = np.hypot(i_d, i_q) <= message.i_max
+    return np.array(message.inside).reshape(disc.shape)[disc].mean()
 
 
 def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulation):
@@ -192,6 +213,7 @@ def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
     for reply in (live, recorded):
         assert_close(reply, offline, tolerance=1e-6)
         assert (Path(reply.output) / "harmonics.npz").exists()
+    assert len(live.flux_map.harmonic_orders) > 0
     for method in ("joint", "psm"):
         assert identify(ros, method=method, name=name).flux_map.method == method
     player.close()
@@ -387,6 +409,28 @@ def test_diagnostics_tell_of_losses(ros, player, bag):
 
     with Diagnosis(ros) as diagnosis:
         diagnosis.wait(told, "a warning of the loss")
+
+
+@pytest.mark.usefixtures("node")
+def test_a_weak_map_is_marked_on_the_topic_as_it_is_in_the_reply(ros):
+    """A trajectory within 0.3 of the radius: hardly anything of the map is data."""
+    from drive_id_msgs.msg import FluxMap
+
+    from drive_id.nodes.qos import LATCHED
+
+    settings = SimulationSettings(current_noise=1e-3, i_max=0.3 * I_MAX)
+    samples = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds=2.0).samples
+    write_recording(ros.folder / "data" / "weak", samples)
+    got = []
+    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
+    reply = identify(ros, "weak")
+    assert reply.success, reply.message
+    ros.wait(lambda: got and got[-1].header == reply.flux_map.header, "the map")
+    ros.node.destroy_subscription(subscription)
+    assert reply.report.coverage < 0.15
+    assert got[-1].coverage == reply.report.coverage
+    assert list(got[-1].warnings) == list(reply.report.warnings)
+    assert any("of the disc" in warning for warning in got[-1].warnings)
 
 
 def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import shutil
 import signal
 from pathlib import Path
 
@@ -102,8 +103,10 @@ class Recorder:
         """Wait for a status that contains the text."""
 
         def fits():
-            found = self.status is not None and text in self.status.message
-            return found and level in (None, ord(self.status.level))
+            if self.status is None or level not in (None, ord(self.status.level)):
+                return False
+            assert self.status.message.count(". ") <= 1, "at most two sentences"
+            return any(text in said for said in (self.status.message, *(v.value for v in self.status.values)))
 
         self.ros.wait(fits, f"'{text}' in diagnostics (now: {self.status and self.status.message})")
         return {value.key: value.value for value in self.status.values}
@@ -297,6 +300,56 @@ def test_a_namespace(ros):
     messages = stock_messages(recorder.data / "bag")
     assert len(messages) == 16
     assert {topic for topic, _ in messages} == {f"/drive_1{topic.name}" for topic in TOPICS}
+
+
+def test_a_clock_that_is_not_there_or_stops(ros):
+    """As rosbag2 does, nothing is recorded without a clock; one that stops is told at once and at the end."""
+    from rosgraph_msgs.msg import Clock
+
+    recorder, bench = Recorder(ros, use_sim_time=True, flush_period=0.1), Bench(ros)
+    bench.wait_for_listeners()
+    reply = recorder.start("none")
+    assert (reply.success, reply.uri) == (False, "")
+    assert "nobody publishes /clock" in reply.message
+    assert not (recorder.data / "none").exists()
+    clock = ros.node.create_publisher(Clock, "/clock", 10)
+    message = Clock()
+
+    def started():
+        message.clock.sec += 1
+        clock.publish(message)
+        return recorder.start("bag").success
+
+    ros.wait(started, "a start by the clock")
+    bench.publish(5)
+    recorder.wait_for_status("The clock has stood still for", 2)
+    bench.publish(5)
+    recorder.wait_for_samples(phase_currents=1000)
+    reply = recorder.stop()
+    assert "The clock stood still for" in reply.message
+    with Reader(recorder.data / "bag") as reader:
+        times = {stamp for _, stamp, _ in reader.messages()}
+    assert 0 not in times
+    assert len(times) == 1
+
+
+def test_a_folder_that_is_removed_or_renamed(ros):
+    recorder, bench = Recorder(ros, flush_period=0.1), Bench(ros)
+    bench.wait_for_listeners()
+    for name, act in (
+        ("removed", shutil.rmtree),
+        ("renamed", lambda path: path.rename(path.with_name("elsewhere"))),
+    ):
+        assert recorder.start(name).success
+        bench.publish(10)
+        recorder.wait_for_samples(phase_currents=1000)
+        act(recorder.data / name)
+        recorder.wait_for_status(f"{recorder.data / name} was removed or renamed", 2)
+        reply = recorder.stop()
+        assert (reply.success, reply.samples) == (False, 0)
+        assert reply.dropped >= 4000
+        assert "no sample was lost" not in reply.message
+    assert recorder.start("next").success
 
 
 # -- ends ----------------------------------------------------------------------------------------------------------

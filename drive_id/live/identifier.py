@@ -29,6 +29,7 @@ from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.operating_points import OperatingPoints
 from drive_id.live.publishers import Publisher, publisher_findings
 from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.live.result_folders import LastMap, ResultFolders, new_folder
@@ -114,6 +115,7 @@ class Identifier:
     ) -> None:
         self.settings = settings
         self.folders = ResultFolders(settings, node)
+        self.operating_points = OperatingPoints(settings.operating_point_rate)
         self.topics = topics
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)
@@ -127,7 +129,9 @@ class Identifier:
     def receive(self, section: int, data: bytes) -> None:
         """Take one serialized message of currents (0), voltages (1) or resolver (2)."""
         try:
-            self.live.add(section, self._streams[section].decode(data))
+            piece = self._streams[section].decode(data)
+            self.operating_points.add(section, piece)
+            self.live.add(section, piece)
         except DriveIdError as error:
             self._note(error)
 

@@ -9,10 +9,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Identify
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
@@ -27,10 +28,11 @@ from drive_id.live.worker import Worker
 from drive_id.nodes.deferred_service import DeferredService, in_executor
 from drive_id.nodes.deferred_service import Reply as Answer
 from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.displays import flux_map_points, operating_point_message
 from drive_id.nodes.identify_action import IdentifyAction
 from drive_id.nodes.matched_subscription import MatchedSubscription
 from drive_id.nodes.parameters import declare_settings, on_change
-from drive_id.nodes.qos import LATCHED
+from drive_id.nodes.qos import LATCHED, STREAM
 from drive_id.nodes.replies import fill, flux_map_message
 from drive_id.nodes.runtime import run
 from drive_id.types import SCALARS, Progress
@@ -38,6 +40,7 @@ from drive_id.types import SCALARS, Progress
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
+_OPERATING_PERIOD = 0.05  # s between looks at the operating points that have arrived
 _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
 _SWITCH_INTERVAL = 5e-4  # s after which a fit yields the interpreter to the executor
 
@@ -60,6 +63,8 @@ class Identification(Node):
         self._refitter: Worker[Refit | None] = Worker()
         self._life = 0  # of the live samples; a fit of forgotten ones is of no use
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
+        self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
+        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
         self._publish_again()
         on_change(self, FitSettings, lambda _: None, self._on_settings)
         self._topics = [
@@ -81,6 +86,10 @@ class Identification(Node):
         self._request_timer = self.create_timer(
             _REQUEST_PERIOD, self._look_after_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+        if settings.operating_point_rate > 0:
+            self._operating_timer = self.create_timer(
+                _OPERATING_PERIOD, self._publish_operating_points, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
         self._diagnostics = Diagnostics(self, self._health)
         self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
@@ -113,7 +122,7 @@ class Identification(Node):
             return
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
-            self._flux_map.publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
+            self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
 
     def _on_settings(self, settings: FitSettings) -> None:
         if self._identifier.configure(settings):
@@ -147,18 +156,30 @@ class Identification(Node):
             self.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
             return type(response)(code="internal", message="The reply could not be made: report this as a bug.")
         if response.success:
-            self._flux_map.publish(response.flux_map)
+            self._publish(response.flux_map)
             self.get_logger().info(f"{reply.message} The results are in {reply.output}.")
         else:
             self.get_logger().warning(f"identify: {reply.message}")
         return response
+
+    def _publish(self, flux_map: FluxMap) -> None:
+        self._flux_map.publish(flux_map)
+        self._points.publish(flux_map_points(flux_map))
+
+    def _publish_operating_points(self) -> None:
+        points = self._identifier.operating_points
+        if not self._operating_point.get_subscription_count():
+            points.clear()
+            return
+        for point in points.take():
+            self._operating_point.publish(operating_point_message(point, self._frame_id))
 
     def _publish_again(self) -> None:
         """Publish the last map of the process before this one."""
         last = self._identifier.folders.last()
         if last is not None:
             reply = again(last)
-            self._flux_map.publish(flux_map_message(reply, self._frame_id))
+            self._publish(flux_map_message(reply, self._frame_id))
             self.get_logger().info(reply.message)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -322,18 +323,80 @@ def test_garbage_and_foreign_types_do_no_harm(ros, player, bag):
 
 
 @pytest.mark.usefixtures("node")
-def test_a_late_joiner_gets_the_map(ros):
+def test_a_late_joiner_gets_the_map_and_its_points(ros):
     from drive_id_msgs.msg import FluxMap
+    from sensor_msgs.msg import PointCloud2
 
     from drive_id.nodes.qos import LATCHED
 
     reply = identify(ros, "bag")
-    got = []
-    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
-    ros.wait(lambda: got, "the map")
-    ros.node.destroy_subscription(subscription)
+    got, clouds = [], []
+    subscriptions = [
+        ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED),
+        ros.node.create_subscription(PointCloud2, "/flux_map_points", clouds.append, LATCHED),
+    ]
+    ros.wait(lambda: got and clouds, "the map and its points")
+    for subscription in subscriptions:
+        ros.node.destroy_subscription(subscription)
     assert got[-1].psi_q == reply.flux_map.psi_q
     assert got[-1].header == reply.flux_map.header
+    cloud, sent = clouds[-1], reply.flux_map
+    assert cloud.header == sent.header
+    assert (cloud.height, cloud.width) == (len(sent.i_d), len(sent.i_q))
+    names = [field.name for field in cloud.fields]
+    assert {"x", "y", "z", "i_d", "i_q", "psi_d", "psi_q", "sigma", "coverage"} == set(names)
+    assert {(field.datatype, field.count) for field in cloud.fields} == {(7, 1)}  # FLOAT32
+    assert len(cloud.data) == cloud.row_step * cloud.height
+    for j, k in ((0, 0), (20, 41), (32, 32), (47, 11)):
+        at = j * cloud.row_step + k * cloud.point_step
+        point = {f.name: struct.unpack_from("<f", cloud.data, at + f.offset)[0] for f in cloud.fields}
+        index = j * len(sent.i_q) + k
+        assert point["i_d"] == pytest.approx(sent.i_d[j])
+        assert point["i_q"] == pytest.approx(sent.i_q[k])
+        assert point["x"] == pytest.approx(sent.i_d[j] / I_MAX)
+        assert point["y"] == pytest.approx(sent.i_q[k] / I_MAX)
+        assert point["psi_d"] == pytest.approx(sent.psi_d[index])
+        assert point["psi_q"] == pytest.approx(sent.psi_q[index])
+        assert point["coverage"] == float(sent.inside[index])
+        sigma = np.hypot(sent.sigma_d[index], sent.sigma_q[index])
+        assert point["sigma"] == pytest.approx(sigma, rel=1e-5, nan_ok=True)
+
+
+def test_operating_points_are_those_of_the_samples(ros, player, bag, simulation):
+    from drive_id_msgs.msg import OperatingPoint
+
+    from drive_id.nodes.qos import STREAM
+
+    got = []
+    subscription = ros.node.create_subscription(OperatingPoint, "/operating_point", got.append, STREAM)
+    ros.wait(lambda: ros.node.count_publishers("/operating_point"), "the publisher")
+    messages = messages_of(bag)
+    position = 0
+
+    def play():  # 0.1 s of the drive at a time, until some are seen
+        nonlocal position
+        player.play(messages[position : position + 30])
+        position = min(position + 30, len(messages))
+        return position == len(messages)
+
+    ros.wait(play, "all blocks")
+    ros.wait(lambda: got and stamp_of(got[-1]) > simulation.samples.stamp[-300], "the last point")
+    ros.node.destroy_subscription(subscription)
+    stamps = np.array([stamp_of(point) for point in got])
+    assert len(stamps) > 20
+    assert np.diff(stamps).min() > 0
+    assert len(stamps) <= 102  # 50 a second for two seconds
+    index = np.searchsorted(simulation.samples.stamp, stamps)
+    np.testing.assert_array_equal(simulation.samples.stamp[index], stamps)
+    i_abc, angle = simulation.samples.i_abc[index], simulation.samples.angle[index]
+    turned = i_abc @ np.exp(2j * np.pi / 3 * np.arange(3)) * 2 / 3 * np.exp(-1j * angle)
+    np.testing.assert_allclose([point.i_d for point in got], turned.real, atol=1e-2)
+    np.testing.assert_allclose([point.i_q for point in got], turned.imag, atol=1e-2)
+    np.testing.assert_allclose([point.speed for point in got], simulation.samples.speed[index], rtol=1e-5)
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def test_a_second_request_is_told_that_the_node_is_busy_and_no_sample_is_lost_meanwhile(ros, player, simulation):

@@ -35,12 +35,19 @@ class RecordedTopic:
         That it is offered with.
     optional : bool
         It is in the bag and in the report from its first message on, and not before.
+    blocks : bool
+        Its messages are blocks of samples; otherwise, each message counts as one sample.
+    definition, hash_ : str
+        Of a type that is not ours: complete ``ros2msg`` definition, and RIHS01 hash.
     """
 
     name: str
     type_name: str
     qos: Qos | None = None
     optional: bool = False
+    blocks: bool = True
+    definition: str = ""
+    hash_: str = ""
 
 
 class _Waiting(NamedTuple):
@@ -48,6 +55,10 @@ class _Waiting(NamedTuple):
     data: bytes
     log_time: int
     head: BlockHead | None
+
+
+_SPLIT = _Waiting("", b"", 0, None)
+"""Stands in the queue where a new file begins."""
 
 
 @dataclass
@@ -117,10 +128,11 @@ class RecordingSession:
         self._written = {topic.name: _Written() for topic in topics}
         self._before = self._snapshot()
         self._file_begin: int | None = None
+        self._split_due = False
         self._error = ""
         self.remark = ""
         """A sentence on the log times for report and metadata, by the receiving thread."""
-        self._open, self._failed = True, False
+        self._open, self._failed, self._paused = True, False, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
             path,
@@ -131,13 +143,45 @@ class RecordingSession:
             opener=opener,
         )
         self._place = self._found()
-        self._optional = frozenset(topic.name for topic in topics if topic.optional)
+        self._optional = {topic.name for topic in topics if topic.optional}
+        self._others = {topic.name for topic in topics if not topic.blocks}
         self._absent = {topic.name: topic for topic in topics if topic.optional}  # not in the bag yet
         for topic in topics:
             if not topic.optional:
                 self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
+
+    def add_topic(self, topic: RecordedTopic) -> None:
+        """Record an optional topic that has come up; to be called by the receiving thread."""
+        if topic.name in self._received:
+            return
+        self._written[topic.name], self._before[topic.name] = _Written(), _Written()
+        self._absent[topic.name] = topic
+        self._optional.add(topic.name)
+        if not topic.blocks:
+            self._others.add(topic.name)
+        self._received[topic.name] = _Received()
+
+    @property
+    def paused(self) -> bool:
+        """Whether messages are left out at present."""
+        return self._paused
+
+    def pause(self) -> None:
+        """Leave out what comes until :meth:`resume`, without counting it as lost."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Record again."""
+        self._paused = False
+        for received in self._received.values():
+            received.count.interrupt()
+
+    def split(self) -> None:
+        """Continue in a new file, behind all that was received."""
+        if self._open:
+            self._queue.append(_SPLIT)
 
     @property
     def error(self) -> str:
@@ -155,15 +199,17 @@ class RecordingSession:
         log_time : int
             When it was received, ns.
         """
-        if not self._open:
+        if not self._open or self._paused:
             return
         received = self._received[topic]
-        head: BlockHead | None = None
-        try:
-            head = read_head(data)
-            received.count.add(head.first_sample, head.samples)
-        except ValueError:
+        head = self._head(topic, data, log_time)
+        if head is None:
             received.unreadable += 1
+        elif topic in self._others:
+            received.count.samples += 1
+            received.count.blocks += 1
+        else:
+            received.count.add(head.first_sample, head.samples)
         size = len(data) + _OVERHEAD
         if self._bytes_in - self._bytes_out + size > self._limit:
             received.overflowed += head.samples if head else 0
@@ -192,7 +238,7 @@ class RecordingSession:
     def report(self) -> RecordingReport:
         """Return the state of the recording."""
         topics = []
-        for name, received in self._received.items():
+        for name, received in list(self._received.items()):
             count, written = received.count, self._written[name]
             if name in self._optional and not (count.blocks or received.unreadable):
                 continue
@@ -241,22 +287,32 @@ class RecordingSession:
                 flushed = time.monotonic()
 
     def _write(self, message: _Waiting) -> None:
+        if message is _SPLIT:
+            self._split_due = True  # with the next message, so that no file is empty
+            return
         if self._file_begin is None:
             self._file_begin = message.log_time
-        elif self._is_full(message.log_time):
+        elif self._split_due or self._is_full(message.log_time):
             self._writer.split()
             self._place = self._found()
             self._file_begin = message.log_time
             self._before = self._snapshot()
+        self._split_due = False
         if message.topic in self._absent:
             topic = self._absent.pop(message.topic)
-            self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
+            self._writer.add_topic(
+                topic.name, topic.type_name, qos=topic.qos, definition=topic.definition, hash_=topic.hash_
+            )
         self._writer.write(message.topic, message.data, message.log_time)
         self._written[message.topic].add(message.head)
         self._bytes_out += len(message.data) + _OVERHEAD
 
+    def _head(self, topic: str, data: bytes | memoryview, log_time: int) -> BlockHead | None:
+        """Return the head of a message; None if it should be a block and is not."""
+        return BlockHead(log_time, 0, 0.0, 1) if topic in self._others else _head(data)
+
     def _snapshot(self) -> dict[str, _Written]:
-        return {name: replace(written) for name, written in self._written.items()}
+        return {name: replace(written) for name, written in list(self._written.items())}
 
     def _is_full(self, log_time: int) -> bool:
         size, duration = self._settings.max_file_size, self._settings.max_file_duration
@@ -314,7 +370,7 @@ class RecordingSession:
         storage = McapStorage(file, file)
         try:
             for message in storage.messages(frozenset(written)):
-                written[message.topic].add(_head(message.data))
+                written[message.topic].add(self._head(message.topic, message.data, message.log_time))
         finally:
             storage.close()
         self._written = written

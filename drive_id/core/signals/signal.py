@@ -108,6 +108,10 @@ class SampleCount:
         self.blocks += 1
         self.zeros += first_sample == 0
 
+    def interrupt(self) -> None:
+        """Have the next block begin anew: what is missing before it is not lost."""
+        self._next = None
+
     @property
     def counts_nothing(self) -> bool:
         """Whether ``first_sample`` is always 0, so that losses do not show."""

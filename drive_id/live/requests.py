@@ -79,7 +79,8 @@ class _Running:
 
     def look(self) -> Stage:
         """Return how far the request is; the share never decreases."""
-        name, share = self.worker.progress
+        what, share = self.worker.progress
+        name = what.partition(",")[0]  # behind it, how fast
         low, high = _STAGES.get(name, (0.0, 0.0))
         if share is None and name == "Solving":
             steps = self.worker.steps

@@ -83,6 +83,9 @@ class IdentifyAction:
                 self._requests.cancel(request, VANISHED)
 
     def _on_accepted(self, goal: Any) -> None:
+        in_executor(self._node, lambda: self._accept(goal))  # an error here would end the process
+
+    def _accept(self, goal: Any) -> None:
         def make() -> Job:
             goal.execute()
             return self._make(goal.request.bags, goal.request.method)
@@ -92,14 +95,13 @@ class IdentifyAction:
         self._requests.submit(request, may_wait=True)
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        request = self._goals.get(_key(goal))
-        if request is None:
-            return CancelResponse.REJECT
-        in_executor(self._node, lambda: self._cancel(request))  # the goal is being cancelled only after this
+        in_executor(self._node, lambda: self._cancel(goal))  # the goal is being cancelled only after this
         return CancelResponse.ACCEPT
 
-    def _cancel(self, request: Request) -> None:
-        self._requests.cancel(request, CANCELLED)
+    def _cancel(self, goal: Any) -> None:
+        request = self._goals.get(_key(goal))
+        if request is not None:
+            self._requests.cancel(request, CANCELLED)
 
     def _tell(self, goal: Any, stage: Stage) -> None:
         goal.publish_feedback(Identify.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))

@@ -139,8 +139,10 @@ def test_a_job_that_cannot_be_made_is_answered_and_the_next_one_runs(desk):
 
 
 def test_the_share_that_is_done_never_decreases(desk):
-    steps = [("Reading", 0.0), ("Accumulating", 0.2), ("Accumulating, 0.2 million samples/s", 0.9), ("Solving", None), ("Solving", None),
-             ("Accumulating", 0.1), ("Writing", None)]  # fmt: skip
+    steps = [
+        ("Reading", 0.0), ("Accumulating", 0.2), ("Accumulating, 0.2 million samples/s", 0.9), ("Solving", None),
+        ("Solving", None), ("Accumulating", 0.1), ("Writing", None),
+    ]  # fmt: skip
 
     def job(tell):
         for what, share in steps:

@@ -217,7 +217,7 @@ def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
     np.testing.assert_array_equal(got[0].inside, last.inside)
     assert list(got[0].warnings) == list(last.warnings)
     assert (got[0].coverage, got[0].i_max) == (last.coverage, last.i_max)
-    assert "Published again" in again.output
+    ros.wait(lambda: "Published again" in again.output, "a word on it")
     ros.forget_clients()  # the killed node's service seems to be there still
     reply = identify(ros, "bag", method="full")
     assert (reply.success, reply.code) == (False, "time_limit")

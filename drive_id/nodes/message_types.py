@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
+import pkgutil
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ def message_class(type_name: str) -> Any:
         raise ConfigurationError(f"'{type_name}' is not the name of a message type: record topics of messages only.")
     package, name = found.groups()
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return pkgutil.resolve_name(f"{package}.msg:{name}")
     except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"{type_name} is not installed: install or source {package}.") from error
 
@@ -71,11 +71,10 @@ def _mentioned(type_name: str, text: str) -> list[str]:
 def _file(type_name: str) -> Path | None:
     """Return the ``.msg`` file that was installed beside the Python package of a type."""
     package, _, name = type_name.split("/")
-    try:
-        module = sys.modules.get(package) or importlib.import_module(package)
-    except ImportError:
+    found = importlib.util.find_spec(package)
+    if found is None or found.origin is None:
         return None
-    for folder in Path(str(module.__file__)).resolve().parents:
+    for folder in Path(found.origin).resolve().parents:
         file = folder / "share" / package / "msg" / f"{name}.msg"
         if file.is_file():
             return file

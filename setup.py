@@ -48,7 +48,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
     files = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.yaml")))),
+        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*")))),
         (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.py")))),
     ]
     return [(folder, names) for folder, names in files if names]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -35,3 +35,21 @@ class Health:
     level: Level
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, doing: str, observations: Sequence[Observation], values: Mapping[str, str]) -> Health:
+        """Return a status of at most two sentences: what is under way, and the most severe observation.
+
+        Parameters
+        ----------
+        doing : str
+            A sentence; empty when the observation says it.
+        observations : sequence of Observation
+            All but the first of the most severe ones become values.
+        values : mapping of str to str
+        """
+        ordered = sorted(observations, key=lambda observation: -observation[0])
+        further = {f"also {number}": said for number, (_, said) in enumerate(ordered[1:], 1)}
+        said = " ".join(filter(None, [doing, *(sentence for _, sentence in ordered[:1])]))
+        level = ordered[0][0] if ordered else Level.OK
+        return cls(level, said, {**values, **further})

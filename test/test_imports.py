@@ -13,8 +13,8 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types", "drive_id.health"}
 ROS = {
-    "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch", "launch_ros",
-    "rcl_interfaces", "rclpy", "rosgraph_msgs", "std_msgs", "std_srvs",
+    "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
+    "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
 }  # fmt: skip
 
 

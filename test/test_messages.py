@@ -14,6 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import DriveIdError
+from drive_id.live.identifier import PROVISIONAL
+
 DEFINITIONS = Path(__file__).parent.parent / "msg_defs"
 
 BLOCK = "std_msgs/Header header; uint64 first_sample; float64 sample_period; "
@@ -29,8 +33,13 @@ CONTRACT = {
         "std_msgs/Header header; string method; string machine; float64[] i_d; float64[] i_q; "
         "float64[] psi_d; float64[] psi_q; float64[] sigma_d; float64[] sigma_q; bool[] inside; "
         "float64 resistance; float64 sigma_resistance; float64 voltage_error; float64 sigma_voltage_error; "
-        "float64[] inverter_current; float64[] inverter_voltage"
+        "float64[] inverter_current; float64[] inverter_voltage; float64 i_max; float64 coverage; string[] warnings; "
+        "uint32[] harmonic_orders; float64[] harmonic_psi_d_cos; float64[] harmonic_psi_d_sin; "
+        "float64[] harmonic_psi_q_cos; float64[] harmonic_psi_q_sin; string[] calibration_names; "
+        "float64[] calibration_values; float64[] calibration_sigmas; string[] calibration_units; "
+        "bool[] calibration_applied"
     ),
+    "msg/OperatingPoint": "std_msgs/Header header; float64 i_d; float64 i_q; float64 speed",
     "msg/FitReport": (
         "uint64 samples_read; uint64 samples_used; uint64 rows; uint32 gaps; uint32 parameters; uint32 rank; "
         "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings; "
@@ -41,6 +50,10 @@ CONTRACT = {
         "string[] bags; string method; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output"
     ),
+    "action/Identify": (
+        "string[] bags; string method; ---; bool success; string code; string message; "
+        "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
+    ),
     "srv/StartRecording": "string name; ---; bool success; string message; string uri",
     "srv/StopRecording": (
         "---; bool success; string message; string uri; uint64 samples; uint64 dropped; float64 duration"
@@ -50,11 +63,25 @@ CONTRACT = {
 DEADLINE = 60.0  # s; a round trip takes about one, the rest is for busy machines
 
 
+SUFFIXES = {"msg": "msg", "srv": "srv", "action": "action"}
+
+
+def definition(name):
+    """Return the text of a definition."""
+    return (DEFINITIONS / f"{name}.{SUFFIXES[name.partition('/')[0]]}").read_text(encoding="utf-8")
+
+
 def read_definition(name):
-    """Return the fields of a .msg or .srv file, without comments."""
-    text = (DEFINITIONS / f"{name}.{name[:3]}").read_text(encoding="utf-8")
-    lines = (re.sub(r"\s+", " ", line.partition("#")[0]).strip() for line in text.splitlines())
-    return "; ".join(line for line in lines if line)
+    """Return the fields of a definition, without constants and comments."""
+    lines = (re.sub(r"\s+", " ", line.partition("#")[0]).strip() for line in definition(name).splitlines())
+    return "; ".join(line for line in lines if line and "=" not in line)
+
+
+def constants(name, prefix):
+    """Return the values of the string constants of a definition whose names begin so, by name."""
+    found = re.findall(rf'^string ({prefix}\w+)="?(.*?)"?$', definition(name), re.MULTILINE)
+    assert len(found) == len(dict(found)) or name.startswith("action")
+    return dict(found)
 
 
 @pytest.mark.parametrize("name", CONTRACT)
@@ -63,9 +90,11 @@ def test_definition_is_the_contract(name):
 
 
 def test_there_are_no_other_definitions_and_all_are_built():
-    files = {f"{file.parent.name}/{file.name}" for file in DEFINITIONS.glob("*/*.[ms][sr][gv]")}
-    built = re.findall(r"^\s+((?:msg|srv)/\S+)$", (DEFINITIONS / "CMakeLists.txt").read_text("utf-8"), re.MULTILINE)
-    assert files == {f"{name}.{name[:3]}" for name in CONTRACT}
+    files = {f"{file.parent.name}/{file.name}" for file in DEFINITIONS.glob("*/*.*")}
+    built = re.findall(
+        r"^\s+((?:msg|srv|action)/\S+)$", (DEFINITIONS / "CMakeLists.txt").read_text("utf-8"), re.MULTILINE
+    )
+    assert files == {f"{name}.{SUFFIXES[name.partition('/')[0]]}" for name in CONTRACT}
     assert sorted(built) == sorted(files)
 
 
@@ -73,11 +102,42 @@ def test_there_are_no_other_definitions_and_all_are_built():
 def test_every_field_is_commented(name):
     """A field has a comment above it, or follows a field that has one."""
     above = ""
-    for line in (DEFINITIONS / f"{name}.{name[:3]}").read_text(encoding="utf-8").splitlines():
+    for line in definition(name).splitlines():
         assert len(line) <= 120
         if line and not line.startswith(("#", "---")):
             assert above, f"{name}: {line!r} has no comment"
         above = line
+
+
+def subclasses(kind):
+    return {kind, *(found for sub in kind.__subclasses__() for found in subclasses(sub))}
+
+
+OURS = {"ok", "busy", "cancelled", "time_limit", "internal"}
+"""Codes of replies that no error has."""
+
+
+@pytest.mark.parametrize("name", ["srv/Identify", "action/Identify"])
+def test_the_codes_and_methods_are_constants(name):
+    """Every error that a request can lead to has a constant, which is named after it."""
+    codes = constants(name, "CODE_")
+    never = {"error", "cluster", "experiment"}  # the base, and what no node uses
+    assert set(codes.values()) == {error.code for error in subclasses(DriveIdError)} - never | OURS
+    assert all(f"CODE_{code.upper()}" == found for found, code in codes.items())
+    methods = FitSettings.__dataclass_fields__["method"].metadata["choices"]
+    assert sorted(constants(name, "METHOD_").values()) == sorted(methods)
+    assert constants("msg/FluxMap", "METHOD_") == constants(name, "METHOD_")
+
+
+def test_the_suffix_of_provisional_maps_is_a_constant():
+    assert constants("msg/FluxMap", "PROVISIONAL_") == {"PROVISIONAL_SUFFIX": f" ({PROVISIONAL})"}
+
+
+def test_the_action_answers_as_the_service_does():
+    """Goal and result have the fields, comments and constants of request and response."""
+    service, action = definition("srv/Identify"), definition("action/Identify")
+    assert action.split("---\n")[1:2] == service.split("---\n")[1:]
+    assert action.split("---\n")[0].partition("\n\n")[2] == service.split("---\n")[0].partition("\n\n")[2]
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -110,7 +170,8 @@ def generated_fields(interface):
 def test_generated_class_is_the_contract(name):
     module, _, word = name.partition("/")
     interface = getattr(importlib.import_module(f"drive_id_msgs.{module}"), word)
-    parts = [interface] if module == "msg" else [interface.Request, interface.Response]
+    names = {"msg": (), "srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}[module]
+    parts = [getattr(interface, part) for part in names] or [interface]
     fields = [field for part in parts for field in [*generated_fields(part), "---"]][:-1]
     assert "; ".join(fields) == CONTRACT[name]
 

@@ -76,9 +76,14 @@ def existing_recording(directory: Path, name: str) -> Path:
             raise outside
         if not (path.is_file() or path.is_dir()):
             raise NotABagError(f"There is no recording '{shown}' in {base}: give the name of one.")
-        inner = path.iterdir() if path.is_dir() else ()
-        if any(entry.is_symlink() and not entry.resolve().is_relative_to(real_base) for entry in inner):
-            raise outside
+        for entry in path.iterdir() if path.is_dir() else ():
+            if entry.is_symlink() and not entry.resolve().is_relative_to(real_base):
+                raise outside
+            if not (entry.is_file() or entry.is_dir() or entry.is_symlink()):
+                raise NotABagError(
+                    f"The recording '{shown}' in {base} holds {_shown(entry.name)}, which is neither a file nor a "
+                    "folder: remove it."
+                )
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
         raise NotABagError(f"The recording '{shown}' in {base} cannot be read ({error}): check its name.") from error
     return path

@@ -32,6 +32,20 @@ class IdentificationSettings:
         minimum=0.0,
         maximum=3600.0,
     )
+    time_limit: float = setting(
+        3600.0, "Longest time for one request, after which it is ended; 0: unlimited", unit="s",
+        minimum=0.0, maximum=1e6,
+    )  # fmt: skip
+    results_count: int = setting(
+        1000, "Number of result folders above which the oldest are removed; 0: unlimited", minimum=0, maximum=1_000_000
+    )
+    results_size: float = setting(
+        10_000.0, "Size of all result folders above which the oldest are removed; 0: unlimited", unit="MB",
+        minimum=0.0, maximum=1e9,
+    )  # fmt: skip
+    operating_point_rate: float = setting(
+        50.0, "Rate of operating_point while somebody listens; 0: none", unit="Hz", minimum=0.0, maximum=1000.0
+    )
     frame_id: str = setting("drive", "Name of the drive in the header of the flux map")
 
     def __post_init__(self) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -29,8 +29,11 @@ from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.operating_points import OperatingPoints
 from drive_id.live.publishers import Publisher, publisher_findings
 from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
+from drive_id.live.result_folders import LastMap, ResultFolders, new_folder
+from drive_id.live.worker import Cancelled
 from drive_id.types import SCALARS, Progress
 
 PROVISIONAL = "provisional"
@@ -83,6 +86,8 @@ class Reply:
 
 Job = Callable[[Progress], Reply]
 BUSY = Reply("busy", "A fit is under way: ask again when it is done.")
+CANCELLED = Reply("cancelled", "The request was cancelled; nothing was written.")
+VANISHED = Reply("cancelled", "The client of the request is gone, so the request was cancelled.")
 
 
 class Identifier:
@@ -96,6 +101,8 @@ class Identifier:
         Of currents, voltages and resolver, for messages.
     scalar_topics : mapping of str to str, optional
         Topics of the optional signals, by their names in :class:`~drive_id.types.Samples`.
+    node : str
+        Full name of the node.
     """
 
     def __init__(
@@ -104,8 +111,11 @@ class Identifier:
         fit: FitSettings,
         topics: tuple[str, str, str] = TYPES,
         scalar_topics: Mapping[str, str] | None = None,
+        node: str = "/identification",
     ) -> None:
         self.settings = settings
+        self.folders = ResultFolders(settings, node)
+        self.operating_points = OperatingPoints(settings.operating_point_rate)
         self.topics = topics
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)
@@ -119,7 +129,9 @@ class Identifier:
     def receive(self, section: int, data: bytes) -> None:
         """Take one serialized message of currents (0), voltages (1) or resolver (2)."""
         try:
-            self.live.add(section, self._streams[section].decode(data))
+            piece = self._streams[section].decode(data)
+            self.operating_points.add(section, piece)
+            self.live.add(section, piece)
         except DriveIdError as error:
             self._note(error)
 
@@ -167,12 +179,13 @@ class Identifier:
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
         if bags:
-            paths = [existing_recording(Path(self.settings.data_directory), name) for name in bags]
-            return partial(_guarded, partial(_fit_bags, paths, self._signals(), fit, self.settings))
+            work = partial(_fit_bags, tuple(bags), self._signals(), fit, self.settings)
+            return partial(_guarded, partial(_kept, self.folders, work))
         snapshot = self.live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples)
-        return partial(_guarded, partial(_fit_live, snapshot, earlier, fit, self.settings, self._forgotten))
+        work = partial(_fit_live, snapshot, earlier, fit, self.settings, self._forgotten)
+        return partial(_guarded, partial(_kept, self.folders, work))
 
     def refit(self) -> RefitJob | None:
         """Return a fit of the live samples in the background if one is due, see :class:`Refits`."""
@@ -189,7 +202,9 @@ class Identifier:
         marked = replace(drive, method=f"{drive.method} ({PROVISIONAL})")
         return Reply("ok", _sentence(drive), marked, drive.report.warnings, stamp=refit.stamp)
 
-    def health(self, doing: str, publishers: Sequence[Sequence[Publisher]]) -> Health:
+    def health(
+        self, doing: str, publishers: Sequence[Sequence[Publisher]], further: Sequence[Observation] = ()
+    ) -> Health:
         """Return how the live samples are.
 
         Parameters
@@ -198,6 +213,8 @@ class Identifier:
             A sentence on what is under way.
         publishers : sequence of sequence of Publisher
             Of each topic.
+        further : sequence of Observation
+            Of the node.
         """
         report = self.live.join.report()
         evidence = self.live.evidence
@@ -209,9 +226,18 @@ class Identifier:
             "method": self.live.settings.method,
             **self.refits.values(),
         }
-        findings: list[Observation] = []
+        findings = [*further, *self.folders.findings()]
+        for stream in (*self._streams, *self._scalar_streams.values()):
+            if stream.count.counts_nothing:
+                sentence = (
+                    f"first_sample of {stream.topic} is always 0, so that losses do not show: have its publisher count "
+                    "the samples."
+                )
+                findings.append((Level.WARN, sentence))
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
             values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
+            if signal.not_finite:
+                values[f"{signal.topic}: samples NaN or infinite"] = str(signal.not_finite)
             findings += publisher_findings(signal.topic, kind, found)
         for stream in self._scalar_streams.values():
             if stream.count.samples:
@@ -224,10 +250,8 @@ class Identifier:
         if evidence is None:
             sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
             findings.append((Level.WARN, sentence))
-        level = max((level for level, _ in findings), default=Level.OK)
-        sentences = [doing, f"{report.samples} live samples.", self._forgotten, *(sentence for _, sentence in findings)]
-        said = " ".join(filter(None, sentences))
-        return Health(level, said, values)
+        findings.append((Level.OK, self._forgotten or f"{report.samples} live samples."))
+        return Health.of(doing, findings, values)
 
     def _new_streams(self) -> tuple[BlockStream, ...]:
         return tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))
@@ -248,6 +272,13 @@ class Identifier:
         )
 
 
+def again(last: LastMap) -> Reply:
+    """Return the reply of a result that was read from its folder."""
+    said = f"Published again from {last.folder}: {_sentence(last.result.drive)}"
+    result = last.result
+    return Reply("ok", said, result.drive, result.warnings, result.machine, last.stamp, str(last.folder))
+
+
 def failed(error: DriveIdError, samples: JoinReport | None = None) -> Reply:
     """Return the reply to a request that led to an error."""
     return Reply(error.code, str(error), samples=samples)
@@ -263,10 +294,25 @@ def _guarded(work: Job, tell: Progress) -> Reply:
         return Reply("internal", f"The fit failed by an error of drive_id itself ({type(error).__name__}): report it.")
 
 
+def _kept(folders: ResultFolders, work: Job, tell: Progress) -> Reply:
+    """Do the work and remember its result; if it was cancelled meanwhile, the result goes."""
+    reply = work(tell)
+    try:
+        tell("Writing", 1.0)
+    except Cancelled:
+        if reply.output:
+            shutil.rmtree(reply.output, ignore_errors=True)
+        raise
+    if reply.output:
+        folders.note(Path(reply.output), reply.stamp)
+    return reply
+
+
 def _fit_bags(
-    paths: Sequence[Path], own: SignalMap, fit: FitSettings, settings: IdentificationSettings, tell: Progress
+    names: Sequence[str], own: SignalMap, fit: FitSettings, settings: IdentificationSettings, tell: Progress
 ) -> Reply:
-    output = _new_folder(settings, fit)
+    paths = [existing_recording(Path(settings.data_directory), name) for name in names]
+    output = new_folder(settings, fit.method)
     tell("Reading", 0.0)
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if all(_holds(path, topics) for path in paths) else None
@@ -293,7 +339,7 @@ def _fit_live(
     forgotten: str,
     tell: Progress,
 ) -> Reply:
-    output = _new_folder(settings, fit)
+    output = new_folder(settings, fit.method)
     check_output(output)
     tell("Solving", None)
     try:
@@ -322,18 +368,6 @@ def _fit_live(
 
 def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
     return partial(pictures, name=name) if settings.picture else None
-
-
-def _new_folder(settings: IdentificationSettings, fit: FitSettings) -> Path:
-    """Return the path of a folder that is not there yet, named after time and method."""
-    base = Path(settings.output_directory).expanduser().absolute()
-    stem = datetime.now().astimezone().strftime(f"%Y-%m-%d_%H-%M-%S_{fit.method}")
-    number = 1
-    path = base / stem
-    while path.exists() or path.is_symlink():
-        number += 1
-        path = base / f"{stem}_{number}"
-    return path
 
 
 def _sentence(identification: IdentifiedDrive) -> str:

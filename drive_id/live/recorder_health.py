@@ -33,7 +33,11 @@ class TopicState:
 
 
 def recorder_health(
-    report: RecordingReport | None, topics: Sequence[TopicState], longest_silence: float, queue_size: float
+    report: RecordingReport | None,
+    topics: Sequence[TopicState],
+    longest_silence: float,
+    queue_size: float,
+    further: Sequence[Observation] = (),
 ) -> Health:
     """Return the diagnostics of the recorder.
 
@@ -47,8 +51,10 @@ def recorder_health(
         Longest time without a message before a warning, s; 0: no such warning.
     queue_size : float
         Capacity of the queue, MB.
+    further : sequence of Observation
+        Of the node.
     """
-    findings: list[Observation] = []
+    findings = [] if report is not None and report.error else list(further)
     values: dict[str, str] = {}
     if report is not None:
         findings += _recording_findings(report, queue_size)
@@ -63,9 +69,7 @@ def recorder_health(
             findings += _sample_findings(state, reports[state.topic], longest_silence)
         values |= _topic_values(state, reports.get(state.topic))
     doing = "Not recording." if report is None else f"Recording {report.path}."
-    said = [sentence for _, sentence in sorted(findings, key=lambda finding: -finding[0])]
-    level = max((level for level, _ in findings), default=Level.OK)
-    return Health(level, " ".join(said if report is not None and report.error else [doing, *said]), values)
+    return Health.of("" if report is not None and report.error else doing, findings, values)
 
 
 def _recording_findings(report: RecordingReport, queue_size: float) -> list[Observation]:
@@ -84,6 +88,12 @@ def _sample_findings(state: TopicState, report: TopicReport, longest_silence: fl
     findings = []
     if report.lost:
         findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))
+    if report.uncounted:
+        sentence = (
+            f"first_sample of {state.topic} is always 0, so that losses do not show: have its publisher count the "
+            "samples."
+        )
+        findings.append((Level.WARN, sentence))
     if report.unreadable:
         findings.append((Level.WARN, f"{report.unreadable} messages on {state.topic} are no blocks of samples."))
     if state.optional:

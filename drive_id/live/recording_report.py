@@ -29,6 +29,8 @@ class TopicReport:
         Places where ``first_sample`` ran backwards.
     unreadable : int
         Messages that are not blocks of samples; they are recorded nevertheless.
+    uncounted : bool
+        ``first_sample`` is always 0, so that samples that never arrived do not show.
     first_stamp, last_stamp : int or None
         Of the first and of the last sample in the bag, ns.
     """
@@ -43,6 +45,7 @@ class TopicReport:
     discarded: int = 0
     restarts: int = 0
     unreadable: int = 0
+    uncounted: bool = False
     first_stamp: int | None = None
     last_stamp: int | None = None
 
@@ -81,6 +84,8 @@ class RecordingReport:
         Bytes in the queue.
     error : str
         Why the recording ended by itself; empty when it did not.
+    remark : str
+        A sentence on what is wrong with the log times; empty if nothing is.
     """
 
     path: Path
@@ -89,6 +94,7 @@ class RecordingReport:
     size: int
     waiting: int = 0
     error: str = ""
+    remark: str = ""
 
     @property
     def samples(self) -> int:
@@ -116,13 +122,17 @@ class RecordingReport:
         text = f"{first.written} samples of {first.topic} ({first.duration:.3f} s) are in {self.path}"
         missing = [f"{topic.dropped} of {topic.topic}" for topic in self.topics if topic.dropped]
         lost = f"these samples were lost: {', '.join(missing)}" if missing else "no sample was lost"
+        uncounted = [topic.topic for topic in self.topics if topic.uncounted]
+        if uncounted:
+            unknown = f"losses on {', '.join(uncounted)} do not show, for first_sample is always 0 there"
+            lost = f"{lost}; {unknown}" if missing else unknown
         empty = [topic.topic for topic in self.topics if not topic.messages]
         silent = f"; nothing came on {', '.join(empty)}" if empty else ""
         return f"{text}; {lost}{silent}."
 
     def outcome(self) -> str:
-        """Return the error, if there was one, and the sentence."""
-        return f"{self.error} {self.sentence()}".strip()
+        """Return the error, if there was one, the sentence, and the remark."""
+        return " ".join(filter(None, [self.error, self.sentence(), self.remark]))
 
     def custom_data(self) -> dict[str, str]:
         """Return the figures for the metadata of the bag."""
@@ -131,4 +141,5 @@ class RecordingReport:
             data[f"samples_received:{topic.topic}"] = str(topic.received)
             data[f"samples_written:{topic.topic}"] = str(topic.written)
             data[f"samples_lost:{topic.topic}"] = str(topic.dropped)
-        return data | ({"error": self.error} if self.error else {})
+        remarks = {"error": self.error, "remark": self.remark}
+        return data | {name: said for name, said in remarks.items() if said}

@@ -35,12 +35,19 @@ class RecordedTopic:
         That it is offered with.
     optional : bool
         It is in the bag and in the report from its first message on, and not before.
+    blocks : bool
+        Its messages are blocks of samples; otherwise, each message counts as one sample.
+    definition, hash_ : str
+        Of a type that is not ours: complete ``ros2msg`` definition, and RIHS01 hash.
     """
 
     name: str
     type_name: str
     qos: Qos | None = None
     optional: bool = False
+    blocks: bool = True
+    definition: str = ""
+    hash_: str = ""
 
 
 class _Waiting(NamedTuple):
@@ -48,6 +55,10 @@ class _Waiting(NamedTuple):
     data: bytes
     log_time: int
     head: BlockHead | None
+
+
+_SPLIT = _Waiting("", b"", 0, None)
+"""Stands in the queue where a new file begins."""
 
 
 @dataclass
@@ -117,8 +128,11 @@ class RecordingSession:
         self._written = {topic.name: _Written() for topic in topics}
         self._before = self._snapshot()
         self._file_begin: int | None = None
+        self._split_due = False
         self._error = ""
-        self._open, self._failed = True, False
+        self.remark = ""
+        """A sentence on the log times for report and metadata, by the receiving thread."""
+        self._open, self._failed, self._paused = True, False, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
             path,
@@ -128,13 +142,46 @@ class RecordingSession:
             live=True,
             opener=opener,
         )
-        self._optional = frozenset(topic.name for topic in topics if topic.optional)
+        self._place = self._found()
+        self._optional = {topic.name for topic in topics if topic.optional}
+        self._others = {topic.name for topic in topics if not topic.blocks}
         self._absent = {topic.name: topic for topic in topics if topic.optional}  # not in the bag yet
         for topic in topics:
             if not topic.optional:
                 self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
+
+    def add_topic(self, topic: RecordedTopic) -> None:
+        """Record an optional topic that has come up; to be called by the receiving thread."""
+        if topic.name in self._received:
+            return
+        self._written[topic.name], self._before[topic.name] = _Written(), _Written()
+        self._absent[topic.name] = topic
+        self._optional.add(topic.name)
+        if not topic.blocks:
+            self._others.add(topic.name)
+        self._received[topic.name] = _Received()
+
+    @property
+    def paused(self) -> bool:
+        """Whether messages are left out at present."""
+        return self._paused
+
+    def pause(self) -> None:
+        """Leave out what comes until :meth:`resume`, without counting it as lost."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Record again."""
+        self._paused = False
+        for received in self._received.values():
+            received.count.interrupt()
+
+    def split(self) -> None:
+        """Continue in a new file, behind all that was received."""
+        if self._open:
+            self._queue.append(_SPLIT)
 
     @property
     def error(self) -> str:
@@ -152,15 +199,17 @@ class RecordingSession:
         log_time : int
             When it was received, ns.
         """
-        if not self._open:
+        if not self._open or self._paused:
             return
         received = self._received[topic]
-        head: BlockHead | None = None
-        try:
-            head = read_head(data)
-            received.count.add(head.first_sample, head.samples)
-        except ValueError:
+        head = self._head(topic, data, log_time)
+        if head is None:
             received.unreadable += 1
+        elif topic in self._others:
+            received.count.samples += 1
+            received.count.blocks += 1
+        else:
+            received.count.add(head.first_sample, head.samples)
         size = len(data) + _OVERHEAD
         if self._bytes_in - self._bytes_out + size > self._limit:
             received.overflowed += head.samples if head else 0
@@ -189,7 +238,7 @@ class RecordingSession:
     def report(self) -> RecordingReport:
         """Return the state of the recording."""
         topics = []
-        for name, received in self._received.items():
+        for name, received in list(self._received.items()):
             count, written = received.count, self._written[name]
             if name in self._optional and not (count.blocks or received.unreadable):
                 continue
@@ -197,22 +246,30 @@ class RecordingSession:
             topics.append(
                 TopicReport(
                     name, written.messages, count.samples, written.samples, count.lost, count.losses,
-                    received.overflowed, discarded, count.restarts, received.unreadable, written.first_stamp,
-                    written.last_stamp,
+                    received.overflowed, discarded, count.restarts, received.unreadable, count.counts_nothing,
+                    written.first_stamp, written.last_stamp,
                 )
             )  # fmt: skip
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
-        return RecordingReport(self.path, tuple(topics), len(files), self._writer.size, waiting, self._error)
+        return RecordingReport(
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark
+        )
 
     # -- the writing thread ----------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         try:
             self._write_until_stopped()
-            self._writer.close(self.report().custom_data())
+            if self._is_gone():
+                self._give_up()
+            else:
+                self._writer.close(self.report().custom_data())
         except (DriveIdError, OSError) as error:
-            self._fail(str(error))
+            if self._is_gone():
+                self._give_up()
+            else:
+                self._fail(str(error))
         except Exception as error:  # noqa: BLE001  # a writer that dies without a word would lose everything
             self._fail(f"The writer of {self.path} failed ({type(error).__name__}: {error}): report this as a bug.")
 
@@ -225,29 +282,68 @@ class RecordingSession:
                 self._write(self._queue.popleft())
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
                 self._writer.flush(sync=True)
+                if self._is_gone():
+                    return
                 flushed = time.monotonic()
 
     def _write(self, message: _Waiting) -> None:
+        if message is _SPLIT:
+            self._split_due = True  # with the next message, so that no file is empty
+            return
         if self._file_begin is None:
             self._file_begin = message.log_time
-        elif self._is_full(message.log_time):
+        elif self._split_due or self._is_full(message.log_time):
             self._writer.split()
+            self._place = self._found()
             self._file_begin = message.log_time
             self._before = self._snapshot()
+        self._split_due = False
         if message.topic in self._absent:
             topic = self._absent.pop(message.topic)
-            self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
+            self._writer.add_topic(
+                topic.name, topic.type_name, qos=topic.qos, definition=topic.definition, hash_=topic.hash_
+            )
         self._writer.write(message.topic, message.data, message.log_time)
         self._written[message.topic].add(message.head)
         self._bytes_out += len(message.data) + _OVERHEAD
 
+    def _head(self, topic: str, data: bytes | memoryview, log_time: int) -> BlockHead | None:
+        """Return the head of a message; None if it should be a block and is not."""
+        return BlockHead(log_time, 0, 0.0, 1) if topic in self._others else _head(data)
+
     def _snapshot(self) -> dict[str, _Written]:
-        return {name: replace(written) for name, written in self._written.items()}
+        return {name: replace(written) for name, written in list(self._written.items())}
 
     def _is_full(self, log_time: int) -> bool:
         size, duration = self._settings.max_file_size, self._settings.max_file_duration
         begin = self._file_begin or 0
         return (0 < size <= self._writer.file_size / 1e6) or (0 < duration <= (log_time - begin) / NANOSECONDS)
+
+    def _found(self) -> tuple[tuple[int, int], ...] | None:
+        """Return the identities of the folder and of the file being written; None if one of them is not there."""
+        try:
+            found = [path.stat() for path in (self.path, self._writer.files[-1])]
+        except OSError:
+            return None
+        return tuple((entry.st_dev, entry.st_ino) for entry in found)
+
+    def _is_gone(self) -> bool:
+        """Tell whether the bag was removed or renamed: writing to such a file succeeds, only its name tells."""
+        return self._place is None or self._found() != self._place
+
+    def _give_up(self) -> None:
+        """End a bag that is gone: none of its samples counts as written, and nothing is put in its place."""
+        self._open = False
+        self._queue.clear()
+        self._bytes_out = self._bytes_in
+        with suppress(DriveIdError):
+            self._writer.end_early()  # for a folder that was only renamed
+        self._written = {name: _Written() for name in self._written}
+        self._failed = True
+        self._error = (
+            f"{self.path} was removed or renamed while it was being recorded, so the recording has ended: if the "
+            "folder is elsewhere, complete it with 'drive-id recover'."
+        )
 
     def _fail(self, reason: str) -> None:
         """End the bag behind the last record that was written, and count its messages again."""
@@ -274,7 +370,7 @@ class RecordingSession:
         storage = McapStorage(file, file)
         try:
             for message in storage.messages(frozenset(written)):
-                written[message.topic].add(_head(message.data))
+                written[message.topic].add(self._head(message.topic, message.data, message.log_time))
         finally:
             storage.close()
         self._written = written

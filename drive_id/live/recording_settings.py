@@ -41,5 +41,10 @@ class RecordingSettings:
         minimum=0.0, maximum=3600.0,
     )  # fmt: skip
 
+    extra_topics: tuple[str, ...] = setting(
+        (), "Further topics to record, of any type; the type is looked up when somebody publishes."
+    )
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "extra_topics", tuple(self.extra_topics))  # a list, as files hold it
         check(self)

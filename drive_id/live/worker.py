@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from drive_id.core.numerics.threads import interruptible
 from drive_id.live.memory import return_free_memory
 from drive_id.types import Progress
 
@@ -26,6 +27,8 @@ class Worker(Generic[Result]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._progress: tuple[str, float | None] = ("", None)
+        self.steps = 0
+        """Number of places that the job has passed at which it can be cancelled."""
 
     @property
     def busy(self) -> bool:
@@ -50,26 +53,31 @@ class Worker(Generic[Result]):
         waiting = [job]  # so that nothing holds the job, and its samples, when it is done
         stopping = self._stopping = threading.Event()
 
-        def tell(what: str, share: float | None) -> None:
+        def check() -> None:
+            self.steps += 1
             if stopping.is_set():
                 raise Cancelled
+
+        def tell(what: str, share: float | None) -> None:
+            check()
             self._progress = (what, share)
 
         def run() -> None:
             try:
-                result = waiting.pop()(tell)
+                with interruptible(check):
+                    result = waiting.pop()(tell)
+                check()
             except Cancelled:
                 return
             finally:
                 return_free_memory()
-            if not stopping.is_set():
-                done(result)
+            done(result)
 
         self._thread = threading.Thread(target=run, name="worker", daemon=True)
         self._thread.start()
 
     def cancel(self) -> None:
-        """Have the job end at its next report of progress."""
+        """Have the job end at the next place where it can be cancelled: fits pass several a second."""
         self._stopping.set()
 
     def stop(self, patience: float) -> bool:

@@ -10,18 +10,23 @@ from rclpy.node import Node
 
 
 def in_executor(node: Node, call: Callable[[], None]) -> None:
-    """Have the node's executor make a call that does not raise; call this from any thread."""
+    """Have the node's executor make a call; call this from any thread."""
+
+    def guarded() -> None:
+        try:
+            call()
+        except Exception:  # noqa: BLE001  # kills the events executor of rclpy up to 9.1
+            node.get_logger().error(f"A mistake of drive_id, please report it: {traceback.format_exc()}")
+
     executor = node.executor
     if executor is not None:
-        executor.create_task(call)
+        executor.create_task(guarded)
 
 
 class Reply:
     """Sends the response of one request to its client."""
 
-    def __init__(self, node: Node, empty: Callable[[], Any], send: Callable[[Any, Any], None]) -> None:
-        self._node = node
-        self._empty = empty
+    def __init__(self, send: Callable[[Any, Any], None]) -> None:
         self._send = send
         self._header: Any = None
         self._response: Any = None
@@ -32,19 +37,6 @@ class Reply:
             self._response = response
         else:
             self._send(response, self._header)
-
-    def from_thread(self, make: Callable[[], Any]) -> None:
-        """Have the executor make and send the response; call it from any thread."""
-
-        def reply() -> None:
-            try:
-                response = make()
-            except Exception:  # noqa: BLE001  # kills the events executor of rclpy up to 9.1
-                self._node.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
-                response = self._empty()
-            self(response)
-
-        in_executor(self._node, reply)
 
     def attach(self, header: Any) -> None:
         """Set the request's header when the service callback has returned."""
@@ -70,15 +62,13 @@ class DeferredService:
     """
 
     def __init__(self, node: Node, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
-        self._node = node
-        self._kind = kind
         self._callback = callback
         self.service = node.create_service(kind, name, self._on_request)
         self._send_now = self.service.send_response
         self.service.send_response = self._send
 
     def _on_request(self, request: Any, _: Any) -> Reply:
-        reply = Reply(self._node, self._kind.Response, self._send_now)
+        reply = Reply(self._send_now)
         self._callback(request, reply)
         return reply
 

@@ -3,37 +3,44 @@
 from __future__ import annotations
 
 import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from drive_id_msgs.msg import FluxMap, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Identify
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import DriveIdError
 from drive_id.health import Health
 from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import BUSY, Identifier, Reply, failed
+from drive_id.live.identifier import Identifier, Job, Reply, again
 from drive_id.live.memory import return_free_memory, share_arenas
 from drive_id.live.refits import Refit
+from drive_id.live.requests import Request, Requests
 from drive_id.live.warm_up import warm_up
 from drive_id.live.worker import Worker
 from drive_id.nodes.deferred_service import DeferredService, in_executor
 from drive_id.nodes.deferred_service import Reply as Answer
 from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.displays import flux_map_points, operating_point_message
+from drive_id.nodes.identify_action import IdentifyAction
 from drive_id.nodes.matched_subscription import MatchedSubscription
 from drive_id.nodes.parameters import declare_settings, on_change
-from drive_id.nodes.qos import LATCHED
+from drive_id.nodes.qos import LATCHED, STREAM
 from drive_id.nodes.replies import fill, flux_map_message
 from drive_id.nodes.runtime import run
-from drive_id.types import SCALARS
+from drive_id.types import SCALARS, Progress
 
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
-_REFIT_PERIOD = 0.1  # s between checks of whether a fit in the background is due
+_REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
+_OPERATING_PERIOD = 0.05  # s between looks at the operating points that have arrived
 _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
 _SWITCH_INTERVAL = 5e-4  # s after which a fit yields the interpreter to the executor
 
@@ -50,13 +57,15 @@ class Identification(Node):
         return_free_memory()
         topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
         scalar_topics = {name: self.resolve_topic_name(name) for name in SCALARS}
-        self._identifier = Identifier(settings, fit, topics, scalar_topics)
+        self._identifier = Identifier(settings, fit, topics, scalar_topics, self.get_fully_qualified_name())
         self._frame_id = settings.frame_id
-        self._worker: Worker[Reply] = Worker()
+        self._requests = Requests(settings.time_limit, partial(in_executor, self))
         self._refitter: Worker[Refit | None] = Worker()
         self._life = 0  # of the live samples; a fit of forgotten ones is of no use
-        self._fitting = False  # not worker.busy: its thread may outlive the reply
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
+        self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
+        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
+        self._publish_again()
         on_change(self, FitSettings, lambda _: None, self._on_settings)
         self._topics = [
             MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
@@ -73,23 +82,35 @@ class Identification(Node):
             DeferredService(self, Identify, "~/identify", self._on_identify),
             self.create_service(Trigger, "~/reset", self._on_reset),
         ]
-        self._refit_timer = self.create_timer(_REFIT_PERIOD, self._refit, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._action = IdentifyAction(self, "~/identify", self._requests, self._job, self._said)
+        self._request_timer = self.create_timer(
+            _REQUEST_PERIOD, self._look_after_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        if settings.operating_point_rate > 0:
+            self._operating_timer = self.create_timer(
+                _OPERATING_PERIOD, self._publish_operating_points, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
         self._diagnostics = Diagnostics(self, self._health)
         self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
     def close(self) -> None:
         """Stop a running fit; one inside compiled code ends with the process."""
         self._refitter.cancel()
-        self._worker.stop(_PATIENCE)
+        self._requests.stop(_PATIENCE)
         self._refitter.stop(_PATIENCE)
 
     def _match_topics(self) -> None:
         for topic in (*self._topics, *self._scalar_topics):
             topic.match()
 
+    def _look_after_requests(self) -> None:
+        self._requests.look()
+        self._action.look()
+        self._refit()
+
     def _refit(self) -> None:
         """Fit the live samples in the background if that is due and nobody is waiting for another fit."""
-        if self._fitting or self._refitter.busy:
+        if self._requests.busy or self._refitter.busy:
             return
         job = self._identifier.refit()
         if job is not None:
@@ -100,8 +121,8 @@ class Identification(Node):
         if refit is None or life != self._life:
             return
         self._identifier.take(refit)
-        if self._identifier.refits.publishes and not self._fitting:
-            self._flux_map.publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
+        if self._identifier.refits.publishes and not self._requests.busy:
+            self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
 
     def _on_settings(self, settings: FitSettings) -> None:
         if self._identifier.configure(settings):
@@ -109,32 +130,57 @@ class Identification(Node):
             self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
 
     def _on_identify(self, request: Identify.Request, answer: Answer) -> None:
-        if self._fitting:
-            answer(self._response(BUSY))
-            return
-        try:
-            job = self._identifier.job(request.bags, request.method)
-        except DriveIdError as error:
-            answer(self._response(failed(error)))
-            return
-        self._fitting, life = True, self._life
+        def finish(reply: Reply) -> None:
+            answer(self._said(Identify.Response(), reply))
+
+        self._requests.submit(Request(partial(self._job, request.bags, request.method), finish), may_wait=False)
+
+    def _job(self, bags: Sequence[str], method: str) -> Job:
+        """Return the job of a request whose turn has come."""
+        job, life = self._identifier.job(bags, method), self._life
         self._refitter.cancel()
-        self._worker.start(job, lambda reply: answer.from_thread(lambda: self._fitted(reply, life)))
 
-    def _fitted(self, reply: Reply, life: int) -> Identify.Response:
-        self._fitting = False
-        if reply.refit is not None and life == self._life:
+        def run(tell: Progress) -> Reply:
+            reply = job(tell)
+            return reply if life == self._life else replace(reply, refit=None)
+
+        return run
+
+    def _said(self, response: Any, reply: Reply) -> Any:
+        """Fill the response or result of a request that is over, and publish its map."""
+        if reply.refit is not None:
             self._identifier.take(reply.refit)
-        return self._response(reply)
-
-    def _response(self, reply: Reply) -> Identify.Response:
-        response = fill(Identify.Response(), reply, self._frame_id)
-        if reply.success:
-            self._flux_map.publish(response.flux_map)
+        try:
+            fill(response, reply, self._frame_id)
+        except Exception:  # noqa: BLE001  # whoever asked waits for an answer
+            self.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
+            return type(response)(code="internal", message="The reply could not be made: report this as a bug.")
+        if response.success:
+            self._publish(response.flux_map)
             self.get_logger().info(f"{reply.message} The results are in {reply.output}.")
         else:
             self.get_logger().warning(f"identify: {reply.message}")
         return response
+
+    def _publish(self, flux_map: FluxMap) -> None:
+        self._flux_map.publish(flux_map)
+        self._points.publish(flux_map_points(flux_map))
+
+    def _publish_operating_points(self) -> None:
+        points = self._identifier.operating_points
+        if not self._operating_point.get_subscription_count():
+            points.clear()
+            return
+        for point in points.take():
+            self._operating_point.publish(operating_point_message(point, self._frame_id))
+
+    def _publish_again(self) -> None:
+        """Publish the last map of the process before this one."""
+        last = self._identifier.folders.last()
+        if last is not None:
+            reply = again(last)
+            self._publish(flux_map_message(reply, self._frame_id))
+            self.get_logger().info(reply.message)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._identifier.reset()
@@ -143,10 +189,8 @@ class Identification(Node):
         return response
 
     def _health(self) -> Health:
-        what, share = self._worker.progress
-        doing = f"{what}." if share is None else f"{what}, {100 * share:.0f} %."
-        doing = doing if self._fitting else "Waiting for requests."
-        return self._identifier.health(doing, [topic.publishers for topic in self._topics])
+        publishers = [topic.publishers for topic in self._topics]
+        return self._identifier.health(self._requests.doing, publishers, self._requests.findings())
 
 
 def main() -> None:

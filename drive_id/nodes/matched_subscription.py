@@ -30,6 +30,8 @@ class MatchedSubscription:
         Queue depth, messages.
     raw : bool
         Pass serialized messages.
+    latched : bool
+        Ask for the messages of before where all publishers keep them (transient local).
     """
 
     def __init__(
@@ -41,10 +43,14 @@ class MatchedSubscription:
         *,
         depth: int = STREAM.depth,
         raw: bool = False,
+        latched: bool = False,
     ) -> None:
         self.topic: str = node.resolve_topic_name(topic)
         self.type_name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self.reliable = True
+        self.latched = False
+        """Whether the messages of before come, too."""
+        self._may_be_latched = latched
         self._node, self._kind, self._given, self._callback, self._depth, self._raw = (
             node, kind, topic, callback, depth, raw,
         )  # fmt: skip
@@ -57,16 +63,20 @@ class MatchedSubscription:
         """Look up the publishers, and subscribe with a reliability that matches them."""
         self.publishers = [_publisher(info) for info in self._node.get_publishers_info_by_topic(self.topic)]
         wanted = reliable_wanted(self.publishers, self.type_name, self.reliable)
-        if self._subscription is not None and wanted == self.reliable:
+        right = of_type(self.publishers, self.type_name)
+        kept = all(publisher.transient_local for publisher in right) if right else self.latched
+        latched = self._may_be_latched and kept
+        if self._subscription is not None and (wanted, latched) == (self.reliable, self.latched):
             return
         if self._subscription is not None:
             self.drain()
             self._node.destroy_subscription(self._subscription)
-        self.reliable = wanted
+        self.reliable, self.latched = wanted, latched
         base = STREAM if wanted else STREAM_BEST_EFFORT
         qos = QoSProfile(
-            history=base.history, depth=self._depth, reliability=base.reliability, durability=base.durability
-        )
+            history=base.history, depth=self._depth, reliability=base.reliability,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else base.durability,
+        )  # fmt: skip
         # Without the default event callbacks: they log what the diagnostics say anyway, and an event of a destroyed
         # subscription kills the events executor.
         self._subscription = self._node.create_subscription(

@@ -10,6 +10,7 @@ from drive_id_msgs.msg import FitReport, FluxMap
 from numpy.typing import ArrayLike
 from rclpy.time import Time
 
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.live.identifier import Reply
 
 
@@ -32,6 +33,14 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     if identification.has_inverter:
         message.inverter_current = _doubles(identification.inverter_current)
         message.inverter_voltage = _doubles(identification.inverter_voltage)
+    message.i_max = identification.i_max
+    message.coverage = identification.report.coverage
+    message.warnings = list(reply.warnings)
+    message.harmonic_orders = array.array("I", [harmonic.order for harmonic in identification.harmonics])
+    for name in ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin"):
+        amplitudes = [getattr(harmonic, name).ravel() for harmonic in identification.harmonics]
+        setattr(message, f"harmonic_{name}", _doubles(np.concatenate(amplitudes) if amplitudes else []))
+    _fill_calibrations(message, identification)
     return message
 
 
@@ -43,17 +52,21 @@ def fit_report_message(reply: Reply) -> FitReport:
         for name in message.get_fields_and_field_types():
             if name != "warnings" and not name.startswith("calibration_"):
                 setattr(message, name, getattr(report, name))
-        found = reply.identification.calibrations
-        message.calibration_names = [entry.name for entry in found]
-        message.calibration_values = _doubles([entry.value for entry in found])
-        message.calibration_sigmas = _doubles([entry.sigma for entry in found])
-        message.calibration_units = [entry.unit for entry in found]
-        message.calibration_applied = [entry.applied for entry in found]
+        _fill_calibrations(message, reply.identification)
     elif reply.samples is not None:
         message.samples_read = reply.samples.samples
         message.gaps = reply.samples.gaps
         message.warnings = list(reply.samples.warnings)
     return message
+
+
+def _fill_calibrations(message: FluxMap | FitReport, identification: IdentifiedDrive) -> None:
+    found = identification.calibrations
+    message.calibration_names = [entry.name for entry in found]
+    message.calibration_values = _doubles([entry.value for entry in found])
+    message.calibration_sigmas = _doubles([entry.sigma for entry in found])
+    message.calibration_units = [entry.unit for entry in found]
+    message.calibration_applied = [entry.applied for entry in found]
 
 
 def fill(response: Any, reply: Reply, frame_id: str) -> Any:

@@ -102,3 +102,22 @@ def test_optional_topics_may_be_absent_or_silent():
         running.path, (*running.topics, TopicReport("/shaft_torque", lost=3, losses=1)), 1, 10, 0, ""
     )
     assert "3 samples of /shaft_torque were lost" in recorder_health(late, [*states, silent], 1.0, 64.0).message
+
+
+def test_a_publisher_that_does_not_count_is_told():
+    found = health(report(received=50, written=50, uncounted=True))
+    assert found.level == Level.WARN
+    assert "first_sample of /resolver is always 0" in found.message
+
+
+def test_two_sentences_at_most_the_most_severe_first():
+    figures = {"received": 50, "written": 20, "lost": 4, "losses": 1, "overflowed": 3, "unreadable": 2}
+    further = [(Level.ERROR, "The clock stands."), (Level.WARN, "It is late.")]
+    topics = [TopicState("/resolver", KIND, (), None)]
+    found = recorder_health(report(**figures), topics, 1.0, 64.0, further)
+    assert found.level == Level.ERROR
+    assert found.message == "Recording /data/bag. The clock stands."
+    rest = [found.values[f"also {number}"] for number in range(1, 6)]
+    assert "did not fit into the queue" in rest[0]  # the other error
+    assert {"It is late.", "Nobody publishes /resolver."} <= set(rest)
+    assert "also 6" not in found.values

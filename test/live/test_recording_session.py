@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -24,6 +25,7 @@ from drive_id.files.messages.block_codec import decode_block, encode_block, read
 from drive_id.files.messages.messages import SCALAR_SAMPLES, type_hash
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import read_recording
+from drive_id.files.write.recover import recover_bag
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recording_session import RecordedTopic, RecordingSession
 from drive_id.live.recording_settings import RecordingSettings
@@ -406,3 +408,74 @@ def test_nothing_is_overwritten(tmp_path):
     for name in ("a", "b"):
         with pytest.raises(OutputError, match="exists already"):
             new_recording(tmp_path, name, NOW)
+
+
+# -- a bag that goes away -------------------------------------------------------------------------------------------
+
+
+def assert_given_up(session, path):
+    wait_for(lambda: session.error)
+    feed(session, 5, first=30)  # nobody takes them any more
+    assert session.stop()
+    report = session.report()
+    assert f"{path} was removed or renamed" in report.outcome()
+    assert "no sample was lost" not in report.outcome()
+    assert session.error.count(".") == str(path).count(".") + 1  # one sentence
+    assert (report.samples, report.dropped) == (0, 4 * 3000)
+
+
+@pytest.mark.parametrize("settings", [{}, {"max_file_size": 0.05}])
+def test_a_folder_that_is_removed_ends_the_recording_at_the_next_flush(tmp_path, settings):
+    session = record(tmp_path / "bag", RecordingSettings(flush_period=0.1, **settings))
+    feed(session, 30)
+    wait_for(lambda: session.report().samples == 3000)
+    shutil.rmtree(tmp_path / "bag")
+    assert_given_up(session, tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_folder_that_is_renamed_ends_the_recording_and_can_be_completed(tmp_path):
+    session = record(tmp_path / "bag", RecordingSettings(flush_period=0.1))
+    feed(session, 30)
+    wait_for(lambda: session.report().samples == 3000)
+    (tmp_path / "bag").rename(tmp_path / "other")
+    (tmp_path / "bag").mkdir()  # somebody else's
+    assert_given_up(session, tmp_path / "bag")
+    assert list((tmp_path / "bag").iterdir()) == []
+    recovery = recover_bag(tmp_path / "other")
+    assert sum(recovery.topics.values()) == 4 * 30
+
+
+def test_a_folder_that_is_removed_just_before_the_stop(tmp_path):
+    session = record(tmp_path / "bag", RecordingSettings(flush_period=60.0))
+    feed(session, 30)
+    wait_for(lambda: session.report().samples == 3000)
+    shutil.rmtree(tmp_path / "bag")
+    assert session.stop()
+    assert "was removed or renamed" in session.report().outcome()
+    assert "no sample was lost" not in session.report().outcome()
+
+
+# -- what the figures cannot say -------------------------------------------------------------------------------------
+
+
+def test_a_publisher_that_does_not_count_its_samples(tmp_path):
+    session = record(tmp_path / "bag")
+    currents, resolver = TOPICS[0], TOPICS[2]
+    for number in range(10):
+        session.receive(currents.name, block(currents.type_name, 0), START + number)
+        session.receive(resolver.name, block(resolver.type_name, number * 100), START + number)
+    assert session.stop()
+    said = session.report().outcome()
+    assert "losses on /phase_currents do not show, for first_sample is always 0 there" in said
+    assert "no sample was lost" not in said
+    assert "/resolver do not show" not in said
+
+
+def test_a_remark_is_said_and_kept(tmp_path):
+    session = record(tmp_path / "bag")
+    feed(session, 1)
+    session.remark = "The clock stood still."
+    assert session.stop()
+    assert session.report().outcome().endswith(" The clock stood still.")
+    assert metadata(tmp_path / "bag")["custom_data"]["remark"] == "The clock stood still."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -10,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from drive_bags import TRAJECTORY
 from ros_bench import DEADLINE, require_ros, ros_bench
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
@@ -123,11 +128,28 @@ def assert_close(reply, identification, tolerance=1e-9):
     assert (reply.report.samples_read, reply.report.samples_used, reply.report.rows, reply.report.gaps) == (
         report.samples_read, report.samples_used, report.rows, report.gaps
     )  # fmt: skip
-    assert reply.report.coverage == pytest.approx(report.coverage)
+    assert reply.report.coverage == reply.flux_map.coverage == pytest.approx(report.coverage)
+    assert share_of_the_disc(reply.flux_map) == pytest.approx(report.coverage, abs=0.03)
+    assert reply.flux_map.i_max == identification.i_max
+    assert list(reply.flux_map.warnings) == list(reply.report.warnings)
     found = identification.calibrations
-    assert list(reply.report.calibration_names) == [entry.name for entry in found]
-    assert list(reply.report.calibration_units) == [entry.unit for entry in found]
-    assert list(reply.report.calibration_applied) == [entry.applied for entry in found]
+    for message in (reply.report, reply.flux_map):
+        assert list(message.calibration_names) == [entry.name for entry in found]
+        assert list(message.calibration_units) == [entry.unit for entry in found]
+        assert list(message.calibration_applied) == [entry.applied for entry in found]
+        assert message.calibration_values == pytest.approx([entry.value for entry in found], rel=1e-4, abs=1e-6)
+    assert list(reply.flux_map.harmonic_orders) == [harmonic.order for harmonic in identification.harmonics]
+    for name in ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin"):
+        sent = np.array(getattr(reply.flux_map, f"harmonic_{name}")).reshape(-1, *flux_map.inside.shape)
+        for amplitude, harmonic in zip(sent, identification.harmonics, strict=True):
+            np.testing.assert_allclose(amplitude, getattr(harmonic, name), rtol=0, atol=tolerance * scale)
+
+
+def share_of_the_disc(message):
+    """The share of the nodes in the disc that are inside."""
+    i_d, i_q = np.meshgrid(message.i_d, message.i_q, indexing="ij")
+    disc = np.hypot(i_d, i_q) <= message.i_max
+    return np.array(message.inside).reshape(disc.shape)[disc].mean()
 
 
 def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulation):
@@ -192,6 +214,7 @@ def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
     for reply in (live, recorded):
         assert_close(reply, offline, tolerance=1e-6)
         assert (Path(reply.output) / "harmonics.npz").exists()
+    assert len(live.flux_map.harmonic_orders) > 0
     for method in ("joint", "psm"):
         assert identify(ros, method=method, name=name).flux_map.method == method
     player.close()
@@ -300,18 +323,80 @@ def test_garbage_and_foreign_types_do_no_harm(ros, player, bag):
 
 
 @pytest.mark.usefixtures("node")
-def test_a_late_joiner_gets_the_map(ros):
+def test_a_late_joiner_gets_the_map_and_its_points(ros):
     from drive_id_msgs.msg import FluxMap
+    from sensor_msgs.msg import PointCloud2
 
     from drive_id.nodes.qos import LATCHED
 
     reply = identify(ros, "bag")
-    got = []
-    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
-    ros.wait(lambda: got, "the map")
-    ros.node.destroy_subscription(subscription)
+    got, clouds = [], []
+    subscriptions = [
+        ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED),
+        ros.node.create_subscription(PointCloud2, "/flux_map_points", clouds.append, LATCHED),
+    ]
+    ros.wait(lambda: got and clouds, "the map and its points")
+    for subscription in subscriptions:
+        ros.node.destroy_subscription(subscription)
     assert got[-1].psi_q == reply.flux_map.psi_q
     assert got[-1].header == reply.flux_map.header
+    cloud, sent = clouds[-1], reply.flux_map
+    assert cloud.header == sent.header
+    assert (cloud.height, cloud.width) == (len(sent.i_d), len(sent.i_q))
+    names = [field.name for field in cloud.fields]
+    assert {"x", "y", "z", "i_d", "i_q", "psi_d", "psi_q", "sigma", "coverage"} == set(names)
+    assert {(field.datatype, field.count) for field in cloud.fields} == {(7, 1)}  # FLOAT32
+    assert len(cloud.data) == cloud.row_step * cloud.height
+    for j, k in ((0, 0), (20, 41), (32, 32), (47, 11)):
+        at = j * cloud.row_step + k * cloud.point_step
+        point = {f.name: struct.unpack_from("<f", cloud.data, at + f.offset)[0] for f in cloud.fields}
+        index = j * len(sent.i_q) + k
+        assert point["i_d"] == pytest.approx(sent.i_d[j])
+        assert point["i_q"] == pytest.approx(sent.i_q[k])
+        assert point["x"] == pytest.approx(sent.i_d[j] / I_MAX)
+        assert point["y"] == pytest.approx(sent.i_q[k] / I_MAX)
+        assert point["psi_d"] == pytest.approx(sent.psi_d[index])
+        assert point["psi_q"] == pytest.approx(sent.psi_q[index])
+        assert point["coverage"] == float(sent.inside[index])
+        sigma = np.hypot(sent.sigma_d[index], sent.sigma_q[index])
+        assert point["sigma"] == pytest.approx(sigma, rel=1e-5, nan_ok=True)
+
+
+def test_operating_points_are_those_of_the_samples(ros, player, bag, simulation):
+    from drive_id_msgs.msg import OperatingPoint
+
+    from drive_id.nodes.qos import STREAM
+
+    got = []
+    subscription = ros.node.create_subscription(OperatingPoint, "/operating_point", got.append, STREAM)
+    ros.wait(lambda: ros.node.count_publishers("/operating_point"), "the publisher")
+    messages = messages_of(bag)
+    position = 0
+
+    def play():  # 0.1 s of the drive at a time, until some are seen
+        nonlocal position
+        player.play(messages[position : position + 30])
+        position = min(position + 30, len(messages))
+        return position == len(messages)
+
+    ros.wait(play, "all blocks")
+    ros.wait(lambda: got and stamp_of(got[-1]) > simulation.samples.stamp[-300], "the last point")
+    ros.node.destroy_subscription(subscription)
+    stamps = np.array([stamp_of(point) for point in got])
+    assert len(stamps) > 20
+    assert np.diff(stamps).min() > 0
+    assert len(stamps) <= 102  # 50 a second for two seconds
+    index = np.searchsorted(simulation.samples.stamp, stamps)
+    np.testing.assert_array_equal(simulation.samples.stamp[index], stamps)
+    i_abc, angle = simulation.samples.i_abc[index], simulation.samples.angle[index]
+    turned = i_abc @ np.exp(2j * np.pi / 3 * np.arange(3)) * 2 / 3 * np.exp(-1j * angle)
+    np.testing.assert_allclose([point.i_d for point in got], turned.real, atol=1e-2)
+    np.testing.assert_allclose([point.i_q for point in got], turned.imag, atol=1e-2)
+    np.testing.assert_allclose([point.speed for point in got], simulation.samples.speed[index], rtol=1e-5)
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def test_a_second_request_is_told_that_the_node_is_busy_and_no_sample_is_lost_meanwhile(ros, player, simulation):
@@ -387,6 +472,28 @@ def test_diagnostics_tell_of_losses(ros, player, bag):
 
     with Diagnosis(ros) as diagnosis:
         diagnosis.wait(told, "a warning of the loss")
+
+
+@pytest.mark.usefixtures("node")
+def test_a_weak_map_is_marked_on_the_topic_as_it_is_in_the_reply(ros):
+    """A trajectory within 0.3 of the radius: hardly anything of the map is data."""
+    from drive_id_msgs.msg import FluxMap
+
+    from drive_id.nodes.qos import LATCHED
+
+    settings = SimulationSettings(current_noise=1e-3, i_max=0.3 * I_MAX)
+    samples = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds=2.0).samples
+    write_recording(ros.folder / "data" / "weak", samples)
+    got = []
+    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
+    reply = identify(ros, "weak")
+    assert reply.success, reply.message
+    ros.wait(lambda: got and got[-1].header == reply.flux_map.header, "the map")
+    ros.node.destroy_subscription(subscription)
+    assert reply.report.coverage < 0.15
+    assert got[-1].coverage == reply.report.coverage
+    assert list(got[-1].warnings) == list(reply.report.warnings)
+    assert any("of the disc" in warning for warning in got[-1].warnings)
 
 
 def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag):

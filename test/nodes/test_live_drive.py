@@ -149,7 +149,7 @@ def test_the_truth_is_in_its_file_and_in_no_topic(drive):
     assert (truth.machine, truth.resistance) == ("ipm", machine_map("ipm").resistance)
     assert "R 0.01 ohm" in drive.bench.output
     topics = {name for name, _ in drive.ros.node.get_topic_names_and_types() if name.startswith("/cell")}
-    own = ("current_reference", "phase_currents", "phase_voltages", "resolver")
+    own = ("current_reference", "phase_currents", "phase_voltages", "resolver", "trajectory_publisher/transition_event")
     assert topics == {f"/cell/{name}" for name in own}
     publishers = drive.ros.node.get_publishers_info_by_topic("/rosout")
     assert "bench_simulator" not in {publisher.node_name for publisher in publishers}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import shutil
 import signal
 from pathlib import Path
 
@@ -102,8 +103,10 @@ class Recorder:
         """Wait for a status that contains the text."""
 
         def fits():
-            found = self.status is not None and text in self.status.message
-            return found and level in (None, ord(self.status.level))
+            if self.status is None or level not in (None, ord(self.status.level)):
+                return False
+            assert self.status.message.count(". ") <= 1, "at most two sentences"
+            return any(text in said for said in (self.status.message, *(v.value for v in self.status.values)))
 
         self.ros.wait(fits, f"'{text}' in diagnostics (now: {self.status and self.status.message})")
         return {value.key: value.value for value in self.status.values}
@@ -297,6 +300,137 @@ def test_a_namespace(ros):
     messages = stock_messages(recorder.data / "bag")
     assert len(messages) == 16
     assert {topic for topic, _ in messages} == {f"/drive_1{topic.name}" for topic in TOPICS}
+
+
+def test_a_clock_that_is_not_there_or_stops(ros):
+    """As rosbag2 does, nothing is recorded without a clock; one that stops is told at once and at the end."""
+    from rosgraph_msgs.msg import Clock
+
+    recorder, bench = Recorder(ros, use_sim_time=True, flush_period=0.1), Bench(ros)
+    bench.wait_for_listeners()
+    reply = recorder.start("none")
+    assert (reply.success, reply.uri) == (False, "")
+    assert "nobody publishes /clock" in reply.message
+    assert not (recorder.data / "none").exists()
+    clock = ros.node.create_publisher(Clock, "/clock", 10)
+    message = Clock()
+
+    def started():
+        message.clock.sec += 1
+        clock.publish(message)
+        return recorder.start("bag").success
+
+    ros.wait(started, "a start by the clock")
+    bench.publish(5)
+    recorder.wait_for_status("The clock has stood still for", 2)
+    bench.publish(5)
+    recorder.wait_for_samples(phase_currents=1000)
+    reply = recorder.stop()
+    assert "The clock stood still for" in reply.message
+    with Reader(recorder.data / "bag") as reader:
+        times = {stamp for _, stamp, _ in reader.messages()}
+    assert 0 not in times
+    assert len(times) == 1
+
+
+def test_a_folder_that_is_removed_or_renamed(ros):
+    recorder, bench = Recorder(ros, flush_period=0.1), Bench(ros)
+    bench.wait_for_listeners()
+    for name, act in (
+        ("removed", shutil.rmtree),
+        ("renamed", lambda path: path.rename(path.with_name("elsewhere"))),
+    ):
+        assert recorder.start(name).success
+        bench.publish(10)
+        recorder.wait_for_samples(phase_currents=1000)
+        act(recorder.data / name)
+        recorder.wait_for_status(f"{recorder.data / name} was removed or renamed", 2)
+        reply = recorder.stop()
+        assert (reply.success, reply.samples) == (False, 0)
+        assert reply.dropped >= 4000
+        assert "no sample was lost" not in reply.message
+    assert recorder.start("next").success
+
+
+def test_further_topics_of_any_type_with_their_definitions(ros):
+    """One of before the recording (transient local), one that comes up during it, one that nobody publishes."""
+    from geometry_msgs.msg import TransformStamped
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from sensor_msgs.msg import Temperature
+
+    from drive_id.nodes.qos import LATCHED, STREAM
+
+    mount = ros.node.create_publisher(TransformStamped, "/mount", LATCHED)
+    transform = TransformStamped(child_frame_id="motor")
+    transform.transform.translation.z = 0.25
+    mount.publish(transform)
+    recorder, bench = Recorder(ros, extra_topics=["mount", "/resolver", "motor/temperature", "/nobody"]), Bench(ros)
+    bench.wait_for_listeners()
+    ros.wait(mount.get_subscription_count, "the recorder's subscription")
+    recorder.wait_for_status("Nobody publishes the extra topic /nobody", 1)
+    assert recorder.start("bag").success
+    bench.publish(20)
+    thermometer = ros.node.create_publisher(Temperature, "/motor/temperature", STREAM)
+    ros.wait(thermometer.get_subscription_count, "the recorder's subscription")
+    for number in range(5):
+        thermometer.publish(Temperature(temperature=40.0 + number))
+    recorder.wait_for_samples(phase_currents=2000, resolver=2000)
+    reply = recorder.stop()
+    assert (reply.success, reply.samples, reply.dropped) == (True, 2000, 0), reply.message
+    store, values = get_typestore(Stores.EMPTY), {"/mount": [], "/motor/temperature": []}
+    with Reader(recorder.data / "bag") as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        for connection in reader.connections:
+            new = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            store.register({name: kind for name, kind in new.items() if name not in store.types})
+            assert connection.digest == store.hash_rihs01(connection.msgtype), connection.topic
+        for connection, _, data in reader.messages():
+            if connection.topic in values:
+                values[connection.topic].append(store.deserialize_cdr(data, connection.msgtype))
+    assert kinds["/mount"] == "geometry_msgs/msg/TransformStamped"
+    assert [message.transform.translation.z for message in values["/mount"]] == [0.25]
+    assert [message.temperature for message in values["/motor/temperature"]] == [40.0, 41.0, 42.0, 43.0, 44.0]
+    assert "/nobody" not in kinds
+    bad = Parameter("extra_topics", value=["what is this?"]).to_parameter_msg()
+    result = ros.call(SetParameters, "/recorder/set_parameters", parameters=[bad]).results[0]
+    assert not result.successful
+    assert "not the name of a topic" in result.reason
+
+
+def test_pause_resume_and_split(ros):
+    from std_srvs.srv import Trigger
+
+    def ask(name):
+        return ros.call(Trigger, f"/recorder/{name}")
+
+    recorder, bench = Recorder(ros), Bench(ros)
+    bench.wait_for_listeners()
+    for name in ("pause", "resume", "split_bagfile"):
+        assert not ask(name).success
+    assert recorder.start("bag").success
+    for paused in (False, True, False):
+        if paused:
+            assert ask("pause").success
+            assert ask("pause").success
+        bench.publish(10)
+        bench.wait_until_delivered()
+        if paused:
+            recorder.wait_for_status("Paused", 0)
+            assert ask("resume").success
+            assert ask("split_bagfile").success
+    recorder.wait_for_samples(phase_currents=2000)
+    assert ask("split_bagfile").success  # nothing follows
+    reply = recorder.stop()
+    assert (reply.success, reply.samples, reply.dropped) == (True, 2000, 0), reply.message
+    numbers = [*range(10), *range(20, 30)]
+    expected = [(topic.name, block(topic.type_name, number * 100)) for topic in TOPICS for number in numbers]
+    assert sorted(stock_messages(recorder.data / "bag")) == sorted(expected)
+    files = sorted(path.name for path in (recorder.data / "bag").glob("*.mcap"))
+    assert files == ["bag_0.mcap", "bag_1.mcap"]
+    with Reader(recorder.data / "bag") as reader:
+        assert reader.message_count == 80
 
 
 # -- ends ----------------------------------------------------------------------------------------------------------

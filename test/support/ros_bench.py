@@ -170,6 +170,12 @@ class RosBench:
         self.wait(client.service_is_ready, f"service {name}", timeout)
         return client.call_async(kind.Request(**fields))
 
+    def forget_clients(self):
+        """Make new clients from now on, for a node that was started again."""
+        for client in self._clients.values():
+            self.node.destroy_client(client)
+        self._clients = {}
+
     def _wait_until_known(self, node):
         """Wait until a node, by its full name, knows the client that was just made.
 

@@ -208,9 +208,9 @@ class SupervisedExperiment:
         self._take_settings()
         return blocks
 
-    def finish(self, now: int) -> list[ReferenceBlock]:
-        """Stop, and return all blocks down to the last zero: before the process ends."""
-        return self._experiment.finish(now, "Stopped, because the node ends.")
+    def finish(self, now: int, reason: str = "Stopped, because the node ends.") -> list[ReferenceBlock]:
+        """Stop, and return all blocks down to the last zero: before nothing more can be published."""
+        return self._experiment.finish(now, reason)
 
     def health(self, now: int, steady: float) -> Health:
         """Return state, time, set-point and coverage."""

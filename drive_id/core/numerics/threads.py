@@ -20,6 +20,7 @@ _MOST = 4
 
 class _Background(threading.local):
     check: Callable[[], None] | None = None
+    alone: bool = False
 
 
 _background = _Background()
@@ -28,22 +29,44 @@ _background = _Background()
 @contextmanager
 def in_background(check: Callable[[], None]) -> Iterator[None]:
     """Keep what this thread computes in the body to this thread, and call ``check`` often; it may raise to end it."""
-    _background.check = check
+    with _checked(check, alone=True):
+        yield
+
+
+@contextmanager
+def interruptible(check: Callable[[], None]) -> Iterator[None]:
+    """Call ``check`` often in what this thread computes in the body, in any of its threads; it may raise to end it."""
+    with _checked(check, alone=False):
+        yield
+
+
+@contextmanager
+def _checked(check: Callable[[], None], *, alone: bool) -> Iterator[None]:
+    before = _background.check, _background.alone
+    _background.check, _background.alone = check, alone
     try:
         yield
     finally:
-        _background.check = None
+        _background.check, _background.alone = before
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return ``work(item)`` of each item in order, computed in up to four threads; see :func:`in_background`."""
-    if (check := _background.check) is not None:
-        return [(check(), work(item))[1] for item in items]
-    threads = min(_MOST, os.cpu_count() or 1, len(items))
+    """Return ``work(item)`` of each item in order, computed in up to four threads.
+
+    See :func:`in_background` and :func:`interruptible`.
+    """
+    check = _background.check
+
+    def checked(item: Item) -> Result:
+        if check is not None:
+            check()
+        return work(item)
+
+    threads = 1 if _background.alone else min(_MOST, os.cpu_count() or 1, len(items))
     if threads < 2:
-        return [work(item) for item in items]
+        return [checked(item) for item in items]
     with ThreadPoolExecutor(threads, "fit") as pool:
-        return list(pool.map(work, items))
+        return list(pool.map(checked, items))
 
 
 _limit = threading.Lock()  # held by whoever limits BLAS: only the thread that set a limit can restore it

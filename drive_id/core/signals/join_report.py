@@ -22,6 +22,8 @@ class SignalReport:
         Constant distance of the stamps from those of the currents, s, within half a period.
     declared_period, measured_period : float or None
         s.
+    not_finite : int
+        Samples dropped because they are NaN or infinite.
     """
 
     topic: str
@@ -34,6 +36,7 @@ class SignalReport:
     offset: float
     declared_period: float | None
     measured_period: float | None
+    not_finite: int = 0
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,11 @@ def join_warnings(report: JoinReport) -> tuple[str, ...]:
     """Say in sentences what is missing, cut out or shifted in the joined samples."""
     sentences = []
     for signal in report.signals:
+        if signal.not_finite:
+            sentences.append(
+                f"{signal.not_finite} samples of {signal.topic} are NaN or infinite, so that a fit will be refused: "
+                "repair the sensor or its driver."
+            )
         if signal.repeated or signal.backward:
             sentences.append(
                 f"{signal.repeated} repeated and {signal.backward} backward stamps of {signal.topic} were cut out."
@@ -89,7 +97,8 @@ def join_warnings(report: JoinReport) -> tuple[str, ...]:
                 "if they belong to the sample before or after, give stamp_offset in a signals file."
             )
     currents = report.signals[0]
-    if report.samples < 0.9 * currents.read:
+    finite = currents.read - sum(signal.not_finite for signal in report.signals)
+    if report.samples < 0.9 * finite:
         sentences.append(
             f"Only {report.samples} of {currents.read} samples of {currents.topic} have partners in voltages and "
             "resolver and could be used."

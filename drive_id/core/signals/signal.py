@@ -11,6 +11,8 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 LARGEST_CUT = 0.01
 """Largest part of a signal's samples that may be cut out for repeated or backward stamps."""
+_FEWEST_BLOCKS = 3
+"""Blocks that begin with sample 0 before their publisher is said not to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,8 @@ class SampleCount:
         Samples missing between blocks, and the number of places.
     restarts : int
         Places where the count ran backwards: the publisher restarted, or there are two of them.
+    zeros : int
+        Blocks that begin with sample 0.
     """
 
     samples: int = 0
@@ -87,6 +91,7 @@ class SampleCount:
     lost: int = 0
     losses: int = 0
     restarts: int = 0
+    zeros: int = 0
     _next: int | None = None
 
     def add(self, first_sample: int, samples: int) -> None:
@@ -101,3 +106,13 @@ class SampleCount:
         self._next = first_sample + samples
         self.samples += samples
         self.blocks += 1
+        self.zeros += first_sample == 0
+
+    def interrupt(self) -> None:
+        """Have the next block begin anew: what is missing before it is not lost."""
+        self._next = None
+
+    @property
+    def counts_nothing(self) -> bool:
+        """Whether ``first_sample`` is always 0, so that losses do not show."""
+        return self.zeros == self.blocks >= _FEWEST_BLOCKS and self.samples > 0

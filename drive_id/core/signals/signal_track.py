@@ -165,6 +165,7 @@ class SignalTrack:
             offset=offset * 1e-9,
             declared_period=self.period,
             measured_period=self.measured_period,
+            not_finite=self._not_finite,
         )
 
     def _in_order(self, stamp: IntArray) -> IntArray:

@@ -1,0 +1,144 @@
+"""The folders of a node's results: names for new ones, a quota for old ones, and the last map for the next start."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from drive_id.errors import DriveIdError
+from drive_id.files.results.folder import is_result, replace_file
+from drive_id.fitting.result import Identification, load
+from drive_id.health import Level, Observation
+from drive_id.live.identification_settings import IdentificationSettings
+
+_FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(psm|joint|full)(_\d+)?", re.ASCII)
+_FORMAT = "drive_id/last_map"
+_LONGEST_NOTE = 10_000  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class LastMap:
+    """The last result of a node.
+
+    Parameters
+    ----------
+    result : Identification
+    folder : Path
+    stamp : int
+        Of the last sample, ns.
+    """
+
+    result: Identification
+    folder: Path
+    stamp: int
+
+
+class ResultFolders:
+    """Folders that a node makes for its results, all in one, which nodes of other drives may share.
+
+    Parameters
+    ----------
+    settings : IdentificationSettings
+    node : str
+        Full name of the node.
+    """
+
+    def __init__(self, settings: IdentificationSettings, node: str) -> None:
+        self._settings = settings
+        self._base = Path(settings.output_directory).expanduser().absolute()
+        self._note = self._base / f".last{node.replace('/', '.')}.json"
+        self._node = node
+        self._trouble = ""
+
+    def note(self, folder: Path, stamp: int) -> None:
+        """Remember a result for the next start, and remove the oldest folders beyond the quota."""
+        try:
+            tree = {"format": _FORMAT, "node": self._node, "folder": folder.name, "stamp": stamp}
+            replace_file(self._note, (json.dumps(tree, indent=1) + "\n").encode())
+            self._trouble = ""
+            self.tidy()
+        except (DriveIdError, OSError) as error:
+            self._trouble = f"The folder of the results cannot be kept in order: {error}"
+
+    def last(self) -> LastMap | None:
+        """Return the result that was noted last; None if there is none that can be read."""
+        note = _read_note(self._note)
+        if note is None or note.node != self._node:
+            return None
+        folder = self._base / note.folder
+        try:
+            return LastMap(load(folder), folder, note.stamp)
+        except DriveIdError as error:
+            self._trouble = f"The last map is not published again: {error}"
+            return None
+
+    def tidy(self) -> None:
+        """Remove the oldest folders beyond the quota, but none that a node would publish again.
+
+        Only folders with the names and the files of a node's results count, and only they are removed.
+        """
+        most, largest = self._settings.results_count, self._settings.results_size * 1e6
+        found = [path for path in self._base.iterdir() if self._is_own(path)]
+        notes = (_read_note(path) for path in self._base.glob(".last.*.json"))
+        kept = {note.folder for note in notes if note is not None}
+        sizes = {path: _size(path) for path in sorted(found, key=_age)}
+        for path in [path for path in sizes if path.name not in kept]:  # oldest first
+            if not (most and len(sizes) > most) and not (largest and sum(sizes.values()) > largest):
+                return
+            shutil.rmtree(path)
+            del sizes[path]
+
+    @staticmethod
+    def _is_own(path: Path) -> bool:
+        return _FOLDER.fullmatch(path.name) is not None and not path.is_symlink() and is_result(path)
+
+    def findings(self) -> list[Observation]:
+        """Return what is wrong with the folders."""
+        return [(Level.WARN, self._trouble)] if self._trouble else []
+
+
+def new_folder(settings: IdentificationSettings, method: str) -> Path:
+    """Return the path of a folder that is not there yet, named after time and method."""
+    base = Path(settings.output_directory).expanduser().absolute()
+    stem = datetime.now().astimezone().strftime(f"%Y-%m-%d_%H-%M-%S_{method}")
+    number = 1
+    path = base / stem
+    while path.exists() or path.is_symlink():
+        number += 1
+        path = base / f"{stem}_{number}"
+    return path
+
+
+def _age(path: Path) -> tuple[float, str]:
+    return path.stat().st_mtime, path.name
+
+
+def _size(path: Path) -> int:
+    return sum(file.lstat().st_size for file in path.rglob("*"))
+
+
+class _Note(NamedTuple):
+    """What a node noted of its last result: its full name, the folder, and the stamp of the last sample, ns."""
+
+    node: str
+    folder: str
+    stamp: int
+
+
+def _read_note(path: Path) -> _Note | None:
+    try:
+        with path.open("rb") as file:
+            tree = json.loads(file.read(_LONGEST_NOTE))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
+        return None
+    node, folder, stamp = (tree.get(name) for name in ("node", "folder", "stamp"))
+    if not isinstance(node, str) or not isinstance(folder, str) or not isinstance(stamp, int):
+        return None
+    return _Note(node, folder, stamp) if _FOLDER.fullmatch(folder) and 0 <= stamp < 2**63 else None

@@ -1,0 +1,127 @@
+"""The action ``~/identify``: a request with progress, which can be cancelled."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from drive_id_msgs.action import Identify
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.node import Node
+
+from drive_id.live.identifier import CANCELLED, VANISHED, Job, Reply
+from drive_id.live.requests import Request, Requests, Stage
+from drive_id.nodes.deferred_service import in_executor
+
+_KEPT = 60  # s for which a result can be asked for
+_GONE = 2.0  # s without a client after which it is gone
+
+
+class _HoldingServer(ActionServer):
+    """An action server whose goals execute until :meth:`conclude`, without a callback that waits.
+
+    A callback that awaits keeps a core busy in the executors of rclpy 7.1; one that blocks holds the node up.
+    """
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Do nothing when a goal begins."""
+
+    def conclude(self, goal_handle: Any, callback: Callable[[Any], Any]) -> None:
+        """Have the callback set the goal's last state and return its result."""
+        super().notify_execute(goal_handle, callback)
+
+
+class IdentifyAction:
+    """Makes requests of goals.
+
+    Parameters
+    ----------
+    node : Node
+    name : str
+    requests : Requests
+    make : callable
+        Returns the job of recordings and method.
+    fill : callable
+        Fills a result with a reply, and returns it.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        requests: Requests,
+        make: Callable[[Sequence[str], str], Job],
+        fill: Callable[[Any, Reply], Any],
+    ) -> None:
+        self._node = node
+        self._requests = requests
+        self._make = make
+        self._fill = fill
+        self._goals: dict[bytes, Request] = {}
+        self._feedback = f"{node.resolve_service_name(name)}/_action/feedback"  # every action client subscribes to it
+        self._heard: float | None = None  # when a client was last seen, s
+        self._server = _HoldingServer(
+            node,
+            Identify,
+            name,
+            lambda _: None,
+            handle_accepted_callback=self._on_accepted,
+            cancel_callback=self._on_cancel,
+            result_timeout=_KEPT,
+        )
+
+    def look(self) -> None:
+        """Cancel goals whose clients are gone; call it several times a second."""
+        now = time.monotonic()
+        if not self._goals or self._node.count_subscribers(self._feedback):
+            self._heard = now if self._goals else None
+        elif self._heard is not None and now - self._heard > _GONE:
+            for request in list(self._goals.values()):
+                self._requests.cancel(request, VANISHED)
+
+    def _on_accepted(self, goal: Any) -> None:
+        in_executor(self._node, lambda: self._accept(goal))  # an error here would end the process
+
+    def _accept(self, goal: Any) -> None:
+        def make() -> Job:
+            goal.execute()
+            return self._make(goal.request.bags, goal.request.method)
+
+        request = Request(make, partial(self._finish, goal), partial(self._tell, goal))
+        self._goals[_key(goal)] = request
+        self._requests.submit(request, may_wait=True)
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        in_executor(self._node, lambda: self._cancel(goal))  # the goal is being cancelled only after this
+        return CancelResponse.ACCEPT
+
+    def _cancel(self, goal: Any) -> None:
+        request = self._goals.get(_key(goal))
+        if request is not None:
+            self._requests.cancel(request, CANCELLED)
+
+    def _tell(self, goal: Any, stage: Stage) -> None:
+        goal.publish_feedback(Identify.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
+
+    def _finish(self, goal: Any, reply: Reply) -> None:
+        del self._goals[_key(goal)]
+        if goal.status == GoalStatus.STATUS_ACCEPTED and not goal.is_cancel_requested:
+            goal.execute()  # a goal that has not begun cannot be aborted
+        self._server.conclude(goal, partial(self._conclude, reply))
+
+    def _conclude(self, reply: Reply, goal: Any) -> Identify.Result:
+        result = self._fill(Identify.Result(), reply)
+        if reply.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+
+def _key(goal: Any) -> bytes:
+    return bytes(goal.goal_id.uuid)

@@ -1,0 +1,226 @@
+"""The action ``~/identify`` of a process: progress, cancelling, the queue, clients that go, quota and restart."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_bench import require_ros, ros_bench
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.sources import Sources
+
+MODULE = "drive_id.nodes.identification"
+NAME = "/identification/identify"
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/msg/GoalStatus
+LONG = tuple(f"long_{number}" for number in range(6))
+"""Recordings that take seconds to accumulate."""
+STAGES = ["Waiting", "Reading", "Accumulating", "Solving", "Writing"]
+
+
+@pytest.fixture(scope="module")
+def ros():
+    require_ros()
+    with ros_bench() as bench:
+        yield bench
+
+
+@pytest.fixture(scope="module")
+def parameters(ros, bag, simulation):
+    data = ros.folder / "data"
+    data.mkdir()
+    shutil.copytree(bag, data / "bag")
+    for number, name in enumerate(LONG):
+        later = simulation.samples.stamp + number * 10**10
+        write_recording(data / name, replace(simulation.samples, stamp=later))
+    return {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "results_count": 3}
+
+
+@pytest.fixture(scope="module")
+def node(ros, parameters):
+    process = ros.start(MODULE, parameters=parameters)
+    assert identify(ros, "bag", method="psm").success  # what a fit needs is loaded
+    return process
+
+
+class Goal:
+    """A goal, its feedback and its result."""
+
+    def __init__(self, ros, client, *bags, method="full"):
+        from drive_id_msgs.action import Identify
+
+        self.ros, self.feedback = ros, []
+        ros.wait(client.server_is_ready, "the action server")
+        sent = client.send_goal_async(
+            Identify.Goal(bags=list(bags), method=method),
+            feedback_callback=lambda message: self.feedback.append(message.feedback),
+        )
+        ros.wait(sent.done, "the acceptance of a goal")
+        self.handle = sent.result()
+        assert self.handle.accepted
+        self.future = self.handle.get_result_async()
+
+    def wait(self):
+        """Return status and result."""
+        self.ros.wait(self.future.done, "the result of a goal")
+        return self.future.result().status, self.future.result().result
+
+    def wait_for_stage(self, name):
+        self.ros.wait(lambda: any(entry.stage == name for entry in self.feedback), f"stage {name}")
+
+
+@contextmanager
+def action_client(node):
+    from drive_id_msgs.action import Identify
+    from rclpy.action import ActionClient
+
+    client = ActionClient(node, Identify, NAME)
+    try:
+        yield client
+    finally:
+        client.destroy()
+
+
+@pytest.fixture
+def client(ros, node):
+    assert node.popen.poll() is None, node.output
+    with action_client(ros.node) as client:
+        yield client
+
+
+def identify(ros, *bags, method=""):
+    from drive_id_msgs.srv import Identify
+
+    return ros.call(Identify, NAME, bags=list(bags), method=method)
+
+
+def folders(ros):
+    results = ros.folder / "results"
+    return {path.name for path in results.iterdir() if not path.name.startswith(".last")}
+
+
+def test_a_goal_gives_what_the_service_gives_and_tells_how_far_it_is(ros, client, bag):
+    goal = Goal(ros, client, "bag")
+    status, result = goal.wait()
+    assert (status, result.success, result.code) == (SUCCEEDED, True, "ok"), result.message
+    offline = fit_bags(Sources([bag]), None, FitSettings()).drive
+    psi_d = np.array(result.flux_map.psi_d).reshape(offline.flux_map.psi_d.shape)
+    np.testing.assert_allclose(psi_d, offline.flux_map.psi_d, rtol=0, atol=1e-6 * np.abs(psi_d).max())
+    assert result.report.samples_read == offline.report.samples_read
+    assert (Path(result.output) / "identification.json").exists()
+    assert len(goal.feedback) > 3
+    shares = [entry.progress for entry in goal.feedback]
+    assert shares == sorted(shares)
+    assert all(0 <= share <= 1 for share in shares)
+    stages = [STAGES.index(entry.stage) for entry in goal.feedback]
+    assert stages == sorted(stages)
+    assert {"Solving"} < {entry.stage for entry in goal.feedback}
+    assert all(entry.message.startswith(entry.stage) for entry in goal.feedback)
+
+
+def test_a_bad_goal_is_aborted_with_the_code_of_the_service(ros, client):
+    for bags, method, code in ((("missing",), "full", "not_a_bag"), (("bag",), "best", "configuration")):
+        status, result = Goal(ros, client, *bags, method=method).wait()
+        assert (status, result.success, result.code) == (ABORTED, False, code)
+        assert result.message == identify(ros, *bags, method=method).message
+
+
+def test_a_cancelled_fit_frees_the_node_within_two_seconds(ros, client):
+    before = folders(ros)
+    for stage in ("Accumulating", "Solving"):
+        goal = Goal(ros, client, *LONG)
+        goal.wait_for_stage(stage)
+        start = time.monotonic()
+        ros.wait(goal.handle.cancel_goal_async().done, "the answer to cancel")
+        status, result = goal.wait()
+        assert (status, result.success, result.code) == (CANCELED, False, "cancelled")
+        assert identify(ros, "missing").code == "not_a_bag"  # not busy
+        assert time.monotonic() - start < 2.0
+    assert folders(ros) == before  # nothing is left behind, and nothing comes later
+    assert identify(ros, "bag", method="psm").success
+
+
+def test_one_goal_waits_and_more_are_busy(ros, client):
+    first, second, third = (Goal(ros, client, "bag", method=method) for method in ("full", "psm", "psm"))
+    status, result = third.wait()
+    assert (status, result.success, result.code) == (ABORTED, False, "busy")
+    assert identify(ros, "bag").code == "busy"
+    second.wait_for_stage("Waiting")
+    first.handle.cancel_goal_async()
+    assert first.wait()[0] == CANCELED
+    status, result = second.wait()
+    assert (status, result.flux_map.method) == (SUCCEEDED, "psm")
+
+
+def test_a_waiting_goal_can_be_cancelled(ros, client):
+    first, second = (Goal(ros, client, "bag", method=method) for method in ("full", "psm"))
+    second.handle.cancel_goal_async()
+    status, result = second.wait()
+    assert (status, result.code) == (CANCELED, "cancelled")
+    assert first.wait()[0] == SUCCEEDED
+
+
+def test_a_client_that_vanishes_leaves_nothing_behind(ros, node, monkeypatch):
+    """Neither a fit nor a folder; a second goal of it waits, and goes, too."""
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.setenv(name, ros.environment[name])
+    before, context = folders(ros), Context()
+    context.init(args=[], domain_id=int(ros.environment["ROS_DOMAIN_ID"]))
+    stranger = Node("stranger", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(stranger)
+    ros.meanwhile.append(lambda: executor.spin_once(timeout_sec=0))
+    with action_client(stranger) as client:
+        goals = [Goal(ros, client, *LONG) for _ in range(2)]
+        goals[0].wait_for_stage("Accumulating")
+    ros.meanwhile.clear()
+    executor.shutdown()
+    stranger.destroy_node()
+    context.try_shutdown()
+    start = time.monotonic()
+    ros.wait(lambda: identify(ros, "missing").code == "not_a_bag", "a free node")
+    assert time.monotonic() - start < 10.0
+    assert "the request was cancelled" in node.output
+    assert folders(ros) == before
+
+
+def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
+    from drive_id_msgs.msg import FluxMap
+
+    from drive_id.nodes.qos import LATCHED
+
+    replies = [identify(ros, "bag", method=method) for method in ("psm", "joint", "psm", "joint")]
+    assert len(folders(ros)) == 3
+    assert all(Path(reply.output).exists() == (number > 0) for number, reply in enumerate(replies))
+    assert identify(ros, "missing").code == "not_a_bag"  # an error leaves the last good map
+    node.popen.kill()
+    node.popen.wait()
+    got = []
+    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
+    again = ros.start(MODULE, parameters=parameters | {"time_limit": 0.01})
+    ros.wait(lambda: got, "the last map")
+    ros.node.destroy_subscription(subscription)
+    last = replies[-1].flux_map
+    assert (got[0].header, got[0].method, got[0].machine) == (last.header, last.method, last.machine)
+    np.testing.assert_allclose(got[0].psi_d, last.psi_d)
+    np.testing.assert_array_equal(got[0].inside, last.inside)
+    assert list(got[0].warnings) == list(last.warnings)
+    assert (got[0].coverage, got[0].i_max) == (last.coverage, last.i_max)
+    ros.wait(lambda: "Published again" in again.output, "a word on it")
+    ros.forget_clients()  # the killed node's service seems to be there still
+    reply = identify(ros, "bag", method="full")
+    assert (reply.success, reply.code) == (False, "time_limit")
+    assert "time_limit, 0.01 s" in reply.message
+    assert again.interrupt()[0] == 0, again.output
+    assert "Traceback" not in again.output

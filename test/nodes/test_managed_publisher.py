@@ -1,0 +1,131 @@
+"""The lifecycle of ``trajectory_publisher``: what each state permits, and zero current behind every end of active."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from ros_bench import require_ros, ros_bench
+
+MODULE = "drive_id.nodes.trajectory_publisher"
+NAME = "/trajectory_publisher"
+
+
+@pytest.fixture(scope="module")
+def ros():
+    require_ros()
+    with ros_bench() as bench:
+        bench.start("drive_id.nodes.bench_simulator")
+        yield bench
+
+
+def stamp(block):
+    return block.header.stamp.sec * 10**9 + block.header.stamp.nanosec
+
+
+class Managed:
+    """A publisher in a namespace of its own or not, its references, and its services."""
+
+    def __init__(self, ros, **parameters):
+        from drive_id_msgs.msg import CurrentReference
+
+        from drive_id.nodes.qos import STREAM
+
+        self.ros = ros
+        self.blocks = []
+        self.subscription = ros.node.create_subscription(
+            CurrentReference, "/current_reference", self.blocks.append, STREAM
+        )
+        self.process = ros.start(MODULE, parameters={"i_max": 20.0, "lead_time": 1.0, **parameters})
+
+    def change(self, label="", number=0):
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        return self.ros.call(ChangeState, f"{NAME}/change_state", transition=Transition(label=label, id=number)).success
+
+    def state(self):
+        from lifecycle_msgs.srv import GetState
+
+        return self.ros.call(GetState, f"{NAME}/get_state").current_state.label
+
+    def call(self, name):
+        from std_srvs.srv import Trigger
+
+        return self.ros.call(Trigger, f"{NAME}/{name}")
+
+    def begin(self):
+        """Start an experiment, as soon as the drive is heard, and wait until it has current."""
+        self.blocks.clear()
+        self.ros.wait(lambda: self.call("start").success, "a start")
+        self.ros.wait(lambda: len(self.blocks) > 10 and np.abs(self.blocks[-1].d).max() > 1.0, "references")
+
+    def assert_ends_at_zero(self):
+        """The last blocks lead to zero by the slew rate, none is missing, and nothing follows."""
+        self.ros.wait(lambda: not np.any(self.blocks[-1].d) and not np.any(self.blocks[-1].q), "zeros")
+        self.rest()
+        last = self.blocks[-1]
+        begin = max(k for k, (a, b) in enumerate(pairwise(self.blocks), 1) if stamp(b) <= stamp(a))
+        ramp = np.concatenate([np.stack([block.d, block.q], axis=-1) for block in self.blocks[begin:]])
+        assert np.hypot(*np.diff(ramp, axis=0).T).max() <= 1e4 * 1e-4 * (1 + 1e-3)
+        assert not ramp[-1].any()
+        count = len(self.blocks)
+        self.rest()
+        assert len(self.blocks) == count
+        assert last is self.blocks[-1]
+        assert all(b.first_sample == a.first_sample + len(a.d) for a, b in pairwise(self.blocks))
+
+    def rest(self):
+        until = time.monotonic() + 0.3
+        self.ros.wait(lambda: time.monotonic() > until, "a while")
+
+    def close(self):
+        self.ros.node.destroy_subscription(self.subscription)
+        self.ros.forget_clients()
+        assert self.process.interrupt()[0] == 0, self.process.output
+        assert "Traceback" not in self.process.output
+
+
+def test_without_autostart_each_state_permits_what_it_should(ros):
+    managed = Managed(ros, autostart=False)
+    assert managed.state() == "unconfigured"
+    reply = managed.call("start")
+    assert not reply.success
+    assert "is unconfigured: configure and activate it" in reply.message
+    assert managed.call("stop").message == "Nothing is running."
+    assert ros.node.count_publishers("/current_reference") == 0
+    for label, number in (("activate", 0), ("", 3), ("", 200), ("nonsense", 0)):  # none of them leads anywhere
+        assert not managed.change(label, number), (label, number)
+    assert managed.state() == "unconfigured"
+    assert managed.change("configure")
+    assert managed.state() == "inactive"
+    assert "is inactive: activate it" in managed.call("start").message
+    assert managed.change("activate")
+    managed.begin()
+    assert managed.change("deactivate")
+    managed.assert_ends_at_zero()
+    assert managed.state() == "inactive"
+    assert not managed.call("start").success
+    assert managed.change("cleanup")
+    ros.wait(lambda: ros.node.count_publishers("/current_reference") == 0, "the publisher to go")
+    assert managed.change("configure")
+    assert managed.change("activate")
+    managed.begin()  # again
+    assert managed.change("shutdown")
+    managed.assert_ends_at_zero()
+    assert managed.state() == "finalized"
+    assert not managed.call("start").success
+    managed.close()
+
+
+def test_it_activates_itself_and_ends_at_zero_with_the_process(ros):
+    managed = Managed(ros)
+    managed.begin()
+    assert managed.state() == "active"
+    assert not managed.change("configure")
+    assert managed.state() == "active"
+    assert managed.process.interrupt()[0] == 0
+    managed.assert_ends_at_zero()
+    managed.close()

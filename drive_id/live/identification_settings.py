@@ -18,6 +18,7 @@ class IdentificationSettings:
         "identifications",
         "Folder in which each fit makes a new one; relative to the working directory",
     )
+    signals: str = setting("", "Signals file of a bench with topics of its own; empty: our messages")
     picture: bool = setting(False, "Draw the maps beside the result files; takes about a second")
     refit_share: float = setting(
         0.1,

@@ -33,6 +33,7 @@ from drive_id.live.operating_points import OperatingPoints
 from drive_id.live.publishers import Publisher, publisher_findings
 from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.live.result_folders import LastMap, ResultFolders, new_folder
+from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.types import SCALARS, Progress
 
@@ -134,6 +135,12 @@ class Identifier:
             self.live.add(section, piece)
         except DriveIdError as error:
             self._note(error)
+
+    def receive_block(self, block: SignalBlock) -> None:
+        """Take translated samples of a bench's own topics."""
+        for section, signal in enumerate(block.signals()):
+            self.operating_points.add(section, signal)
+            self.live.add(section, signal)
 
     def receive_scalar(self, name: str, data: bytes) -> None:
         """Take one serialized message of an optional signal, by its name in :class:`~drive_id.types.Samples`."""

@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
@@ -17,18 +18,21 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
 from drive_id.live.identification_settings import IdentificationSettings
 from drive_id.live.identifier import Identifier, Job, Reply, again
 from drive_id.live.memory import return_free_memory, share_arenas
 from drive_id.live.refits import Refit
 from drive_id.live.requests import Request, Requests
+from drive_id.live.translator import Translator
 from drive_id.live.warm_up import warm_up
 from drive_id.live.worker import Worker
 from drive_id.nodes.deferred_service import DeferredService, in_executor
 from drive_id.nodes.deferred_service import Reply as Answer
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.displays import flux_map_points, operating_point_message
+from drive_id.nodes.foreign_topics import ForeignTopics
 from drive_id.nodes.identify_action import IdentifyAction
 from drive_id.nodes.matched_subscription import MatchedSubscription
 from drive_id.nodes.parameters import declare_settings, on_change
@@ -39,6 +43,8 @@ from drive_id.types import SCALARS, Progress
 
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
+_TRANSLATION_PERIOD = 0.02  # s between blocks of foreign messages
+_FOREIGN_DEPTH = 5000  # foreign messages that may wait while the node is busy
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
 _OPERATING_PERIOD = 0.05  # s between looks at the operating points that have arrived
 _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
@@ -67,9 +73,11 @@ class Identification(Node):
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
         self._publish_again()
         on_change(self, FitSettings, lambda _: None, self._on_settings)
+        self._foreign = self._foreign_topics(settings.signals) if settings.signals else None
         self._topics = [
             MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
             for section, (name, kind) in enumerate(TOPICS.items())
+            if self._foreign is None
         ]
         self._scalar_topics = [
             MatchedSubscription(self, ScalarSamples, name, partial(self._identifier.receive_scalar, name), raw=True)
@@ -102,6 +110,20 @@ class Identification(Node):
     def _match_topics(self) -> None:
         for topic in (*self._topics, *self._scalar_topics):
             topic.match()
+        if self._foreign is not None:
+            self._foreign.match()
+
+    def _foreign_topics(self, signals: str) -> ForeignTopics:
+        """Subscribe to the topics of a signals file instead of ours."""
+        translator = Translator(read_signals(Path(signals).expanduser()))
+
+        def translate() -> None:
+            for block in translator.advance():
+                self._identifier.receive_block(block)
+
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._translating = self.create_timer(_TRANSLATION_PERIOD, translate, clock=steady)
+        return ForeignTopics(self, translator, _FOREIGN_DEPTH)
 
     def _look_after_requests(self) -> None:
         self._requests.look()
@@ -189,8 +211,9 @@ class Identification(Node):
         return response
 
     def _health(self) -> Health:
-        publishers = [topic.publishers for topic in self._topics]
-        return self._identifier.health(self._requests.doing, publishers, self._requests.findings())
+        publishers = [topic.publishers for topic in self._topics] or [[] for _ in TOPICS]
+        findings = [*self._requests.findings(), *(self._foreign.findings() if self._foreign is not None else [])]
+        return self._identifier.health(self._requests.doing, publishers, findings)
 
 
 def main() -> None:

@@ -1,0 +1,201 @@
+"""Messages of a bench's own topics to blocks of our signals, by a signals file."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.signals.join import Piece, StreamJoin
+from drive_id.core.signals.join_report import JoinReport
+from drive_id.core.signals.signal import Signal
+from drive_id.errors import ConfigurationError, DriveIdError
+from drive_id.files.messages.message_reader import DECODE_ERRORS, MessageSamples, Reader, message_reader
+from drive_id.files.messages.signal_sources import SignalMap
+from drive_id.files.read.conversion import conversions
+from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder
+from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.types import Samples
+
+SECTIONS = ("currents", "voltages", "resolver")
+_BATCH, _CAPACITY = 100, 50_000
+_MOST_WAITING = 200_000
+"""Messages of a signal that wait for :meth:`Translator.advance`; earlier ones are dropped beyond."""
+
+
+@dataclass(frozen=True, eq=False)
+class SignalBlock:
+    """Samples of a drive without a gap, as our messages carry them.
+
+    Parameters
+    ----------
+    stamp : int
+        Of the first sample, ns.
+    first_sample : int
+        Running count of the first sample; it jumps by the samples lost.
+    sample_period : float
+        s.
+    currents, voltages : (N, 3) float32
+        A and V.
+    resolver : (N, 2) float32
+        Electrical angle, rad, in [-pi, pi), and electrical speed, rad/s.
+    scalars : mapping of str to (N,) float32
+        Optional signals by their names in :class:`~drive_id.types.Samples`.
+    """
+
+    stamp: int
+    first_sample: int
+    sample_period: float
+    currents: NDArray[np.float32]
+    voltages: NDArray[np.float32]
+    resolver: NDArray[np.float32]
+    scalars: Mapping[str, NDArray[np.float32]]
+
+    def signals(self) -> tuple[Signal, Signal, Signal]:
+        """Return currents, voltages and resolver as signals."""
+        steps = np.rint(np.arange(len(self.currents)) * (self.sample_period * 1e9)).astype(np.int64)
+        start = np.zeros(1, np.int64)
+        currents, voltages, resolver = (
+            Signal(name, self.stamp + steps, values.astype(np.float64), self.sample_period, start)
+            for name, values in zip(SECTIONS, (self.currents, self.voltages, self.resolver), strict=True)
+        )
+        return currents, voltages, resolver
+
+
+class Translator:
+    """Translates a stream of messages.
+
+    Parameters
+    ----------
+    signals : SignalMap
+        Names the topics. Every section needs a declared ``sample_period``, the resolver a speed in the same message.
+
+    Raises
+    ------
+    ConfigurationError
+        When the signals file needs all of a recording at once.
+    """
+
+    def __init__(self, signals: SignalMap) -> None:
+        self.signals = signals
+        sources = signals.sources()
+        if signals.of_columns:
+            raise ConfigurationError("The signals file names columns: name the topic of each section to bridge it.")
+        undeclared = [name for name in SECTIONS if name in sources and sources[name].sample_period is None]
+        if undeclared:
+            raise ConfigurationError(
+                f"The signals file declares no sample_period for {' and '.join(undeclared)}, which live signals need."
+            )
+        if signals.at_once or not signals.resolver.own_speed:
+            raise ConfigurationError(
+                "The signals file needs a whole recording (no speed beside the angle, equally_spaced, interpolate, "
+                "smoothing or decimation): live signals need a speed in the resolver's message and stamps as they are."
+            )
+        self._sources = {name: source for name, source in sources.items() if name != "reference"}
+        self._builders = {name: SignalBuilder(each.topic, name, each) for name, each in self._sources.items()}
+        self._readers: dict[str, list[tuple[str, Reader]]] = {}
+        self._waiting: dict[str, list[MessageSamples]] = defaultdict(list)
+        scalars = {name: self._sources[name].topic for name in INTERPOLATED if name in self._sources}
+        self._join = StreamJoin(
+            (sources["currents"].topic, sources["voltages"].topic, sources["resolver"].topic),
+            batch=_BATCH,
+            capacity=_CAPACITY,
+            scalars={name: topic for name, topic in scalars.items() if name == signals.voltages.scaled_by},
+            scaled_by=signals.voltages.scaled_by,
+            to_phases=conversions(signals),
+        )
+        self._pieces: list[Piece] = []
+        self._origin: int | None = None
+        self._next = 0
+        self.unreadable = 0
+        self.dropped = 0
+        """Messages that waited too long."""
+        self.last_error = ""
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to, as named in the signals file."""
+        return tuple(dict.fromkeys(source.topic for source in self._sources.values()))
+
+    def found(self, given: str, topic: TopicInfo) -> None:
+        """Take the type of a topic, by its name in the signals file.
+
+        Raises
+        ------
+        MessageTypeError
+            When it holds no such fields.
+        """
+        own = [(name, source) for name, source in self._sources.items() if source.topic == given]
+        self._readers[given] = [(name, message_reader(topic, source, self.signals)) for name, source in own]
+
+    def receive(self, given: str, data: bytes, received: int) -> None:
+        """Take a serialized message that was received at a time, ns."""
+        message = RawMessage(given, received, memoryview(data))
+        for section, read in self._readers.get(given, ()):
+            try:
+                samples = read(message)
+            except (*DECODE_ERRORS, DriveIdError) as error:
+                self.unreadable += 1
+                said = (str(error) or type(error).__name__).split("\n")[0][:200]
+                self.last_error = (
+                    f"A message on {given} cannot be read as {section} ({said}): correct the signals file."
+                )
+                continue
+            waiting = self._waiting[section]
+            if len(waiting) >= _MOST_WAITING:
+                self.dropped += 1
+            elif len(samples.columns[0]):
+                waiting.append(samples)
+
+    def advance(self) -> list[SignalBlock]:
+        """Join what has arrived and return it as blocks, one for each stretch without a gap."""
+        waiting, self._waiting = self._waiting, defaultdict(list)
+        for section, pieces in waiting.items():
+            try:
+                signal = self._builders[section].build(pieces)
+            except DriveIdError as error:
+                self.unreadable += len(pieces)
+                self.last_error = str(error)
+                continue
+            self._add(section, signal)
+        joined, self._pieces = [*self._pieces, *self._join.advance()], []
+        return [block for piece in joined for block in self._cut(piece)]
+
+    def report(self) -> JoinReport:
+        """Return what became of the signals."""
+        return self._join.report()
+
+    def _add(self, section: str, signal: Signal) -> None:
+        if section in SECTIONS:
+            self._pieces += self._join.add(SECTIONS.index(section), signal)
+        else:
+            self._join.add_scalar(section, signal)
+
+    def _cut(self, piece: Piece) -> list[SignalBlock]:
+        samples = piece.samples
+        blocks = []
+        for number, run in enumerate(samples.runs()):
+            start = run.start + (piece.continues and number == 0)
+            if start < run.stop:
+                blocks.append(self._block(samples.part(start, run.stop)))
+        return blocks
+
+    def _block(self, samples: Samples) -> SignalBlock:
+        stamp, period = int(samples.stamp[0]), samples.sample_period
+        if self._origin is None:
+            self._origin = stamp
+        first = max(self._next, round((stamp - self._origin) * 1e-9 / period))
+        self._next = first + len(samples)
+        angle = np.mod(samples.angle + np.pi, 2 * np.pi) - np.pi
+        return SignalBlock(
+            stamp=stamp,
+            first_sample=first,
+            sample_period=period,
+            currents=samples.i_abc.astype(np.float32),
+            voltages=samples.u_abc.astype(np.float32),
+            resolver=np.stack([angle, samples.speed], axis=-1).astype(np.float32),
+            scalars={name: values.astype(np.float32) for name, values in samples.scalars().items()},
+        )

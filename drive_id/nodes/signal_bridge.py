@@ -1,0 +1,97 @@
+"""The node ``signal_bridge``: publishes a bench's own topics as our messages, by a signals file."""
+
+from __future__ import annotations
+
+import array
+from pathlib import Path
+from typing import Any
+
+from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.time import Time
+
+from drive_id.errors import ConfigurationError
+from drive_id.files.messages.signals_file import read_signals
+from drive_id.health import Health, Level
+from drive_id.live.bridge_settings import BridgeSettings
+from drive_id.live.translator import SignalBlock, Translator
+from drive_id.nodes.diagnostics import Diagnostics
+from drive_id.nodes.foreign_topics import ForeignTopics
+from drive_id.nodes.parameters import declare_settings
+from drive_id.nodes.qos import STREAM
+from drive_id.nodes.runtime import run
+
+_MATCH_PERIOD = 0.25  # s between checks of who publishes
+_NAMES = {"phase_currents": ("a", "b", "c"), "phase_voltages": ("a", "b", "c"), "resolver": ("angle", "speed")}
+_KINDS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
+
+
+class SignalBridge(Node):
+    """Translates what arrives and publishes it in blocks."""
+
+    def __init__(self) -> None:
+        super().__init__("signal_bridge")
+        settings = declare_settings(self, BridgeSettings, read_only=BridgeSettings.__dataclass_fields__)
+        if not settings.signals:
+            raise ConfigurationError("The parameter signals is empty: name a signals file, see docs/signals_file.md.")
+        self._frame_id = settings.frame_id
+        self._translator = Translator(read_signals(Path(settings.signals).expanduser()))
+        self._kept: dict[str, Any] = {name: self.create_publisher(kind, name, STREAM) for name, kind in _KINDS.items()}
+        self._foreign = ForeignTopics(self, self._translator, settings.queue_depth)
+        self._published = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._match_timer = self.create_timer(_MATCH_PERIOD, self._foreign.match, clock=steady)
+        self._block_timer = self.create_timer(settings.block_period, self._on_timer, clock=steady)
+        self._diagnostics = Diagnostics(self, self._health)
+        topics = ", ".join(self.resolve_topic_name(name) for name in self._translator.topics)
+        self.get_logger().info(f"Ready: translating {topics}.")
+
+    def _on_timer(self) -> None:
+        for block in self._translator.advance():
+            self._publish(block)
+
+    def _publish(self, block: SignalBlock) -> None:
+        columns = {"phase_currents": block.currents, "phase_voltages": block.voltages, "resolver": block.resolver}
+        for name, values in columns.items():
+            message = self._headed(_KINDS[name], block)
+            for field, column in zip(_NAMES[name], values.T, strict=True):
+                setattr(message, field, array.array("f", column.tobytes()))
+            self._kept[name].publish(message)
+        for name, value in block.scalars.items():
+            message = self._headed(ScalarSamples, block)
+            message.value = array.array("f", value.tobytes())
+            if name not in self._kept:
+                self._kept[name] = self.create_publisher(ScalarSamples, name, STREAM)
+            self._kept[name].publish(message)
+        self._published += len(block.currents)
+
+    def _headed(self, kind: Any, block: SignalBlock) -> Any:
+        message = kind(first_sample=block.first_sample, sample_period=block.sample_period)
+        message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
+        message.header.frame_id = self._frame_id
+        return message
+
+    def _health(self) -> Health:
+        report = self._translator.report()
+        findings = self._foreign.findings()
+        if self._translator.last_error:
+            findings.append((Level.WARN, self._translator.last_error))
+        findings += [(Level.WARN, warning) for warning in report.warnings if self._published]
+        said = findings[0][1] if findings else "The bench's topics are translated."
+        values = {
+            "samples": str(self._published),
+            "gaps": str(report.gaps),
+            "unreadable messages": str(self._translator.unreadable),
+            "dropped messages": str(self._translator.dropped),
+        }
+        return Health(max((level for level, _ in findings), default=Level.OK), said, values)
+
+
+def main() -> None:
+    """Run the node ``signal_bridge``."""
+    run(SignalBridge)
+
+
+if __name__ == "__main__":
+    main()

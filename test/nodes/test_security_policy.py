@@ -1,0 +1,74 @@
+"""The SROS2 policy grants the nodes what they use, and nothing besides."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from ros_bench import require_ros, ros_bench
+
+POLICY = Path(__file__).parent.parent.parent / "config" / "sros2" / "drive_id.policy.xml"
+NODES = ("trajectory_publisher", "recorder", "identification")
+FROM_TIME = {"/clock", "/parameter_events"}
+"""Needed with use_sim_time, or of releases of rclpy that listen to parameter events."""
+
+
+@pytest.fixture(scope="module")
+def ros():
+    require_ros()
+    with ros_bench() as bench:
+        for name in NODES:
+            parameters = {} if name == "trajectory_publisher" else {"data_directory": str(bench.folder)}
+            if name == "identification":
+                parameters |= {"output_directory": str(bench.folder / "out")}
+            bench.start(f"drive_id.nodes.{name}", parameters=parameters)
+        yield bench
+
+
+def granted(node):
+    """Return the names that the policy grants a node, by element and qualifier."""
+    profile = next(each for each in ET.parse(POLICY).iter("profile") if each.get("node") == node)
+    found = {}
+    for group in profile:
+        for right, value in group.attrib.items():
+            assert value == "ALLOW"
+            names = {resolved(expression.text, node) for expression in group}
+            found.setdefault((group.tag, right), set()).update(names)
+    return found
+
+
+def resolved(name, node):
+    return f"/{node}{name[1:]}" if name.startswith("~") else name if name.startswith("/") else f"/{name}"
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_policy_grants_what_a_node_uses(ros, node):
+    graph = ros.node
+    rights = granted(node)
+    actions = rights.get(("actions", "execute"), set())
+
+    def used(of):
+        ours = tuple(f"{action}/_action/" for action in actions)
+        return {name for name, _ in of(node, "/") if not name.startswith(ours or ("//",))}
+
+    services = rights["services", "reply"]
+    ros.wait(lambda: (node, "/") in graph.get_node_names_and_namespaces(), f"the node {node}")
+    published = rights["topics", "publish"]
+    ros.wait(
+        lambda: (
+            services <= used(graph.get_service_names_and_types_by_node)
+            and published <= used(graph.get_publisher_names_and_types_by_node)
+        ),
+        f"what {node} offers",
+    )
+    assert used(graph.get_publisher_names_and_types_by_node) == published
+    listened = used(graph.get_subscriber_names_and_types_by_node)
+    assert listened - FROM_TIME == rights["topics", "subscribe"] - FROM_TIME
+    assert used(graph.get_service_names_and_types_by_node) == services
+
+
+def test_the_client_may_call_what_it_calls():
+    from drive_id.ros.bench import SERVICES
+
+    assert granted("bench_client")["services", "request"] == {f"/{name}" for name in SERVICES}

@@ -61,11 +61,17 @@ def fit_table(fit: Identification) -> Table:
             sigma = _number(harmonic.sigma, "Nm")
             row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
         row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
+    if identification.linear is not None:
+        linear = identification.linear
+        row("Magnet flux", _number(linear.psi_pm * 1e3, "mWb"), _number(linear.sigma_psi_pm * 1e3, "mWb"))
+        row("L_d at zero current", _number(linear.l_d * 1e3, "mH"), _number(linear.sigma_l_d * 1e3, "mH"))
+        row("L_q at zero current", _number(linear.l_q * 1e3, "mH"), _number(linear.sigma_l_q * 1e3, "mH"))
     if identification.method == "full":
         row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
     if fit.provenance.nrmse:
         row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
-    row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
+    if identification.method != "static":  # which simulates nothing
+        row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
     row("Residual voltage, rms", _number(report.residual_rms, "V"))
     row(f"Disc of {identification.i_max:.4g} A covered", f"{100 * report.coverage:.1f} %")
     unseen = f" ({report.unseen} without any data)" if report.unseen else ""

@@ -1,0 +1,56 @@
+"""The inverter's drop in d and q under sinusoidal currents: the fundamental of its curve, along the current vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.types import FloatArray
+
+_ANGLES = 720
+_SHARP = 1e-6
+"""Scale of a curve that jumps at zero current, by i_max."""
+
+
+@dataclass(frozen=True, eq=False)
+class DropShapes:
+    """Odd curves of one phase that saturate at 1, each by one scale: x/2 for x < 1, then 1 - 1/(2x), x = |i| / scale.
+
+    It is the law of a dead time during which the current charges the capacitances of the legs. The first is a jump.
+
+    Parameters
+    ----------
+    scales : (S,) float
+        A, positive, increasing.
+    usual : float
+        Standard deviation of the amplitude before any data, V.
+    """
+
+    scales: FloatArray
+    usual: float
+
+    @classmethod
+    def up_to(cls, i_max: float, usual: float) -> DropShapes:
+        """Return seven curves with scales up to i_max / 12; a wider one is hardly told from R."""
+        return cls(i_max * np.concatenate([[_SHARP], 1 / 12 / 2.0 ** np.arange(5, -1, -1)]), usual)
+
+    def __call__(self, i: FloatArray) -> FloatArray:
+        """Return the curves (..., S) at phase currents (...), A."""
+        x = np.abs(np.asarray(i)[..., None]) / self.scales
+        return np.sign(np.asarray(i))[..., None] * np.where(x < 1, x / 2, 1 - 0.5 / np.maximum(x, 1))
+
+    def fundamentals(self, amplitude: FloatArray) -> FloatArray:
+        """Return the amplitude of the fundamental (N, S) of the drop under sinusoidal currents (N,), A; 4/pi at most.
+
+        The harmonics of the drop average out over a turn, or are zero-sequence.
+        """
+        angle = (np.arange(_ANGLES) + 0.5) * (2 * np.pi / _ANGLES)
+        wave = np.cos(angle)
+        return np.asarray(2 * np.mean(self(amplitude[:, None] * wave) * wave[:, None], axis=1))
+
+    def vectors(self, i_dq: FloatArray) -> FloatArray:
+        """Return the drop in d and q (N, 2, S) at currents (N, 2), A, for curves of 1 V; zero at zero current."""
+        amplitude = np.hypot(*i_dq.T)
+        direction = i_dq / np.maximum(amplitude, np.finfo(float).tiny)[:, None]
+        return np.asarray(direction[:, :, None] * self.fundamentals(amplitude)[:, None, :])

@@ -121,7 +121,7 @@ class FitSettings:
     def idle(self) -> list[str]:
         """Return the settings that differ from their defaults but do not affect the method."""
         if self.method == "static":
-            names = tuple(name for name in (*_OF_FULL, *_OF_OTHERS) if name not in _ALSO_OF_STATIC)
+            names = tuple(name for name in (*_OF_FULL, *_OF_OTHERS, "monotone") if name not in _ALSO_OF_STATIC)
         else:
             names = (*(_OF_OTHERS if self.method == "full" else _OF_FULL), *_OF_STATIC)
         defaults = type(self)()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import disc_coverage
+from drive_id.core.maps.support import Support
 from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
 from drive_id.core.steady.effects import DELAY, IRON_LOSS
 from drive_id.core.steady.fit import (
@@ -25,8 +26,8 @@ from drive_id.errors import UnexplainedError
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
-_NEIGHBOURS, _HOLE = 4, 2.5
-"""A hole that a map bridges: radius in typical distances of the fourth neighbour."""
+_THIN = 0.01
+"""Width of the points, by their length, up to which they count as on a line."""
 _NO_INFORMATION = 2.0
 """Standard error, by what voltages and currents suggest, from which a quantity counts as unknown."""
 _UNEXPLAINED, _REFUSED = 0.05, 0.2
@@ -112,21 +113,14 @@ def supported(fit: StaticFit, axis: FloatArray) -> BoolArray:
     if not fit.maps:
         points = np.vstack([points, np.zeros((1, 2))])
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    half = (axis[1] - axis[0]) / 2
-    try:
-        edges = ConvexHull(points).equations
-        inside = (grid @ edges[:, :2].T + edges[:, 2] <= half * 1e-6).all(axis=1)
-        thin = False
-    except QhullError:
-        thin = True
-    if thin:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] > _THIN * spread[0]:
+        support = Support.of(points)
+        inside = support.contains(grid) if fit.maps else support.in_hull(grid)
+    else:
         steps = np.linspace(points.min(axis=0), points.max(axis=0), 4 * len(axis))
         near, _ = cKDTree(steps).query(grid)
-        inside = near <= half * (1 + 1e-6)
-    elif fit.maps:
-        tree = cKDTree(points)
-        typical = np.median(tree.query(points, _NEIGHBOURS + 1)[0][:, -1])
-        inside &= tree.query(grid)[0] <= _HOLE * typical
+        inside = near <= (axis[1] - axis[0]) / 2 * (1 + 1e-6)
     return np.asarray(inside.reshape(len(axis), len(axis)))
 
 

@@ -30,6 +30,8 @@ _POOLED_SAMPLES = 30.0
 """Weight of the scatter of all segments beside that of the own one, samples."""
 _MOST_CORRELATED = 0.95
 _BLOCK = 64
+_QUARTILE = 0.3186
+"""Of |x|, x standard normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +166,9 @@ def steady_segments(data: OperatingData) -> list[slice]:
 
 
 def _noise(values: FloatArray) -> FloatArray:
-    """Return the standard deviation (K,) of white noise in signals (N, K), from their differences, rests in mind."""
-    return np.asarray(np.median(np.abs(np.diff(values, axis=0)), axis=0) / (0.6745 * np.sqrt(2)))
+    """Return the standard deviation (K,) of white noise in signals (N, K) that rest for a quarter of the time."""
+    steps = np.abs(np.diff(values, axis=0))
+    return np.asarray(np.quantile(steps, 0.25, axis=0) / (_QUARTILE * np.sqrt(2)))
 
 
 def _calm_runs(values: FloatArray, tolerance: FloatArray, gaps: BoolArray) -> list[slice]:

@@ -26,7 +26,7 @@ def test_maps_are_reciprocal_and_symmetric_about_the_d_axis():
 def test_affine_machines_are_not_penalized_and_all_else_is():
     sites = np.random.default_rng(3).uniform(-50, 50, (300, 2))
     rows, wanted = BASIS.rows(sites).reshape(600, -1), affine_rows(sites)[..., :3].reshape(600, 3)
-    affine, left = np.linalg.lstsq(rows, wanted, rcond=None)[:2]
+    affine, *_ = np.linalg.lstsq(rows, wanted, rcond=None)[:2]
     np.testing.assert_allclose(rows @ affine, wanted, atol=1e-9)
     eigenvalues = np.linalg.eigvalsh(BASIS.penalty)
     assert np.abs(BASIS.penalty @ affine).max() < 1e-8 * eigenvalues[-1] * np.abs(affine).max()
@@ -62,4 +62,4 @@ def test_the_drop_is_the_fundamental_over_a_turn():
         curve = mean_drop(i_dq, lambda i, number=number: shapes(i)[..., number])
         np.testing.assert_allclose(shapes.vectors(i_dq)[..., number], curve, atol=4e-3)
     sharp = np.hypot(*shapes.vectors(i_dq)[..., 0].T)
-    np.testing.assert_allclose(sharp, 4 / np.pi, rtol=1e-4)
+    np.testing.assert_allclose(sharp, 4 / np.pi, rtol=3e-4)

@@ -24,7 +24,7 @@ def test_changes_ramps_and_settling_voltages_are_cut():
     i_d = np.concatenate([np.full(8, -10.0), [-9.0, -7.0, -4.0], np.full(8, -2.0), np.linspace(-2.0, 10.0, 12)])
     u_q = np.full(len(i_d), 20.0)
     u_q[11:14] = [30.0, 25.0, 22.0]
-    assert steady_segments(of(i_d, u_q)) == [slice(0, 7), slice(14, 18)]
+    assert steady_segments(of(i_d, u_q)) == [slice(0, 7), slice(14, 19)]
 
 
 def test_a_change_of_speed_and_a_gap_end_a_segment():
@@ -77,7 +77,7 @@ def test_without_a_time_each_sample_is_a_point():
 
 
 def test_a_drive_that_never_rests_is_refused():
-    with pytest.raises(CoverageError, match="never rests for 3 samples.*rows_are_points"):
+    with pytest.raises(CoverageError, match=r"never rests for 3 samples.*rows_are_points"):
         operating_points(of(np.linspace(-50.0, 50.0, 40)))
 
 

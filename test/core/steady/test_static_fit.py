@@ -164,7 +164,7 @@ def test_wrong_signs_standstill_and_too_few_points_are_refused():
 
 
 def test_settings_that_the_method_ignores_are_named():
-    assert replace(STATIC, maps="free", splines_d=9).idle() == ["maps", "splines_d"]
+    assert replace(STATIC, maps="free", splines_d=9, monotone=True).idle() == ["maps", "splines_d", "monotone"]
     assert replace(STATIC, temperatures=(20.0,), u_dc=(400.0,), rows_are_points=True).idle() == []
     assert FitSettings(rows_are_points=True).idle() == ["rows_are_points"]
     with pytest.raises(ConfigurationError, match="psm, joint, full, static"):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 _ANGLES = 720
 _SHARP = 1e-6
@@ -15,30 +15,36 @@ _SHARP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DropShapes:
-    """Odd curves of one phase that saturate at 1, each by one scale: x/2 for x < 1, then 1 - 1/(2x), x = |i| / scale.
+    """Odd curves of one phase that saturate at 1, each by one scale, with x = |i| / scale.
 
-    It is the law of a dead time during which the current charges the capacitances of the legs. The first is a jump.
+    Capacitive: x/2 for x < 1, then 1 - 1/(2x), the law of a dead time during which the current charges the capacitances
+    of the legs. Hard: x for x < 1, then 1.
 
     Parameters
     ----------
     scales : (S,) float
-        A, positive, increasing.
+        A, positive.
+    hard : (S,) bool
     usual : float
         Standard deviation of the amplitude before any data, V.
     """
 
     scales: FloatArray
+    hard: BoolArray
     usual: float
 
     @classmethod
     def up_to(cls, i_max: float, usual: float) -> DropShapes:
-        """Return seven curves with scales up to i_max / 12; a wider one is hardly told from R."""
-        return cls(i_max * np.concatenate([[_SHARP], 1 / 12 / 2.0 ** np.arange(5, -1, -1)]), usual)
+        """Return a jump, and five curves of either kind with scales up to i_max / 12; wider ones are hardly told from R."""
+        scales = i_max / 12 / 2.0 ** np.arange(4, -1, -1)
+        hard = np.repeat([True, True, False], [1, len(scales), len(scales)])
+        return cls(np.concatenate([[_SHARP * i_max], 2 * scales, scales]), hard, usual)
 
     def __call__(self, i: FloatArray) -> FloatArray:
         """Return the curves (..., S) at phase currents (...), A."""
         x = np.abs(np.asarray(i)[..., None]) / self.scales
-        return np.sign(np.asarray(i))[..., None] * np.where(x < 1, x / 2, 1 - 0.5 / np.maximum(x, 1))
+        soft = np.where(x < 1, x / 2, 1 - 0.5 / np.maximum(x, 1))
+        return np.sign(np.asarray(i))[..., None] * np.where(self.hard, np.minimum(x, 1), soft)
 
     def fundamentals(self, amplitude: FloatArray) -> FloatArray:
         """Return the amplitude of the fundamental (N, S) of the drop under sinusoidal currents (N,), A; 4/pi at most.

@@ -100,7 +100,7 @@ def operating_points(data: OperatingData) -> OperatingPoints:
     if not segments:
         raise CoverageError(
             f"The drive never rests for {LEAST_SAMPLES} samples within {100 * TOLERANCE:.0f} % of its largest current "
-            "and speed: hold each operating point for a second, or, if each sample is an operating point already, "
+            "and speed: hold each operating point for five samples or more, or, if each sample is an operating point, "
             "set rows_are_points (in Python: leave out the time)."
         )
     signals = np.column_stack([data.i_dq, data.u_dq, data.speed])

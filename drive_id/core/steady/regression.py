@@ -14,7 +14,7 @@ from scipy import linalg
 
 from drive_id.types import FloatArray
 
-_WEIGHTS = np.geomspace(1e-10, 1e4, 29)
+_WEIGHTS = np.geomspace(1e-9, 1e3, 25)
 _ROUNDING = 1e-13
 _UNLIKELY = 40.0
 """Distance in -2 log likelihood beyond which a solution is left out of the mixture."""

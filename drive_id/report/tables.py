@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
     from drive_id.analysis.analyze import Figure
     from drive_id.core.planning.planner import Plan
+    from drive_id.core.result.identification import LinearMachine
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
@@ -61,11 +62,8 @@ def fit_table(fit: Identification) -> Table:
             sigma = _number(harmonic.sigma, "Nm")
             row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
         row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
-    if identification.linear is not None:
-        linear = identification.linear
-        row("Magnet flux", _number(linear.psi_pm * 1e3, "mWb"), _number(linear.sigma_psi_pm * 1e3, "mWb"))
-        row("L_d at zero current", _number(linear.l_d * 1e3, "mH"), _number(linear.sigma_l_d * 1e3, "mH"))
-        row("L_q at zero current", _number(linear.l_q * 1e3, "mH"), _number(linear.sigma_l_q * 1e3, "mH"))
+    for name, value, sigma, unit in _linear(identification.linear):
+        row(name, _number(value * 1e3, unit), _number(sigma * 1e3, unit))
     if identification.method == "full":
         row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
     if fit.provenance.nrmse:
@@ -81,6 +79,17 @@ def fit_table(fit: Identification) -> Table:
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
     row("Gaps", str(report.gaps))
     return table
+
+
+def _linear(linear: LinearMachine | None) -> list[tuple[str, float, float, str]]:
+    """Return name, value, standard error and unit (of thousandths) of magnet flux and inductances, if known."""
+    if linear is None:
+        return []
+    return [
+        ("Magnet flux", linear.psi_pm, linear.sigma_psi_pm, "mWb"),
+        ("L_d at zero current", linear.l_d, linear.sigma_l_d, "mH"),
+        ("L_q at zero current", linear.l_q, linear.sigma_l_q, "mH"),
+    ]
 
 
 def _imported_table(imported: Identification) -> Table:

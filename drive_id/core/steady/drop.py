@@ -35,7 +35,10 @@ class DropShapes:
 
     @classmethod
     def up_to(cls, i_max: float, usual: float) -> DropShapes:
-        """Return a jump, and five curves of either kind with scales up to i_max / 12; wider ones are hardly told from R."""
+        """Return a jump, five hard curves with scales up to i_max / 6 and five capacitive ones up to i_max / 12.
+
+        Wider ones are hardly told from R.
+        """
         scales = i_max / 12 / 2.0 ** np.arange(4, -1, -1)
         hard = np.repeat([True, True, False], [1, len(scales), len(scales)])
         return cls(np.concatenate([[_SHARP * i_max], 2 * scales, scales]), hard, usual)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
     from drive_id.analysis.analyze import Figure
     from drive_id.core.planning.planner import Plan
-    from drive_id.core.result.identification import LinearMachine
+    from drive_id.core.result.identification import IdentifiedDrive
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
@@ -62,10 +62,8 @@ def fit_table(fit: Identification) -> Table:
             sigma = _number(harmonic.sigma, "Nm")
             row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
         row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
-    for name, value, sigma, unit in _linear(identification.linear):
-        row(name, _number(value * 1e3, unit), _number(sigma * 1e3, unit))
-    if identification.method == "full":
-        row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
+    for cells in _by_method(identification):
+        row(*cells)
     if fit.provenance.nrmse:
         row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
     if identification.method != "static":  # which simulates nothing
@@ -81,14 +79,18 @@ def fit_table(fit: Identification) -> Table:
     return table
 
 
-def _linear(linear: LinearMachine | None) -> list[tuple[str, float, float, str]]:
-    """Return name, value, standard error and unit (of thousandths) of magnet flux and inductances, if known."""
+def _by_method(identification: IdentifiedDrive) -> list[tuple[str, ...]]:
+    """Return rows that only one method has: rotor harmonics, or magnet flux and inductances with standard errors."""
+    if identification.method == "full":
+        orders = ", ".join(str(harmonic.order) for harmonic in identification.harmonics)
+        return [("Rotor-position harmonics", orders or "none")]
+    linear = identification.linear
     if linear is None:
         return []
     return [
-        ("Magnet flux", linear.psi_pm, linear.sigma_psi_pm, "mWb"),
-        ("L_d at zero current", linear.l_d, linear.sigma_l_d, "mH"),
-        ("L_q at zero current", linear.l_q, linear.sigma_l_q, "mH"),
+        ("Magnet flux", _number(linear.psi_pm * 1e3, "mWb"), _number(linear.sigma_psi_pm * 1e3, "mWb")),
+        ("L_d at zero current", _number(linear.l_d * 1e3, "mH"), _number(linear.sigma_l_d * 1e3, "mH")),
+        ("L_q at zero current", _number(linear.l_q * 1e3, "mH"), _number(linear.sigma_l_q * 1e3, "mH")),
     ]
 
 

@@ -82,7 +82,7 @@ def test_rows_that_are_points(data):
     settings = FitSettings(method="static", rows_are_points=True)
     result = drive_id.fit(data, settings=settings)
     assert result.metrics["samples_read"] == 90
-    assert any("9 operating points are far" in warning for warning in result.warnings)  # the disturbed samples
+    assert any("points left out: 9" in warning for warning in result.warnings)  # the disturbed samples
 
 
 def test_what_does_not_fit_together_is_refused(data, log, tmp_path):

@@ -161,9 +161,9 @@ def _warnings(fit: StaticFit, coverage: float, i_max: float) -> tuple[str, ...]:
     resistance, sigma = fit.coefficient(0)
     error, sigma_error = fit.coefficient(-1)
     if fit.outlying:
-        which = f"{fit.outlying} operating points are" if fit.outlying > 1 else "One operating point is"
         warnings.append(
-            f"{which} far from what describes all others and left out: a transient, or another state of the drive."
+            f"Operating points left out: {fit.outlying}. They are far from what describes all others: transients, or "
+            "another state of the drive."
         )
     if resistance < -2 * sigma:
         warnings.append(f"The resistance is negative ({resistance:.4g} ohm): check the signs of currents and voltages.")

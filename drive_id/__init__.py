@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from drive_id.bench.settings import SimulationSettings
     from drive_id.core.fit_settings import FitSettings
     from drive_id.core.result.identification import FluxMap
+    from drive_id.core.steady.operating_data import OperatingData
     from drive_id.errors import DriveIdError
     from drive_id.fitting.fit import fit
     from drive_id.fitting.result import Identification, load
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
-    "MachineModel", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag", "simulate",
+    "MachineModel", "OperatingData", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag",
+    "simulate",
 ]  # fmt: skip
 
 
@@ -43,6 +45,8 @@ def __getattr__(name: str) -> object:
         from drive_id.bench import settings as home
     elif name == "FitSettings":
         from drive_id.core import fit_settings as home
+    elif name == "OperatingData":
+        from drive_id.core.steady import operating_data as home
     elif name == "FluxMap":
         from drive_id.core.result import identification as home
     elif name in ("Identification", "load"):

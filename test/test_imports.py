@@ -43,12 +43,13 @@ CORE = {  # each with the rooms of core that it may import
     "paper": {"frames", "maps", "numerics"},
     "full": {"frames", "fit_settings", "maps", "numerics"},
     "validation": {"frames", "maps", "numerics"},
+    "steady": {"frames", "maps", "numerics"},
     "methods": {"fit_settings", "paper", "full", "validation", "maps", "numerics"},
     "accumulation": {"frames", "fit_settings", "methods", "maps", "numerics", "signals"},
     "checks": {"accumulation", "frames", "fit_settings", "maps", "numerics", "signals"},
     "result": {
         "checks", "accumulation", "methods", "validation", "paper", "full", "maps", "numerics", "frames",
-        "fit_settings",
+        "fit_settings", "steady",
     },
     "experiment": {"maps", "signals", "numerics"},
     "planning": {"experiment", "full", "maps", "numerics", "frames"},
@@ -71,7 +72,9 @@ CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 
 ROOMS = {
     "drive_id": Room.of(
-        NOUNS | below("core", "fit_settings", "result") | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        NOUNS
+        | below("core", "fit_settings", "result", "steady")
+        | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
         set(),
     ),
     "drive_id.errors": Room.of(set(), set()),

@@ -157,7 +157,11 @@ def fit(
     bags: SourcesArgument,
     output: Annotated[Path, typer.Option(help="Result folder: identification.json, flux_map.npz and pictures.")],
     method: Annotated[
-        str | None, typer.Option(help="full, or the paper's: joint, psm (no inverter model).  \\[default: full]")
+        str | None,
+        typer.Option(
+            help="full; static: operating points of a slow log in d and q; or the paper's: joint, psm (no inverter "
+            "model).  \\[default: full]"
+        ),
     ] = None,
     i_max: RadiusOption = None,
     signals: SignalsOption = None,

@@ -18,6 +18,8 @@ _OF_FULL = (
 _OF_OTHERS = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale",
 )  # fmt: skip
+_OF_STATIC = ("rows_are_points",)
+_ALSO_OF_STATIC = ("temperatures", "u_dc", "u_dc_reference")
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,8 @@ class FitSettings:
     method: str = setting(
         "full",
         "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
-        "an inverter curve and calibration",
-        choices=("psm", "joint", "full"),
+        "an inverter curve and calibration; static: operating points of slow logs in d and q",
+        choices=("psm", "joint", "full", "static"),
     )
     flux_model: str = setting(
         "spline",
@@ -104,6 +106,9 @@ class FitSettings:
         minimum=-4.0,
         maximum=4.0,
     )
+    rows_are_points: bool = setting(
+        False, "static: whether each sample of the log is an operating point already, such as a mean of a test plan"
+    )
     pole_pairs: int = setting(
         0,
         "number of pole pairs, to compare a recorded shaft torque with the map (0: that of the signals file or the "
@@ -115,7 +120,10 @@ class FitSettings:
 
     def idle(self) -> list[str]:
         """Return the settings that differ from their defaults but do not affect the method."""
-        names = _OF_OTHERS if self.method == "full" else _OF_FULL
+        if self.method == "static":
+            names = tuple(name for name in (*_OF_FULL, *_OF_OTHERS, "monotone") if name not in _ALSO_OF_STATIC)
+        else:
+            names = (*(_OF_OTHERS if self.method == "full" else _OF_FULL), *_OF_STATIC)
         defaults = type(self)()
         return [name for name in names if getattr(self, name) != getattr(defaults, name)]
 

@@ -22,6 +22,7 @@ from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
+from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
@@ -43,7 +44,7 @@ _YEAR_2000 = 946_684_800_000_000_000
 
 
 def fit(
-    recordings: StrPath | Samples | Sequence[StrPath] | Sequence[Samples],
+    recordings: StrPath | Samples | OperatingData | Sequence[StrPath] | Sequence[Samples | OperatingData],
     *,
     method: str | None = None,
     i_max: float | None = None,
@@ -62,10 +63,11 @@ def fit(
 
     Parameters
     ----------
-    recordings : path, Samples, or a sequence of either
-        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture; or samples.
-    method : {"full", "joint", "psm"}, optional
-        Default: that of ``settings``.
+    recordings : path, Samples, OperatingData, or a sequence of one of them
+        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture; or samples; or, for
+        method ``static``, slow telemetry in d and q.
+    method : {"full", "joint", "psm", "static"}, optional
+        Default: that of ``settings``; ``static`` for OperatingData.
     i_max : float, optional
         Radius of the current disc, A. Default: that of the recorded references, or the largest measured amplitude.
     signals : path or SignalMap, optional
@@ -99,8 +101,10 @@ def fit(
     >>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
     >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
     """
-    given = [recordings] if isinstance(recordings, (str, os.PathLike, Samples)) else _listed(recordings)
-    samples = [entry for entry in given if isinstance(entry, Samples)]
+    single = isinstance(recordings, (str, os.PathLike, Samples, OperatingData))
+    given = [recordings] if single else _listed(recordings)
+    slow = any(isinstance(entry, OperatingData) for entry in given)
+    samples = [entry for entry in given if isinstance(entry, (Samples, OperatingData))]
     paths = [Path(entry) for entry in given if isinstance(entry, (str, os.PathLike))]
     if len(samples) + len(paths) < len(given) or (samples and paths):
         raise ConfigurationError(
@@ -112,10 +116,20 @@ def fit(
     chosen: dict[str, Any] = {
         name: value for name, value in (("method", method), ("i_max", i_max)) if value is not None
     }
+    if slow and settings is None:
+        chosen.setdefault("method", "static")
     if samples:
         if signals or namespace or cluster or skip_bad:
             raise ConfigurationError("signals, namespace, cluster and skip_bad are about bags: leave them out.")
-        return _fit_samples(samples, target, replace(settings or FitSettings(), **chosen), force=force, tell=tell)
+        own = replace(settings or FitSettings(), **chosen)
+        if own.method == "static":
+            return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
+        fast = [part for part in samples if isinstance(part, Samples)]
+        if slow:
+            raise ConfigurationError(
+                f"Method {own.method} needs samples of phase quantities: fit OperatingData by method static."
+            )
+        return _fit_samples(fast, target, own, force=force, tell=tell)
     sources = Sources(paths, signal_map, namespace, cluster, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
@@ -188,6 +202,8 @@ def fit_bags(
     DriveIdError
         Nothing is written then.
     """
+    if settings.method == "static":
+        return _fit_static(sources, output, settings, force=force, draw=draw, tell=tell)
     if output is not None:
         check_output(output, force=force)
     if not sources.information:  # these know their own
@@ -241,6 +257,34 @@ def _on_checksums(recording: Accumulated) -> tuple[tuple[str, ...], tuple[str, .
         "checksums."
     )
     return (), (statement,)
+
+
+def _fit_static(
+    sources: Sources | Sequence[Samples | OperatingData],
+    output: Path | None,
+    settings: FitSettings,
+    *,
+    force: bool,
+    draw: Draw | None,
+    tell: Progress,
+) -> Identification:
+    """Fit by method ``static``, and write the results."""
+    from drive_id.fitting.static import StaticSources, fit_static  # noqa: PLC0415  # other methods do without it
+
+    if output is not None:
+        check_output(output, force=force)
+    if isinstance(sources, Sources):
+        settings.check_recordings(len(sources.paths))
+        known = StaticSources.read(sources, tell)
+    else:
+        settings.check_recordings(len(sources))
+        known = StaticSources.in_memory(sources)
+    result = fit_static(known, settings, tell)
+    if output is not None:
+        tell("Writing", None)
+        drawn = draw(result) if draw else {}
+        write_results(output, result.drive, result.provenance, force=force, pictures=drawn)
+    return result
 
 
 def known_pole_pairs(

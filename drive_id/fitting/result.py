@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.caption import Caption
@@ -84,7 +84,7 @@ class Identification:
 
     @property
     def method(self) -> str:
-        """``psm``, ``joint`` or ``full``."""
+        """``psm``, ``joint``, ``full`` or ``static``."""
         return self.drive.method
 
     @property
@@ -139,6 +139,11 @@ class Identification:
     def torque(self) -> TorqueFit | None:
         """The recorded shaft torque against that of the map; None without one, or with unknown pole pairs."""
         return self.drive.torque
+
+    @property
+    def linear(self) -> LinearMachine | None:
+        """Magnet flux and inductances at zero current; method ``static``."""
+        return self.drive.linear
 
     @property
     def i_max(self) -> float:
@@ -348,7 +353,7 @@ class Identification:
             "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.drive.has_inverter else "",
             "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
             "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
-            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A",
+            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A" if self.linear is None else "",
             **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
         }
         cells = (f"<tr><th>{name}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text)

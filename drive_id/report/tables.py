@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
     from drive_id.analysis.analyze import Figure
     from drive_id.core.planning.planner import Plan
+    from drive_id.core.result.identification import IdentifiedDrive
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
@@ -61,11 +62,12 @@ def fit_table(fit: Identification) -> Table:
             sigma = _number(harmonic.sigma, "Nm")
             row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
         row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
-    if identification.method == "full":
-        row("Rotor-position harmonics", ", ".join(str(h.order) for h in identification.harmonics) or "none")
+    for cells in _by_method(identification):
+        row(*cells)
     if fit.provenance.nrmse:
         row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
-    row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
+    if identification.method != "static":  # which simulates nothing
+        row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
     row("Residual voltage, rms", _number(report.residual_rms, "V"))
     row(f"Disc of {identification.i_max:.4g} A covered", f"{100 * report.coverage:.1f} %")
     unseen = f" ({report.unseen} without any data)" if report.unseen else ""
@@ -75,6 +77,21 @@ def fit_table(fit: Identification) -> Table:
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
     row("Gaps", str(report.gaps))
     return table
+
+
+def _by_method(identification: IdentifiedDrive) -> list[tuple[str, ...]]:
+    """Return rows that only one method has: rotor harmonics, or magnet flux and inductances with standard errors."""
+    if identification.method == "full":
+        orders = ", ".join(str(harmonic.order) for harmonic in identification.harmonics)
+        return [("Rotor-position harmonics", orders or "none")]
+    linear = identification.linear
+    if linear is None:
+        return []
+    return [
+        ("Magnet flux", _number(linear.psi_pm * 1e3, "mWb"), _number(linear.sigma_psi_pm * 1e3, "mWb")),
+        ("L_d at zero current", _number(linear.l_d * 1e3, "mH"), _number(linear.sigma_l_d * 1e3, "mH")),
+        ("L_q at zero current", _number(linear.l_q * 1e3, "mH"), _number(linear.sigma_l_q * 1e3, "mH")),
+    ]
 
 
 def _imported_table(imported: Identification) -> Table:

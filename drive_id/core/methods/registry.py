@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from drive_id.core.methods.method import Method
 from drive_id.core.methods.paper import PAPER_METHODS
+from drive_id.errors import ConfigurationError
 
 
 def method_named(name: str) -> Method:
@@ -13,7 +14,14 @@ def method_named(name: str) -> Method:
     ------
     KeyError
         When there is no such method.
+    ConfigurationError
+        For ``static``, which sums nothing over samples.
     """
+    if name == "static":
+        raise ConfigurationError(
+            "Method static fits operating points of whole logs, not accumulated or live samples: use drive-id fit LOG "
+            "--method static, or drive_id.fit."
+        )
     if name == "full":
         from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # scipy takes longer than the other methods
 

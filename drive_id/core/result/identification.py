@@ -279,6 +279,28 @@ class FitReport:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class LinearMachine:
+    """The machine at zero current: ``psi_d = psi_pm + l_d i_d``, ``psi_q = l_q i_q``; method ``static``.
+
+    Standard errors are infinite for what the points leave open.
+
+    Parameters
+    ----------
+    psi_pm, sigma_psi_pm : float
+        Flux linkage of the magnets, Wb.
+    l_d, sigma_l_d, l_q, sigma_l_q : float
+        Inductances, H.
+    """
+
+    psi_pm: float
+    sigma_psi_pm: float
+    l_d: float
+    sigma_l_d: float
+    l_q: float
+    sigma_l_q: float
+
+
 @dataclass(frozen=True, eq=False)
 class IdentifiedDrive:
     """An identified drive: the numbers, without their origin.
@@ -286,7 +308,7 @@ class IdentifiedDrive:
     Parameters
     ----------
     method : str
-        ``psm``, ``joint`` or ``full``; ``imported`` for a map of another tool.
+        ``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance, sigma_resistance : float
@@ -320,6 +342,8 @@ class IdentifiedDrive:
         that did not keep them.
     simulated : SimulatedCurrent or None
         Where the MAD comes from; None when the result was read from files.
+    linear : LinearMachine or None
+        Magnet flux and inductances at zero current; method ``static``.
     """
 
     method: str
@@ -343,6 +367,7 @@ class IdentifiedDrive:
     torque: TorqueFit | None = None
     error_modes: ErrorModes | None = None
     simulated: SimulatedCurrent | None = None
+    linear: LinearMachine | None = None
 
     @property
     def has_inverter(self) -> bool:

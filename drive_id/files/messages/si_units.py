@@ -47,6 +47,8 @@ def in_si_units(columns: list[FloatArray], source: TimeSource) -> FloatArray:
     if isinstance(source, PhaseSource):
         return _phases(columns, source)
     if isinstance(source, RotorSource):
+        if not source.angle:
+            return columns[0][:, None] * source.speed_factor
         scaled = [columns[0] * source.angle_factor + source.angle_offset]
         return np.column_stack([*scaled, *(column * source.speed_factor for column in columns[1:])])
     if isinstance(source, ScalarSource):

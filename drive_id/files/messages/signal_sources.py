@@ -264,7 +264,7 @@ class PhaseSource(TimeSource):
 class RotorSource(TimeSource):
     """Where rotor angle and speed come from."""
 
-    angle: str = setting("", "Field of the angle")
+    angle: str = setting("", "Field of the angle; method static needs only the speed")
     angle_unit: str = setting("rad", "Unit of the angle", choices=(*ANGLE_UNITS, "counts"))
     counts_per_turn: float | None = setting(
         None, "angle_unit counts: counts of the encoder per revolution, all edges included", minimum=1.0
@@ -300,9 +300,12 @@ class RotorSource(TimeSource):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.angle:
+        if not (self.angle or self.own_speed):
             raise ConfigurationError("angle is missing: give the path of the rotor angle.")
-        self.check_path(self.angle, "angle")
+        if self.angle:
+            self.check_path(self.angle, "angle")
+        elif self.angle_modulus is not None or self.interpolate:
+            raise ConfigurationError("angle_modulus or interpolate is given without an angle: name it, or remove them.")
         if isinstance(self.speed, str) and self.speed:
             self.check_path(self.speed, "speed")
         if self.mechanical and self.pole_pairs is None:
@@ -323,8 +326,8 @@ class RotorSource(TimeSource):
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Fields of the angle and of the speed beside it."""
-        return (self.angle, self.own_speed) if self.own_speed else (self.angle,)
+        """Fields of the angle and of the speed beside it, those that are there."""
+        return tuple(filter(None, (self.angle, self.own_speed)))
 
     @property
     def angle_factor(self) -> float:

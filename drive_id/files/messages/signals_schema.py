@@ -35,7 +35,6 @@ _DEFINITIONS: dict[str, type] = {
 }
 _REQUIRED = {
     PhaseSource: ["fields"],
-    RotorSource: ["angle"],
     ScalarSource: ["field"],
 }
 

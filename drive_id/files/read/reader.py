@@ -14,6 +14,7 @@ from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
+from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
@@ -93,6 +94,29 @@ def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: s
         names = {section: topic.name for section, topic in topics.items()}
         warnings = (*bag.warnings, *result.report.warnings)
     return Recording(result.samples, (result.report,), truth, digests, names, warnings)
+
+
+def read_signals_only(
+    path: Path, signals: SignalMap, *, namespace: str = ""
+) -> tuple[dict[str, Signal], dict[str, str], tuple[str, ...]]:
+    """Read the signals of a log one by one, without joining them: a speed is enough, and no angle is needed.
+
+    Returns
+    -------
+    signals : dict of str to Signal
+        By section of the signal map.
+    digests : dict of str to str
+        File to its sha256.
+    warnings : tuple of str
+
+    Raises
+    ------
+    BagError, DataError, ConfigurationError
+        See :func:`read_recording`.
+    """
+    with _opened(path, signals, namespace, angle=False) as (bag, _, _, stream):
+        found = stream.whole()
+        return found, {str(file): file_digest(file) for file in bag.files}, (*bag.warnings, *stream.remarks())
 
 
 def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
@@ -195,8 +219,12 @@ def bag_pieces(
 
 @contextmanager
 def _opened(
-    path: Path, signals: SignalMap, namespace: str
+    path: Path, signals: SignalMap, namespace: str, *, angle: bool = True
 ) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, SignalStream | ColumnStream]]:
+    if angle and not signals.resolver.angle:
+        raise ConfigurationError(
+            "Section 'resolver' of the signals file names no angle, which only method static does without: name it."
+        )
     if log_kind(path):
         with printable_errors(), open_log(path) as log:
             columns = ColumnStream(log, signals)

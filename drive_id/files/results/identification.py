@@ -22,7 +22,7 @@ import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.diagnostics import Diagnostics
-from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine
 from drive_id.core.result.torque import Cogging, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
@@ -210,6 +210,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "calibrations": [asdict(entry) for entry in identification.calibrations],
         "statements": list(identification.statements),
         "torque": None if identification.torque is None else asdict(identification.torque),
+        "linear_machine": None if identification.linear is None else asdict(identification.linear),
         "metrics": {
             "nrmse_d": nrmse_d,
             "nrmse_q": nrmse_q,
@@ -348,7 +349,12 @@ def _identification(
         statements=tuple(map(str, tree["statements"])),
         torque=_torque(tree.get("torque")),
         error_modes=modes,
+        linear=_linear(tree.get("linear_machine")),
     )
+
+
+def _linear(tree: Mapping[str, Any] | None) -> LinearMachine | None:
+    return None if tree is None else LinearMachine(**{name: _number(value, np.inf) for name, value in tree.items()})
 
 
 def _torque(tree: Mapping[str, Any] | None) -> TorqueFit | None:

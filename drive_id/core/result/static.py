@@ -1,0 +1,255 @@
+"""From the fit of operating points to an identified drive: map, curve, report and sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.coverage import disc_coverage
+from drive_id.core.maps.support import Support
+from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
+from drive_id.core.steady.effects import DELAY, IRON_LOSS
+from drive_id.core.steady.fit import (
+    DISTINCT,
+    MAP_POINTS,
+    REACH,
+    StaticFit,
+    distinct_currents,
+    distinct_speeds,
+    fit_points,
+    scales,
+    turning,
+)
+from drive_id.core.steady.operating_points import OperatingPoints
+from drive_id.errors import UnexplainedError
+from drive_id.types import BoolArray, FloatArray
+
+_CURVE_POINTS = 201
+_THIN = 0.01
+"""Width of the points, by their length, up to which they count as on a line."""
+_NO_INFORMATION = 2.0
+"""Standard error, by what voltages and currents suggest, from which a quantity counts as unknown."""
+_UNEXPLAINED, _REFUSED = 0.05, 0.2
+_WRONG_SIGN = 4.0
+_LARGE_MISFIT = 1.5
+_VAGUE_RESISTANCE = 0.1
+_FEW_COVERED = 0.45
+
+
+def identify_static(points: OperatingPoints, settings: FitSettings) -> IdentifiedDrive:
+    """Identify a drive from operating points.
+
+    Parameters
+    ----------
+    points : OperatingPoints
+    settings : FitSettings
+
+    Returns
+    -------
+    IdentifiedDrive
+
+    Raises
+    ------
+    StandstillError, CoverageError, UnexplainedError
+        When these points cannot give a trustworthy result.
+    """
+    i_max = settings.i_max or points.i_max
+    fit = fit_points(points, i_max, max(settings.u_dc) if settings.u_dc else None)
+    _refuse(fit)
+    axis = np.linspace(-REACH * i_max, REACH * i_max, settings.grid_points)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    inside = supported(fit, axis)
+    psi, sigma = (values.reshape(grid.shape) for values in fit.flux(grid.reshape(-1, 2)))
+    sigma = np.where(inside[..., None], sigma, np.nan)
+    coverage = disc_coverage(axis, axis, inside, i_max)
+    resistance, sigma_resistance = fit.coefficient(0)
+    ohm, _ = scales(fit.points)
+    error, sigma_error = fit.coefficient(-1)
+    current = np.linspace(-i_max, i_max, _CURVE_POINTS)
+    drop, sigma_drop = fit.drop_curve(current)
+    linear = _linear(fit)
+    unknown = not sigma_resistance < _NO_INFORMATION * ohm
+    report = FitReport(
+        samples_read=points.samples,
+        samples_used=int(fit.points.count.sum()),
+        gaps=0,
+        rows=2 * len(fit.points),
+        parameters=len(fit.posterior.mean),
+        rank=len(fit.posterior.mean),
+        unseen=0,
+        condition=fit.condition,
+        residual_rms=float(np.sqrt(np.mean(fit.residual**2))),
+        mad_d=float("nan"),
+        mad_q=float("nan"),
+        coverage=coverage,
+        warnings=_warnings(fit, coverage, i_max),
+    )
+    return IdentifiedDrive(
+        method="static",
+        i_max=i_max,
+        resistance=resistance,
+        sigma_resistance=float("inf") if unknown else sigma_resistance,
+        voltage_error=error,
+        sigma_voltage_error=sigma_error,
+        inverter_current=current,
+        inverter_voltage=drop,
+        flux_map=FluxMap(axis, axis, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside),
+        report=report,
+        sigma_inverter_voltage=sigma_drop,
+        statements=_statements(fit, linear, points),
+        linear=linear,
+    )
+
+
+def supported(fit: StaticFit, axis: FloatArray) -> BoolArray:
+    """Tell (D, D) at which nodes of equal axes the points support the map: in their hull, and in no large hole.
+
+    The points count on both sides of the d axis. To an affine machine, zero current belongs, and holes do not matter.
+    Points on a line support the nodes on it.
+    """
+    points = fit.points.i_dq[turning(fit.points)]
+    points = np.vstack([points, points * [1.0, -1.0]])
+    if not fit.maps:
+        points = np.vstack([points, np.zeros((1, 2))])
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] > _THIN * spread[0]:
+        support = Support.of(points)
+        inside = support.contains(grid) if fit.maps else support.in_hull(grid)
+    else:
+        steps = np.linspace(points.min(axis=0), points.max(axis=0), 4 * len(axis))
+        near, _ = cKDTree(steps).query(grid)
+        inside = near <= (axis[1] - axis[0]) / 2 * (1 + 1e-6)
+    return np.asarray(inside.reshape(len(axis), len(axis)))
+
+
+def _linear(fit: StaticFit) -> LinearMachine:
+    """Return magnet flux and inductances at zero current, or of the affine machine."""
+    step = 1e-3 * fit.points.i_max
+    rows = fit.basis.rows(step * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]))
+    wanted = np.stack([rows[0, 0], (rows[1, 0] - rows[2, 0]) / (2 * step), (rows[3, 1] - rows[4, 1]) / (2 * step)])
+    value, sigma = fit.of(wanted)
+    _, henry = scales(fit.points)
+    known = sigma < _NO_INFORMATION * henry * np.array([fit.points.i_max, 1.0, 1.0])
+    sigma = np.where(known, sigma, np.inf)
+    return LinearMachine(*(float(x) for pair in zip(value, sigma, strict=True) for x in pair))
+
+
+def _refuse(fit: StaticFit) -> None:
+    """Refuse a fit that explains too little, or whose fluxes fall with their currents."""
+    share = float(np.sqrt(np.mean(fit.residual**2) / np.mean(fit.points.u_dq**2)))
+    if share > _REFUSED:
+        raise UnexplainedError(
+            f"The model leaves {100 * share:.0f} % of the voltage unexplained, so there is no valid result: check the "
+            "order and the signs of d and q, the direction of the speed, and that all signals are of the same time."
+        )
+    step = 1e-3 * fit.points.i_max
+    i_dq = fit.points.i_dq[turning(fit.points)]
+    for name, unit, axis in (("d", [step, 0.0], 0), ("q", [0.0, step], 1)):
+        rows = (fit.basis.rows(i_dq + unit) - fit.basis.rows(i_dq - np.array(unit)))[:, axis].mean(axis=0) / (2 * step)
+        slope, sigma = fit.of(rows)
+        if slope < -_WRONG_SIGN * sigma:
+            raise UnexplainedError(
+                f"psi_{name} falls with i_{name} (L_{name} = {slope:.3g} H), which it does in no machine: check the "
+                "order and the signs of d and q, and the direction of the speed."
+            )
+
+
+def _warnings(fit: StaticFit, coverage: float, i_max: float) -> tuple[str, ...]:
+    warnings = []
+    resistance, sigma = fit.coefficient(0)
+    error, sigma_error = fit.coefficient(-1)
+    if fit.outlying:
+        warnings.append(
+            f"Operating points left out: {fit.outlying}. They are far from what describes all others: transients, or "
+            "another state of the drive."
+        )
+    if resistance < -2 * sigma:
+        warnings.append(f"The resistance is negative ({resistance:.4g} ohm): check the signs of currents and voltages.")
+    if error < -2 * sigma_error:
+        warnings.append(
+            f"The drop of the inverter is negative ({error:.3g} V): the drive over-compensates it, or scales of "
+            "voltage and current do not match."
+        )
+    if fit.misfit > _LARGE_MISFIT:
+        share = float(np.sqrt(np.mean(fit.residual**2) / np.mean(fit.points.u_dq**2)))
+        cause = (
+            "saturation, which inductances cannot describe" if not fit.maps else "temperatures or states that differ"
+        )
+        warnings.append(
+            f"The residuals are {fit.misfit:.3g} times the noise of the points ({100 * share:.2g} % of the voltage): "
+            f"there is more than the model holds, likely {cause}. The standard errors are wider accordingly."
+        )
+    if fit.maps and coverage < _FEW_COVERED:
+        warnings.append(
+            f"The points cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A: the map is valid only where "
+            "'inside' says so."
+        )
+    for effect, number in zip(fit.effects, range(1, len(fit.effects) + 1), strict=True):
+        value, spread = fit.coefficient(number)
+        if effect == DELAY:
+            warnings.append(
+                f"The frame of the voltages is behind by {value * 1e6:.3g} ± {spread * 1e6:.2g} us times the speed, "
+                "which was fitted: the drive does not compensate the delay of its voltages in what it logs."
+            )
+    if fit.asymmetric:
+        psi, _ = fit.flux(np.zeros((1, 2)))
+        angle = np.rad2deg(np.arctan2(psi[0, 1], psi[0, 0]))
+        warnings.append(
+            f"The map is not symmetric about the d axis (psi_q is {psi[0, 1]:.3g} Wb at zero current): the angle of d "
+            f"and q is off, by some {angle:.2g} degrees if the magnets are strong, or the machine is asymmetric."
+        )
+    return tuple(warnings)
+
+
+def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) -> tuple[str, ...]:
+    used = fit.points
+    distinct = len(distinct_currents(used.i_dq[turning(used)], DISTINCT * used.i_max))
+    said = f"{len(used)} operating points"
+    if points.covariance is not None:
+        said += f" at rest ({used.count.sum()} of {points.samples} samples; transients are left out)"
+    if fit.maps:
+        said += f" with {distinct} distinct currents: reciprocal maps, symmetric about the d axis, were fitted."
+    else:
+        said += (
+            f": R, psi_PM, L_d and L_q of an affine machine were fitted; maps need {MAP_POINTS} or more distinct "
+            f"currents over both axes, and there are {distinct}."
+        )
+    found = [said]
+    unknown = [
+        name
+        for name, sigma in (("psi_PM", linear.sigma_psi_pm), ("L_d", linear.sigma_l_d), ("L_q", linear.sigma_l_q))
+        if not np.isfinite(sigma)
+    ]
+    if unknown:
+        found.append(
+            f"The points do not determine {' and '.join(unknown)} (at zero current): vary i_d and i_q independently, "
+            "close to zero current, too."
+        )
+    if len(distinct_speeds(used)) == 1:
+        found.append(
+            "All points are at one speed: R is told from the fluxes only because the maps are taken as reciprocal and "
+            "symmetric, so iron loss at this speed counts as R. Record points at another speed, in the other "
+            "direction, or at standstill."
+        )
+    if fit.coefficient(-1)[1] > fit.shapes.usual / 2:
+        found.append(
+            f"The drop of the inverter cannot be told from R by these points: one of 0 ± {fit.shapes.usual:.2g} V was "
+            "assumed, which the standard error of R includes. Record points with small and with large currents."
+        )
+    elif fit.coefficient(0)[1] > _VAGUE_RESISTANCE * abs(fit.coefficient(0)[0]):
+        found.append(
+            "R is not accurate: record points with large current at low speed or standstill, where R i is a larger "
+            "part of the voltage."
+        )
+    for number, effect in enumerate(fit.effects, start=1):
+        value, spread = fit.coefficient(number)
+        if effect == IRON_LOSS:
+            found.append(
+                f"Iron loss is significant and was fitted: 1 / R_c = {value:.3g} ± {spread:.2g} S beside the "
+                "windings. R does not include it."
+            )
+    if used.winding_temperature is not None:
+        found.append("R holds at 20 degrees Celsius, with the temperature coefficient of copper.")
+    return tuple(found)

@@ -1,0 +1,52 @@
+"""Fast samples of phase quantities as slow telemetry in d and q."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.steady.operating_data import OperatingData
+from drive_id.errors import SamplePeriodError
+from drive_id.types import Samples
+
+AVERAGED = 0.1
+"""Time over which samples are averaged, s."""
+_LARGEST_TURN = 0.5
+"""Turn per sample, rad, up to which phase quantities and an angle give d and q components."""
+
+
+def averaged(samples: Samples) -> OperatingData:
+    """Return d and q components averaged over 0.1 s, within gap-free runs; what remains of a run is left out.
+
+    The voltages are means over each sample, during which they are held in the stator frame.
+
+    Raises
+    ------
+    SamplePeriodError
+        When the rotor turns too far per sample, or no run is long enough.
+    """
+    period = samples.sample_period
+    turn = float(np.median(np.abs(samples.speed))) * period
+    if turn > _LARGEST_TURN:
+        raise SamplePeriodError(
+            f"The rotor turns {np.rad2deg(turn):.0f} degrees electrical per sample, so phase quantities and their "
+            "angle give no d and q components: log currents and voltages in d and q."
+        )
+    size = max(round(AVERAGED / period), 1)
+    whole = [slice(k, k + size) for run in samples.runs() for k in range(run.start, run.stop - size + 1, size)]
+    if not whole:
+        raise SamplePeriodError(f"No {AVERAGED} s of the recording are without a gap: record longer.")
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    u_dq = frames.integrate_held(samples.u_abc, samples.angle, samples.speed, period) / period
+    time = (samples.stamp - samples.stamp[0]) * 1e-9
+    temperature = samples.winding_temperature
+    known = temperature is not None and np.isfinite(temperature).all()
+    return OperatingData(
+        i_dq=np.array([i_dq[at].mean(axis=0) for at in whole]),
+        u_dq=np.array([u_dq[at].mean(axis=0) for at in whole]),
+        speed=np.array([samples.speed[at].mean() for at in whole]),
+        time=np.array([time[at].mean() for at in whole]),
+        winding_temperature=np.array([temperature[at].mean() for at in whole])
+        if known and temperature is not None
+        else None,
+    )

@@ -1,0 +1,464 @@
+"""Identify a drive from operating points: choose the model by the points, weigh them, solve, and judge.
+
+u_d = R i_d - omega psi_q + drop_d,    u_q = R i_q + omega psi_d + drop_q
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from drive_id.core.steady.drop import DropShapes
+from drive_id.core.steady.effects import EFFECTS, Effect, effect_columns
+from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasis, linearized
+from drive_id.core.steady.operating_points import OperatingPoints
+from drive_id.core.steady.regression import Equations, Posterior, solved
+from drive_id.errors import CoverageError, StandstillError
+from drive_id.types import BoolArray, FloatArray
+
+COPPER = 0.00393
+"""Temperature coefficient of the resistance, 1/K, at the reference temperature."""
+REFERENCE_TEMPERATURE = 20.0
+REACH = 1.05
+"""Half width of the map by i_max."""
+MAP_POINTS = 15
+"""Least number of distinct currents, mirror images counted once, for maps instead of inductances."""
+DISTINCT = 0.05
+"""Distance of distinct currents, by i_max."""
+_MAP_SPREAD = 0.3
+"""Least range of i_d and of |i_q|, by i_max, for maps."""
+_SAME_SPEED = 0.05
+_STANDSTILL = 0.01
+"""Speed, by the largest, below which the fluxes induce nothing to speak of and a drop is not averaged over a turn."""
+_NEAR_ZERO = 0.02
+"""Current, by i_max, below which the drop is not known from the mean current."""
+_SPARE = 4
+"""Least number of equations more than unknowns to test for effects."""
+USUAL_DROP = 0.03
+"""Standard deviation of the drop before any data, by the DC-link voltage."""
+_DROP_AT_REST = 0.3
+"""Rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude."""
+_CELLS = 10
+_BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))
+"""Bend and relief of the bases that compete where there are maps."""
+_VAGUE = 10.0
+"""Width of the weak prior, in units of what the voltages and currents suggest."""
+_PASSES = 2
+_MISFIT = 1.25
+_RARE = 3e-5
+"""Probability with which chance alone makes an effect seem significant."""
+_OUTLYING, _MOST_OUTLYING, _FEW = 6.0, 0.1, 20
+_FLOOR = 1e-6
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class StaticFit:
+    """The drive behind operating points.
+
+    Parameters
+    ----------
+    points : OperatingPoints
+        Those used.
+    basis : FluxBasis
+    posterior : Posterior
+        Its columns: R, effects, flux coefficients, and the amplitude of the drop last if there is one.
+    effects : tuple of Effect
+        Found significant, and fitted.
+    shapes : DropShapes
+    widening : float
+        Factor on all standard errors, so that +-1.96 of them hold 95 % although the noise is estimated.
+    residual : (P, 2) float
+        V.
+    misfit : float
+        Rms of the residuals, relative to the noise of the points; NaN where that is not known.
+    outlying : int
+        Points left out.
+    """
+
+    points: OperatingPoints
+    basis: FluxBasis
+    posterior: Posterior
+    effects: tuple[Effect, ...]
+    shapes: DropShapes
+    widening: float
+    residual: FloatArray
+    misfit: float
+    outlying: int
+
+    @property
+    def maps(self) -> bool:
+        """Whether maps were fitted, not only inductances."""
+        return isinstance(self.basis, CoEnergyBasis)
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the map has a part that is not symmetric about the d axis."""
+        return self.basis.odd
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the covariance, columns scaled."""
+        by = np.sqrt(np.maximum(np.diag(self.posterior.covariance), np.finfo(float).tiny))
+        return float(np.sqrt(np.linalg.cond(self.posterior.covariance / by / by[:, None])))
+
+    @property
+    def _flux(self) -> slice:
+        first = 1 + len(self.effects)
+        return slice(first, first + self.basis.parameters)
+
+    def of(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return values and standard errors (...) of linear functions (..., C) of the flux coefficients."""
+        mean, covariance = self.posterior.mean[self._flux], self.posterior.covariance[self._flux, self._flux]
+        variance = np.einsum("...i,ij,...j->...", rows, covariance, rows, optimize=True)
+        return rows @ mean, self.widening * np.sqrt(np.maximum(variance, 0.0))
+
+    def coefficient(self, column: int) -> tuple[float, float]:
+        """Return one coefficient of the posterior and its standard error."""
+        sigma = np.sqrt(max(self.posterior.covariance[column, column], 0.0))
+        return float(self.posterior.mean[column]), self.widening * float(sigma)
+
+    def flux(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the fluxes and their standard errors (N, 2), Wb, at currents (N, 2), A."""
+        return self.of(self.basis.rows(i_dq))
+
+    def drop_curve(self, current: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the drop of one phase and its standard error (N,), V, at phase currents (N,), A."""
+        found = self.posterior
+        curves = self.shapes(current)
+        mean = curves @ (found.shapes * found.drop_mean)
+        square = curves**2 @ (found.shapes * found.drop_square)
+        return np.asarray(mean), self.widening * np.sqrt(np.maximum(square - mean**2, 0.0))
+
+
+def fit_points(points: OperatingPoints, i_max: float, u_dc: float | None = None) -> StaticFit:
+    """Identify a drive from operating points.
+
+    Parameters
+    ----------
+    points : OperatingPoints
+    i_max : float
+        Radius of the current disc, A.
+    u_dc : float, optional
+        DC-link voltage, V, which tells how large a drop may be. Default: the least that gives these voltages.
+
+    Raises
+    ------
+    StandstillError
+        When the machine never turns.
+    CoverageError
+        When there are too few points, or none with current.
+    """
+    fastest = float(np.abs(points.speed).max())
+    if not fastest > 0:
+        raise StandstillError("The speed of all operating points is zero: record points while the machine turns.")
+    if not points.i_max > 0:
+        raise CoverageError("The current of all operating points is zero: record points with current.")
+    bases = _bases(points, i_max)
+    usual = USUAL_DROP * (u_dc or np.sqrt(3) * float(np.hypot(*points.u_dq.T).max()))
+    shapes = DropShapes.up_to(i_max, usual)
+    moving = int(turning(points).sum())
+    unknowns = 1 + bases[0].free
+    if moving < 2 or 2 * len(points) <= unknowns:
+        raise CoverageError(
+            f"There are {len(points)} operating points at rest, {moving} of them turning, for {unknowns} unknowns: "
+            "record at least 4 points with different i_d and i_q."
+        )
+    found, kept = _weighed(points, bases, shapes), points
+    outlying = _outlying(found, points)
+    if outlying.any():
+        kept = points.chosen(~outlying)
+        found = _weighed(kept, bases, shapes)
+    return _concluded(found, kept, int(outlying.sum()))
+
+
+def distinct_currents(i_dq: FloatArray, distance: float) -> FloatArray:
+    """Return those of the currents (N, 2), i_q taken without sign, that are not closer than this to one before."""
+    found: list[FloatArray] = []
+    for i in np.column_stack([i_dq[:, 0], np.abs(i_dq[:, 1])]):
+        if not found or np.hypot(*(np.array(found) - i).T).min() >= distance:
+            found.append(i)
+    return np.array(found).reshape(-1, 2)
+
+
+def turning(points: OperatingPoints) -> BoolArray:
+    """Tell (P,) at which points the machine turns, so that its fluxes induce voltages."""
+    return np.asarray(np.abs(points.speed) > _STANDSTILL * np.abs(points.speed).max())
+
+
+def distinct_speeds(points: OperatingPoints) -> list[float]:
+    """Return the speeds that differ by more than 5 % of the largest, rad/s."""
+    found: list[float] = []
+    for speed in np.sort(points.speed):
+        if not found or speed - found[-1] > _SAME_SPEED * np.abs(points.speed).max():
+            found.append(float(speed))
+    return found
+
+
+def _bases(points: OperatingPoints, i_max: float) -> list[FluxBasis]:
+    """Return the bases to choose from: splines where the points allow it, or the affine machine."""
+    distinct = distinct_currents(points.i_dq[turning(points)], DISTINCT * i_max)
+    if len(distinct) < MAP_POINTS or np.ptp(distinct, axis=0).min() < _MAP_SPREAD * i_max:
+        return [AffineBasis()]
+    return [CoEnergyBasis(REACH * i_max, _CELLS, bend, relief) for bend, relief in _BENDS]
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """A solution, with the weights that led to it."""
+
+    basis: FluxBasis
+    effects: tuple[Effect, ...]
+    shapes: DropShapes
+    equations: Equations
+    posterior: Posterior
+    whitening: FloatArray  # (P, 2, 2)
+    residual: FloatArray  # (P, 2), V
+    misfit: float
+    estimated: bool  # the noise, from the residuals
+
+
+def _weighed(points: OperatingPoints, bases: list[FluxBasis], shapes: DropShapes) -> _Weighed:
+    """Return the solution with weights that follow from the scatter of the points, and from the misfit of the model."""
+    known = points.covariance is not None
+    covariance = np.broadcast_to(np.eye(2), (len(points), 2, 2)) * float(np.mean(points.u_dq**2)) * 1e-4
+    found = _best(points, bases, (), shapes, covariance, 0.0)
+    for _ in range(_PASSES):
+        covariance = _noise(points, found)
+        found = _best(points, bases, (), shapes, covariance, float(known))
+    effects: tuple[Effect, ...] = ()
+    basis = found.basis
+    while (chosen := _next_effect(points, found, effects, covariance)) is not None:
+        if chosen.odd:
+            basis = replace(basis, odd=True)  # type: ignore[type-var]  # a dataclass
+        effects = (*effects, *([] if chosen.odd else [chosen]))
+        for _ in range(_PASSES):  # the columns of effects depend on the map
+            found = _best(points, [basis], effects, shapes, covariance, float(known), found)
+            covariance = _noise(points, found)
+    misfit = float(np.sqrt(found.posterior.scale)) if known else float("nan")
+    if known and found.posterior.scale > _MISFIT**2:
+        found = _matched(points, found, covariance)
+    return replace(found, misfit=misfit, estimated=not known or misfit > _MISFIT)
+
+
+def _best(
+    points: OperatingPoints,
+    bases: list[FluxBasis],
+    effects: tuple[Effect, ...],
+    shapes: DropShapes,
+    covariance: FloatArray,
+    least_scale: float,
+    before: _Weighed | None = None,
+) -> _Weighed:
+    """Solve with each basis and return the likeliest."""
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    found = []
+    for basis in bases:
+        model = None if before is None else (before.basis, _flux_of(before))
+        equations = _equations(points, basis, effects, shapes, whitening, least_scale, model)
+        posterior = solved(equations)
+        columns = _columns(points, basis, effects, shapes, model)
+        residual = points.u_dq - _prediction(columns, posterior)
+        found.append(
+            _Weighed(basis, effects, shapes, equations, posterior, whitening, residual, float("nan"), least_scale == 0)
+        )
+    return min(found, key=lambda entry: entry.posterior.evidence)
+
+
+def _flux_of(found: _Weighed) -> FloatArray:
+    first = 1 + len(found.effects)
+    return np.asarray(found.posterior.mean[first : first + found.basis.parameters])
+
+
+Columns = tuple[FloatArray, FloatArray]
+
+
+def _columns(
+    points: OperatingPoints,
+    basis: FluxBasis,
+    effects: tuple[Effect, ...],
+    shapes: DropShapes,
+    model: tuple[FluxBasis, FloatArray] | None,
+) -> Columns:
+    """Return the voltages (P, 2, C) of R, effects and fluxes, and those of the drop (P, 2, S)."""
+    heating = np.ones(len(points))
+    if points.winding_temperature is not None:
+        heating = 1 + COPPER * (points.winding_temperature - REFERENCE_TEMPERATURE)
+    resistive = heating[:, None] * points.i_dq
+    induced = points.speed[:, None, None] * np.einsum("ab,nbc->nac", J, basis.rows(points.i_dq))
+    more = [effect_columns(effect, points, *model)[..., None] for effect in effects] if model else []
+    drops = shapes.vectors(points.i_dq)
+    return np.concatenate([resistive[..., None], *more, induced], axis=2), drops
+
+
+def _prediction(columns: Columns, posterior: Posterior) -> FloatArray:
+    plain, drops = columns
+    return np.asarray(plain @ posterior.mean[: plain.shape[2]] + drops @ (posterior.shapes * posterior.drop_mean))
+
+
+def _equations(
+    points: OperatingPoints,
+    basis: FluxBasis,
+    effects: tuple[Effect, ...],
+    shapes: DropShapes,
+    whitening: FloatArray,
+    least_scale: float,
+    model: tuple[FluxBasis, FloatArray] | None,
+) -> Equations:
+    plain, drops = _columns(points, basis, effects, shapes, model)
+    count = plain.shape[2]
+    first = 1 + len(effects)
+    penalty = np.zeros((count, count))
+    penalty[first:, first:] = basis.penalty
+    ohm, henry = scales(points)
+    prior = np.zeros((0, count))
+    if isinstance(basis, AffineBasis):
+        prior = np.zeros((2, count))
+        prior[0, 0] = 1 / (_VAGUE * ohm)
+        prior[1, first + 1 : first + 3] = np.array([1.0, -1.0]) / (_VAGUE * henry)
+
+    def white(values: FloatArray) -> FloatArray:
+        rows = np.einsum("nab,nb...->na...", whitening, values)
+        return np.asarray(rows.reshape(2 * len(points), *values.shape[2:]))
+
+    return Equations(
+        y=white(points.u_dq),
+        columns=white(plain),
+        drops=white(drops),
+        penalty=penalty,
+        rank=basis.parameters - basis.free,
+        prior=prior,
+        drop_prior=1 / shapes.usual,
+        log_volume=basis.log_volume,
+        least_scale=least_scale,
+    )
+
+
+def scales(points: OperatingPoints) -> tuple[float, float]:
+    """Return an ohm and a henry that voltages, currents and speeds suggest."""
+    voltage = float(np.sqrt(np.mean(points.u_dq**2)))
+    ohm = voltage / points.i_max
+    return ohm, ohm / float(np.abs(points.speed).max())
+
+
+def _noise(points: OperatingPoints, found: _Weighed) -> FloatArray:
+    """Return the covariance (P, 2, 2) of the equations' errors, V^2, by the present estimate."""
+    mean = found.posterior.mean
+    drop = abs(float(found.posterior.shapes @ found.posterior.drop_mean))
+    psi, inductance = _linearized(points, found)
+    amplitude = np.hypot(*points.i_dq.T)
+    if points.covariance is None:
+        size = float(np.sum(found.residual**2)) / max(found.equations.freedom, 1)
+        size = max(size, _FLOOR**2 * float(np.mean(points.u_dq**2)))
+        relative = 1 + (points.speed / np.abs(points.speed).max()) ** 2
+        out = (size * relative / relative.mean())[:, None, None] * np.eye(2)
+    else:
+        resistive = mean[0] + 4 / np.pi * drop / np.maximum(amplitude, _NEAR_ZERO * points.i_max)
+        by_current = resistive[:, None, None] * np.eye(2) + points.speed[:, None, None] * (J @ inductance)
+        gradient = np.concatenate(
+            [-by_current, np.broadcast_to(np.eye(2), by_current.shape), -(psi @ J.T)[..., None]], axis=2
+        )
+        out = np.einsum("nai,nij,nbj->nab", gradient, points.covariance, gradient)
+        out += np.eye(2) * _FLOOR**2 * float(np.mean(points.u_dq**2))
+    unsure = np.where(amplitude < _NEAR_ZERO * points.i_max, 1.0, np.where(turning(points), 0.0, _DROP_AT_REST))
+    return np.asarray(out + (unsure * drop)[:, None, None] ** 2 * np.eye(2))
+
+
+def _linearized(points: OperatingPoints, found: _Weighed) -> tuple[FloatArray, FloatArray]:
+    """Return fluxes (P, 2) and incremental inductances (P, 2, 2) at the points."""
+    return linearized(found.basis, _flux_of(found), points.i_dq)
+
+
+def _next_effect(
+    points: OperatingPoints, found: _Weighed, effects: tuple[Effect, ...], covariance: FloatArray
+) -> Effect | None:
+    """Return the effect that improves the fit most, or None where none is significant."""
+    spare = found.equations.freedom
+    several = len(distinct_speeds(points)) > 1
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    model = (found.basis, _flux_of(found))
+    freedom = points.freedom or spare
+    threshold = float(stdtrit(freedom, 1 - _RARE)) ** 2
+    best, gain = None, 0.0
+    for effect in EFFECTS:
+        done = effect in effects or (effect.odd and found.basis.odd)
+        if done or (effect.several_speeds and not several) or spare < _SPARE:
+            continue
+        columns = effect_columns(effect, points, *model)
+        columns = columns.reshape(len(points), 2, -1)
+        white = np.einsum("nab,nbk->nak", whitening, columns).reshape(2 * len(points), -1)
+        improvement = _improvement(found, white) - white.shape[1] * threshold
+        if improvement > gain:
+            best, gain = effect, improvement
+    return best
+
+
+def _improvement(found: _Weighed, columns: FloatArray) -> float:
+    """Return the chi square of further columns (N, K), given all others."""
+    system, posterior = found.equations, found.posterior
+    whole = np.column_stack([system.columns, system.drops @ posterior.shapes])
+    count = system.columns.shape[1]
+    unit = float(np.sum(system.columns**2) / np.trace(system.penalty)) if system.rank else 0.0
+    matrix = whole.T @ whole
+    matrix[:count, :count] += posterior.weight * unit * system.penalty + system.prior.T @ system.prior
+    matrix[count, count] += system.drop_prior**2
+    by = 1 / np.sqrt(np.diag(matrix))
+    own = by[:, None] * np.linalg.lstsq(by[:, None] * matrix * by, by[:, None] * (whole.T @ columns), rcond=1e-13)[0]
+    projected = columns - whole @ own
+    residual = system.y - whole @ posterior.mean
+    information = projected.T @ columns
+    score = columns.T @ residual
+    freedom = max(system.freedom - columns.shape[1], 1)
+    gain = float(score @ np.linalg.lstsq(information, score, rcond=1e-10)[0])
+    left = max(posterior.scale * system.freedom - gain, 0.0) / freedom
+    return float(gain / max(left, system.least_scale, 1e-12 * gain, np.finfo(float).tiny))
+
+
+def _matched(points: OperatingPoints, found: _Weighed, covariance: FloatArray) -> _Weighed:
+    """Add the misfit of the model to the noise, so that residuals and weights agree."""
+    speed = np.abs(points.speed) / np.abs(points.speed).max()
+    relative = (0.1 + speed) ** 2
+    low, high = 0.0, 10 * float(np.mean(found.residual**2)) / float(np.mean(relative))
+    best = found
+    for _ in range(18):
+        middle = (low + high) / 2
+        wider = covariance + (middle * relative)[:, None, None] * np.eye(2)
+        best = _best(points, [found.basis], found.effects, found.shapes, wider, 0.0, found)
+        if best.posterior.scale > 1:
+            low = middle
+        else:
+            high = middle
+        if abs(best.posterior.scale - 1) < 0.02:
+            break
+    return best
+
+
+def _outlying(found: _Weighed, points: OperatingPoints) -> BoolArray:
+    """Tell (P,) which few points are far from the model that describes all others."""
+    white = np.einsum("nab,nb->na", found.whitening, found.residual)
+    size = np.hypot(*white.T)
+    typical = float(np.median(size)) / 1.1774
+    far: BoolArray = size > _OUTLYING * max(typical, np.finfo(float).tiny)
+    if len(points) < _FEW or far.sum() > _MOST_OUTLYING * len(points):
+        return np.zeros(len(points), np.bool_)
+    return far
+
+
+def _concluded(found: _Weighed, points: OperatingPoints, outlying: int) -> StaticFit:
+    freedom = len(found.equations.y) - found.posterior.effective
+    if not found.estimated:
+        freedom = points.freedom
+    widening = float(stdtrit(max(freedom, 1.0), 0.975)) / 1.959964
+    return StaticFit(
+        points=points,
+        basis=found.basis,
+        posterior=found.posterior,
+        effects=found.effects,
+        shapes=found.shapes,
+        widening=widening,
+        residual=found.residual,
+        misfit=found.misfit,
+        outlying=outlying,
+    )

@@ -1,0 +1,140 @@
+"""Read slow telemetry for method ``static``: d and q quantities with a speed, or fast phase quantities averaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drive_id.core.signals.signal import Signal
+from drive_id.core.steady.averaging import averaged
+from drive_id.core.steady.operating_data import OperatingData
+from drive_id.errors import ConfigurationError, DataError, NoOverlapError
+from drive_id.files.messages.signal_sources import SignalMap
+from drive_id.files.read.reader import read_recording, read_signals_only
+from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
+
+_TEMPERATURE = "winding_temperature"
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingLog:
+    """The content of one log.
+
+    Parameters
+    ----------
+    data : OperatingData
+    truth : GroundTruth or None
+        Of a simulation.
+    digests : dict of str to str
+        File to its sha256.
+    last_stamp : int
+        ns.
+    warnings : tuple of str
+    """
+
+    data: OperatingData
+    truth: GroundTruth | None
+    digests: dict[str, str]
+    last_stamp: int
+    warnings: tuple[str, ...]
+
+
+def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> OperatingLog:
+    """Read the log of a drive as slow telemetry.
+
+    Currents and voltages in frame ``dq`` are taken as they are, and need a speed but no angle. Phase quantities must be
+    sampled so fast that the rotor turns by less than 0.5 rad per sample; they are averaged.
+
+    Parameters
+    ----------
+    path : Path
+    signals : SignalMap, optional
+        Default: our own messages.
+    namespace : str
+        Of the drive, when a bag holds several.
+
+    Raises
+    ------
+    BagError, DataError, ConfigurationError
+        When the log cannot be read, or its signals do not fit together.
+    """
+    known = signals or SignalMap()
+    frames = {known.currents.frame, known.voltages.frame}
+    if "dq" not in frames:
+        recording = read_recording(path, known, namespace=namespace)
+        last_stamp = int(recording.samples.stamp[-1])
+        return OperatingLog(
+            averaged(recording.samples), recording.truth, recording.digests, last_stamp, recording.warnings
+        )
+    if len(frames) > 1:
+        raise ConfigurationError(
+            "Currents and voltages are in different frames, and method static takes d and q of both or phases of both: "
+            "set frame: dq for both."
+        )
+    if not known.resolver.own_speed:
+        raise ConfigurationError(
+            "Method static needs the speed of the rotor: name it by speed in section 'resolver', from the same topic "
+            "or group."
+        )
+    plain = {name: replace(getattr(known, name), angle="", angle_advance=0.0) for name in ("currents", "voltages")}
+    needed = replace(known, **plain, reference=None)
+    found, digests, warnings = read_signals_only(path, needed, namespace=namespace)
+    try:
+        data, last_stamp = _joined(found, known)
+    except DataError as error:
+        raise type(error)(f"In {path}: {error}") from error
+    return OperatingLog(data, None, digests, last_stamp, warnings)
+
+
+def _joined(found: dict[str, Signal], signals: SignalMap) -> tuple[OperatingData, int]:
+    """Return the signals at the times of the currents, interpolated linearly, and the last stamp."""
+    currents = found["currents"]
+    increasing = _increasing(currents.stamp)
+    stamp, i_dq = currents.stamp[increasing], currents.values[increasing]
+    needed = [found["voltages"], found["resolver"]]
+    start = max(int(signal.stamp.min()) for signal in needed)
+    end = min(int(signal.stamp.max()) for signal in needed)
+    common = (stamp >= start) & (stamp <= end)
+    if not common.any():
+        raise NoOverlapError("Currents, voltages and speed have no time in common: check stamps and their units.")
+    stamp, i_dq = stamp[common], i_dq[common]
+    at = _Interpolation(stamp)
+    u_dq = at(found["voltages"], slice(None))
+    if name := signals.voltages.scaled_by:
+        if name not in found:
+            raise NoOverlapError("The signal that scales the voltages holds no sample: record it.")
+        u_dq *= at(found[name], slice(0, 1))
+    temperature = at(found[_TEMPERATURE], slice(0, 1))[:, 0] if _TEMPERATURE in found else None
+    data = OperatingData(
+        i_dq=i_dq,
+        u_dq=u_dq,
+        speed=at(found["resolver"], slice(-1, None))[:, 0],
+        time=(stamp - stamp[0]) * 1e-9,
+        winding_temperature=temperature,
+    )
+    return data, int(stamp[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Interpolation:
+    """Linear interpolation of signals at stamps (N,), ns."""
+
+    stamp: IntArray
+
+    def __call__(self, signal: Signal, columns: slice) -> FloatArray:
+        """Return some columns of a signal (N, K); values that are not finite are bridged."""
+        kept = _increasing(signal.stamp) & np.isfinite(signal.values[:, columns]).all(axis=1)
+        if not kept.any():
+            raise NoOverlapError(f"{signal.name} holds no number: check its field.")
+        own = (signal.stamp[kept] - self.stamp[0]).astype(np.float64)
+        wanted = (self.stamp - self.stamp[0]).astype(np.float64)
+        values = signal.values[kept][:, columns]
+        return np.column_stack([np.interp(wanted, own, column) for column in values.T])
+
+
+def _increasing(stamp: IntArray) -> BoolArray:
+    """Tell (N,) which stamps are later than all before."""
+    before = np.maximum.accumulate(np.concatenate([[stamp[0] - 1], stamp[:-1]]))
+    return np.asarray(stamp > before)

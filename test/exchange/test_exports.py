@@ -15,7 +15,7 @@ from scipy.io import loadmat, netcdf_file
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
-from drive_id.exchange.exports.formats import EXPORTS
+from drive_id.exchange.exports.formats import ALIASES, EXPORTS, export_format
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.writers.gradnet import GradNet
 from drive_id.exchange.imports.importing import ImportOptions, import_map
@@ -403,3 +403,8 @@ def test_errors(tmp_path):
     assert "torque" not in heading
     with pytest.raises(ConfigurationError, match="--bandwidth"):
         ExportOptions(bandwidth=0.0)
+
+
+@pytest.mark.parametrize(("name", "known"), [*ALIASES.items(), ("SyR-e", "syre"), ("C_Header", "c-header")])
+def test_formats_have_other_names(name, known):
+    assert export_format(name) is EXPORTS[known]

@@ -85,6 +85,23 @@ EXPORTS: Mapping[str, ExportFormat] = {
 }
 
 
+ALIASES: Mapping[str, str] = {
+    "c": "c-header",
+    "c99": "c-header",
+    "header": "c-header",
+    "mcb": "motor-control",
+    "motor-control-blockset": "motor-control",
+    "npz": "machine",
+    "powertrain-blockset": "powertrain",
+    "simscape-3d": "simscape",
+    "simscape-fem": "simscape",
+    "syr-e": "syre",
+    "syre-motormodel": "syre-model",
+    "xarray": "netcdf",
+}
+"""Other names under which a format is found; upper case and underscores do not matter."""
+
+
 def export_format(name: str) -> ExportFormat:
     """Return a format.
 
@@ -93,6 +110,8 @@ def export_format(name: str) -> ExportFormat:
     ConfigurationError
         When there is none of this name; the message lists all.
     """
-    if name not in EXPORTS:
+    plain = name.lower().replace("_", "-").replace(" ", "-")
+    known = ALIASES.get(plain, plain)
+    if known not in EXPORTS:
         raise ConfigurationError(f"There is no export format '{name}': choose {', '.join(EXPORTS)}.")
-    return EXPORTS[name]
+    return EXPORTS[known]

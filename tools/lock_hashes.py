@@ -19,9 +19,7 @@ _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^\s\\]+)")
 
 def hashes(name: str, version: str) -> list[str]:
     """Return the SHA-256 of all files of a version on the Python package index, sorted."""
-    request = urllib.request.Request(
-        f"{INDEX}/{name}/", headers={"Accept": "application/vnd.pypi.simple.v1+json"}
-    )
+    request = urllib.request.Request(f"{INDEX}/{name}/", headers={"Accept": "application/vnd.pypi.simple.v1+json"})
     with urllib.request.urlopen(request, timeout=60) as answer:
         files = json.load(answer)["files"]
     marks = (f"-{version}-", f"-{version}.tar.gz", f"-{version}.zip")

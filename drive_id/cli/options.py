@@ -138,8 +138,8 @@ def merged_settings(
 
 @contextmanager
 def working(silent: bool) -> Iterator[Tell]:
-    """Show a progress bar on standard error while the body works."""
-    if silent or not err().is_terminal:
+    """Show a progress bar on standard error while the body works, if that is a terminal, not only coloured."""
+    if silent or not (err().is_terminal and err().file.isatty()):
         yield lambda _what, _share: None
         return
     from rich.progress import (

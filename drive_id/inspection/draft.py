@@ -137,6 +137,11 @@ class _Writer:
         if max(-low, high) <= _LARGEST_DUTY or percent:
             share = 0.01 if percent else 1.0 if low >= -0.02 else 0.5
             range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
+            if share == 0.5:
+                self._doubt(
+                    "The duty cycles lie around zero and were taken to reach from -1 to 1: if they are voltages over "
+                    "the DC-link voltage, -0.5 to 0.5, double the scale. The data cannot tell; R and flux follow it."
+                )
             dc = dc_link(self._tables)
             if dc is None:
                 lines.append(

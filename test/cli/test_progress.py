@@ -15,6 +15,7 @@ from drive_id.cli import options
 def screen(monkeypatch):
     """What is drawn on a terminal."""
     text = io.StringIO()
+    text.isatty = lambda: True
     console = Console(file=text, force_terminal=True, width=100, color_system=None, _environ={})
     monkeypatch.setattr(options, "err", lambda: console)
     return text
@@ -55,3 +56,12 @@ def test_nothing_is_drawn_without_a_terminal(monkeypatch):
     with options.working(silent=False) as tell:
         tell("Solving", None)
     assert not text.getvalue()
+
+
+def test_colour_without_a_terminal_shows_no_bar(monkeypatch):
+    """A notebook sets FORCE_COLOR for the programs that it starts; a bar would leave hundreds of lines in it."""
+    text = io.StringIO()
+    monkeypatch.setattr(options, "err", lambda: Console(file=text, _environ={"FORCE_COLOR": "1"}))
+    with options.working(silent=False) as tell:
+        tell("Accumulating", 0.5)
+    assert text.getvalue() == ""

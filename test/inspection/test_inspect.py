@@ -195,6 +195,9 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     draft = inspect_log(path).draft
     assert "duty cycles from 0 to 1" in draft.text
     assert_reads(path, draft, samples)
+    around = {name: values - 0.5 for name, values in duty.items()}
+    path = write_csv(tmp_path / "around.csv", columns(samples, **none, **around, V_bus=u_dc))
+    assert "NOT SURE: The duty cycles lie around zero" in inspect_log(path).draft.text
     path = write_csv(tmp_path / "without.csv", columns(samples, **none, **duty))
     draft = inspect_log(path).draft
     assert "# EDIT: duty cycles" in draft.text

@@ -40,7 +40,7 @@ echo "A simulated drive is identified: an interior-magnet machine of 300 A with 
 echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. Logs: $output/log."
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
-start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 picture:=true
+start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
 start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0
 
 python -m drive_id.ros.characterize --compare --recording bag --truth "$output/truth.npz" --output "$output" &

@@ -341,31 +341,32 @@ def main() -> None:
 
 PAGE = """# Monotone flux maps compared with gradient networks
 
-Written by `python benchmarks/gradnet.py FOLDER --output docs/gradnet.md`, FOLDER being the unpacked source
-distribution of `motulator_gradnet` {version} from PyPI. Both sides are gradients of a convex co-energy: reciprocal and
-monotone. The networks are the trained ones in the package. The split is that of the package: every n-th point trains,
-all others judge. Errors are root mean squares of the length of the error vector over the base flux; torque errors are
-relative to the base torque.
+Written by `python benchmarks/gradnet.py FOLDER --output docs/gradnet.md`, where FOLDER is the unpacked source
+distribution of `motulator_gradnet` {version} from PyPI. Both the networks and the splines are gradients of a convex
+co-energy, and so reciprocal and monotone. The trained networks and the split of the data come with the package:
+every n-th point is used for training, all others for testing. Errors are rms lengths of the error vector relative
+to the base flux; torque errors are relative to the base torque.
 
 {table}
 
-- The first three rows are fits by `fit_monotone(i, psi, mirrored=True)` with default options; smoothness and
-  cell widths come from cross-validation on the training points. The networks are made symmetric about the d axis, too.
-- The mean map of the FEM data is judged on data at all rotor positions: no map of the currents alone can be better
-  than {floor:.4f}, the rms of the slot harmonics.
+- The first three rows are fits by `fit_monotone(i, psi, mirrored=True)` with default options; smoothness and cell
+  widths come from cross-validation on the training points. The networks are made symmetric about the d axis as
+  well.
+- The mean map of the FEM data is tested on data at all rotor positions: no map that depends on the currents alone
+  can be better than {floor:.4f}, the rms of the slot harmonics.
 - With harmonics, the co-energy is a Fourier series in the rotor position of electrical orders {orders} with splines
-  as coefficients, fitted to flux and torque. Its convexity is proven at {angles} rotor positions in the period of
-  60 degrees, at each on the whole square of currents. It is reached by smoothness, not by constraints: of all
-  candidates with a convex co-energy, the best at predicting held-out training points is taken. That costs almost
-  nothing, for the FEM data are monotone themselves.
-- "Constraint active" tells whether the best smoothness alone would not be convex everywhere, corners without data
-  included.
-- The splines have more coefficients ({coefficients}) than the networks ({parameters}): they are the better map, not
-  the smaller one.
-- Sensitivity of the measured rows, tried once with version 0.1.2: eight seeds of the cross-validation, 8 to 20 cells,
-  `reach` from 1.1 to 2, and no use of the mirror symmetry gave 0.0023 to 0.0058 (Baldor) and 0.0062 to 0.0095 (Brusa).
-  With `reach=1`, Brusa has 0.016, more than the network: the map then ends at its 35 training points, and the flux
-  beyond is constant.
+  as coefficients, fitted to flux and torque. Convexity is proven at {angles} rotor positions in the period of 60
+  degrees, at each for the whole square of currents. It comes from smoothing, not from constraints: of all
+  candidates with a convex co-energy, the one that best predicts held-out training points is used. This costs almost
+  no accuracy, because the FEM data themselves are monotone.
+- "Constraint active" is "yes" if the best smoothness alone would give a map that is not convex everywhere,
+  including corners without data.
+- The splines have more coefficients ({coefficients}) than the networks ({parameters}): the map is more accurate,
+  but not smaller.
+- Sensitivity of the measured rows, tried once with version 0.1.2: eight seeds of the cross-validation, 8 to 20
+  cells, `reach` from 1.1 to 2, and fits without mirror symmetry gave 0.0023 to 0.0058 (Baldor) and 0.0062 to 0.0095
+  (Brusa). With `reach=1`, the error for Brusa is 0.016, larger than that of the network: the map then ends at the
+  35 training points, and the flux is constant beyond them.
 """
 
 

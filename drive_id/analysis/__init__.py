@@ -1,1 +1,1 @@
-"""What follows from an identified map: torque, current trajectories, limits, losses, tables for control."""
+"""Analysis of an identified map: torque, current trajectories, limits, losses, tables for control."""

@@ -1,4 +1,4 @@
-"""From an identified drive to control: trajectories, limits, maps and gains, each with its standard error."""
+"""Compute trajectories, limits, maps and controller gains from an identified drive, with standard errors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _WEAKENING = 4.0
 
 
 class Figure(NamedTuple):
-    """A number with its standard error (NaN if not known), its unit, and whether data support it."""
+    """A number with its standard error (NaN if unknown), its unit, and whether it rests on data."""
 
     value: float
     sigma: float
@@ -48,7 +48,7 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SpeedRange:
-    """What the drive can do over its speed at one DC-link voltage.
+    """Capability of the drive over speed at one DC-link voltage.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Analysis:
 
 
 def analyze(result: Identification | str | Path, settings: AnalysisSettings | None = None) -> Analysis:
-    """Derive from an identified drive what its control needs.
+    """Compute what the control of an identified drive needs.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def _figures(
 
 
 def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:
-    """Return the corner speed; its error is that of the voltage over the slope of the voltage."""
+    """Return the corner speed; its standard error is that of the voltage divided by the voltage's slope over speed."""
     speed, i_dq = of_speed.corner, of_speed.motoring.i_dq[:1]
     if not speed > 0:
         return Figure(speed, np.nan, "rad/s", inside=False)

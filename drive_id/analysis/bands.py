@@ -21,7 +21,7 @@ _ANY_CORRELATION = np.sqrt(2.0)
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """M independent causes of error, each by one standard error, on the grid of a continued map.
+    """Changes due to M independent causes of error, of one standard error each, on the grid of an extrapolated map.
 
     A figure that changes by c_k with cause k has the standard error ``sqrt(sum_k c_k^2)``.
 
@@ -38,8 +38,8 @@ class ModelErrors:
     iron : (M,) float
         Relative change of the iron loss.
     joint : bool
-        Whether correlations are known. Otherwise each flux errs as a whole and errors add up as if they agreed; nothing
-        is known about slopes then.
+        Whether correlations are known. Otherwise each flux linkage has one common error over the whole map, the
+        bands hold for any correlation, and the errors of slopes are unknown.
     """
 
     i_d: FloatArray
@@ -95,7 +95,7 @@ class ModelErrors:
         return len(self.resistance)
 
     def with_cause(self, *, psi_d: float = 0.0, iron: float = 0.0) -> ModelErrors:
-        """Return these errors and one more cause: the same flux everywhere, Wb, or a share of the iron loss."""
+        """Return these errors and a further cause: a constant psi_d, Wb, or a relative change of the iron loss."""
         shape = (1, *self.psi_d.shape[1:])
         return ModelErrors(
             self.i_d,

@@ -42,12 +42,12 @@ class Limits:
     u_max: float
 
     def broken(self, points: Operation) -> FloatArray:
-        """Return by how much points break the limits, relative to these; 0 where they are kept."""
+        """Return by how much points exceed the limits, relative to the limits; 0 within them."""
         excess = np.maximum(points.current / self.i_max, points.voltage / self.u_max) - 1
         return np.where(excess > _TOLERANCE, excess, 0.0)
 
     def active(self, points: Operation) -> tuple[BoolArray, BoolArray]:
-        """Tell where current and voltage are at their limits."""
+        """Return where current and voltage are at their limits."""
         return points.current > (1 - _ACTIVE) * self.i_max, points.voltage > (1 - _ACTIVE) * self.u_max
 
     def names(self, points: Operation) -> list[str]:
@@ -90,7 +90,7 @@ def _last_kept(
     speed: FloatArray,
     bisections: int,
 ) -> FloatArray:
-    """Return the farthest i_q (S, D) that keeps the limits at i_d (S, D); NaN where none does.
+    """Return the largest i_q (S, D) within the limits at i_d (S, D); NaN where there is none.
 
     ``rows`` are candidates of i_q (Q,), from zero on, and where they keep the limits (S, D, Q).
     """
@@ -204,7 +204,7 @@ def sigma_envelope(model: MachineModel, limits: Limits, points: Operation) -> Fl
 def _gradients(
     model: MachineModel, limits: Limits, i_dq: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives (N, 2) of torque, voltage and current by the current of the map (N, 2), A."""
+    """Return the derivatives (N, 2) of torque, voltage and current with respect to the map's current (N, 2), A."""
     step = _DIFFERENCE * limits.i_max
     sides = [[Operation.at(model, i_dq + side * step * axis, speed) for side in (1, -1)] for axis in np.eye(2)]
 
@@ -225,7 +225,7 @@ def _candidates(model: MachineModel, limits: Limits, sign: float) -> tuple[Float
 
 
 def _kept(limits: Limits, points: Operation) -> Operation:
-    """Return points with NaN where a limit is broken."""
+    """Return points, NaN where a limit is exceeded."""
     good = limits.broken(points) == 0
     fields = {name: np.asarray(getattr(points, name)) for name in Operation.__dataclass_fields__ if name != "speed"}
     masked = {name: np.where(good if x.ndim == good.ndim else good[..., None], x, np.nan) for name, x in fields.items()}
@@ -268,7 +268,7 @@ def _rank(limits: Limits, points: Operation) -> FloatArray:
 
 
 def _first_crossing(values: FloatArray, i_q: FloatArray, wanted: float) -> FloatArray:
-    """Return the i_q (D,) at which values (D, Q) first reach what is wanted, NaN where they do not."""
+    """Return the i_q (D,) at which values (D, Q) first reach the wanted value, NaN where they do not."""
     reached = values >= wanted
     k = reached.argmax(axis=1)
     rows, before = np.arange(len(values)), np.maximum(k - 1, 0)

@@ -1,4 +1,4 @@
-"""An identified drive as smooth functions of the current: what every analysis and export evaluates."""
+"""An identified drive as smooth functions of the current, as analyses and exports evaluate it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FEWEST = 16
 
 @dataclass(frozen=True)
 class IronLoss:
-    """The current that iron loss takes along the induced voltage e at electrical speed omega.
+    """The iron-loss current, in phase with the induced voltage e at electrical speed omega.
 
     ``i_fe = (conductance + hysteresis / abs(omega) + coercivity / abs(e)) e``; the map's current is the stator current
     minus i_fe.
@@ -51,7 +51,7 @@ class IronLoss:
 
     @classmethod
     def of(cls, result: Identification) -> IronLoss:
-        """Return what a fit identified, zero without."""
+        """Return the iron loss that a fit identified, zero if it identified none."""
         found = {entry.name: entry.value for entry in result.calibrations if entry.applied}
         return cls(
             conductance=found.get("iron_loss_conductance", 0.0),
@@ -61,7 +61,7 @@ class IronLoss:
 
     @property
     def known(self) -> bool:
-        """Whether any was identified."""
+        """Whether any iron loss was identified."""
         return self != IronLoss()
 
     def current(self, e_dq: FloatArray, speed: FloatArray) -> FloatArray:
@@ -185,7 +185,7 @@ class MachineModel:
         )
 
     def inside(self, i_d: ArrayLike, i_q: ArrayLike) -> BoolArray:
-        """Tell (...) where data support the map; elsewhere it is a continuation."""
+        """Return (...) where the map rests on data; elsewhere it is extrapolated."""
         return np.isfinite(self.flux_map.psi_dq(i_d, i_q)[0])
 
     def psi_dq(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -245,7 +245,7 @@ class MachineModel:
         return np.where(self.inside(d, q)[..., None, None], sigma, np.nan)
 
     def current(self, psi_d: ArrayLike, psi_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the currents i_d, i_q (...), A, that belong to flux linkages, Wb: the inverse map.
+        """Return the currents i_d, i_q (...), A, for flux linkages, Wb: the inverse map.
 
         Where the map is not monotone, that of the nearest monotone map. NaN where no such flux is reached. Whether the
         currents lie within the data, :meth:`inside` tells.
@@ -316,7 +316,7 @@ class MachineModel:
 
     @cached_property
     def inverted(self) -> Surfaces:
-        """The fluxes as they are inverted: the map itself if it is monotone, else the nearest monotone map."""
+        """The map used for the inverse: the map itself if it is monotone, else the nearest monotone map."""
         if self.monotone:
             return self._surfaces
         from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # only the inverse needs it

@@ -13,7 +13,7 @@ from drive_id.types import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class CurrentMaps:
-    """Figures on a grid of currents; where not ``inside``, they rest on a continuation of the map.
+    """Figures on a grid of currents; where not ``inside``, they rest on the extrapolated map.
 
     Parameters
     ----------

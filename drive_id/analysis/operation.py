@@ -55,7 +55,7 @@ class Operation:
 
     @classmethod
     def of_flux(cls, model: MachineModel, i_dq: FloatArray, psi: FloatArray, speed: FloatArray) -> Operation:
-        """Evaluate where the fluxes (..., 2), Wb, are known already."""
+        """Evaluate for known flux linkages (..., 2), Wb."""
         pairs = model.known_pole_pairs()
         electrical = pairs * np.asarray(speed)
         torque = 1.5 * pairs * (psi[..., 0] * i_dq[..., 1] - psi[..., 1] * i_dq[..., 0])
@@ -97,7 +97,7 @@ class Operation:
 
     @property
     def efficiency(self) -> FloatArray:
-        """Output over input power (...), as motor or generator; NaN where both sides take power, or none does."""
+        """Output over input power (...), as motor or generator; NaN where both sides consume power, or neither does."""
         motor = (self.mechanical > 0) & (self.power > 0)
         generator = (self.mechanical < 0) & (self.power < 0)
         out = np.full(self.torque.shape, np.nan)

@@ -101,7 +101,7 @@ def mtpv(model: MachineModel, i_max: float, points: int = 41) -> Trajectory:
 
 
 def characteristic_current(model: MachineModel) -> tuple[float, float, bool]:
-    """Return the current that cancels all flux, A, its standard error, and whether it lies within the data.
+    """Return the current that cancels the flux, A, its standard error, and whether it lies within the data.
 
     The steady short-circuit current at high speed; NaN where the continued map reaches no zero flux.
     """
@@ -134,7 +134,7 @@ def best_angle(figure: Callable[[FloatArray, FloatArray], FloatArray], current: 
 def _polished(
     figure: Callable[[FloatArray, FloatArray], FloatArray], current: FloatArray, angle: FloatArray
 ) -> FloatArray:
-    """Move to the vertex of the parabola through three close points: values alone tell the maximum only roughly."""
+    """Move to the vertex of the parabola through three close points: values alone locate a maximum only roughly."""
     step = 1e-3
     left, middle, right = (figure(current, angle + k * step) for k in (-1, 0, 1))
     curvature = left - 2 * middle + right

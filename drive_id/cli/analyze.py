@@ -23,15 +23,17 @@ def analyze(
         float | None, typer.Option(help="Largest current amplitude, A.  \\[default: that of the experiment]")
     ] = None,
     temperature: Annotated[
-        float | None, typer.Option(help="Of the winding, degC.  \\[default: that of the experiment]")
+        float | None, typer.Option(help="Winding temperature, degC.  \\[default: that of the experiment]")
     ] = None,
     magnet_temperature: Annotated[
-        float | None, typer.Option(help="Of the magnets, degC.  \\[default: that of the winding]")
+        float | None, typer.Option(help="Magnet temperature, degC.  \\[default: that of the winding]")
     ] = None,
-    bandwidth: Annotated[float | None, typer.Option(help="Of the current controllers, Hz.  \\[default: 500]")] = None,
+    bandwidth: Annotated[
+        float | None, typer.Option(help="Bandwidth of the current controllers, Hz.  \\[default: 500]")
+    ] = None,
     modulation: Annotated[float | None, typer.Option(help="Usable share of u_dc / sqrt(3).  \\[default: 1]")] = None,
     pole_pairs: Annotated[
-        int | None, typer.Option(help="Number of pole pairs, for a result that does not know it.")
+        int | None, typer.Option(help="Number of pole pairs, if the result does not contain it.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with settings of the analysis.")] = None,
     settings: SetOption = None,
@@ -39,7 +41,7 @@ def analyze(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Derive torque, MTPA, MTPV, field weakening, losses and controller gains from a result, each with its band."""
+    """Derive torque, MTPA, MTPV, field weakening, losses and controller gains from a result, with standard errors."""
     from drive_id.analysis.analyze import analyze as run
     from drive_id.analysis.folder import FORMAT, MARKER, analysis_tree
     from drive_id.analysis.settings import AnalysisSettings

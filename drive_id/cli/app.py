@@ -120,7 +120,7 @@ def simulate(
     seed: Annotated[int | None, typer.Option(help="Seed of all noise.")] = None,
     pole_pairs: Annotated[
         int | None,
-        typer.Option(help="Number of pole pairs, for a result that does not know it.", min=1),
+        typer.Option(help="Number of pole pairs, if the result does not contain it.", min=1),
     ] = None,
     u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V, instead of that of the file.")] = None,
     frequency_d: Annotated[float, typer.Option(help="Frequency of the d current reference, Hz.")] = 3.7,
@@ -171,7 +171,7 @@ def fit(
     cluster: ClusterOption = "",
     skip_bad: SkipFlag = False,
     figure_format: FigureFormatOption = FigureFormat.png,
-    report: Annotated[bool, typer.Option("--report", help="Write report.html into the result folder, too.")] = False,
+    report: Annotated[bool, typer.Option("--report", help="Also write report.html into the result folder.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,

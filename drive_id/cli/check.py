@@ -26,7 +26,7 @@ def check_log(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Look at a log before a fit: what is in it, what is wrong with it, and where the signals may be."""
+    """Inspect a log before a fit: list its contents, check it, and propose where the signals are."""
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.results.folder import replace_file
     from drive_id.inspection.inspect import inspect_log

@@ -12,7 +12,7 @@ from drive_id.cli.options import JsonFlag, QuietFlag, say, show
 def compare_results(
     first: Annotated[Path, typer.Argument(help="Result folder A.", show_default=False, metavar="A")],
     second: Annotated[Path, typer.Argument(help="Result folder B, the reference.", show_default=False, metavar="B")],
-    output: Annotated[Path | None, typer.Option(help="Picture (.png) of the difference to write.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Picture (.png) of the differences to write.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,

@@ -20,7 +20,7 @@ def convert_log(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Write the signals of any log as a bag of our own messages, which needs no signals file. Reads the log at once."""
+    """Convert a log to a bag with our messages, which needs no signals file. Loads the whole log into memory."""
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.read.reader import read_recording
     from drive_id.files.results.folder import check_absent

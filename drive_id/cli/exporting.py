@@ -32,14 +32,14 @@ def export_result(
     ] = None,
     axis_q: Annotated[str | None, typer.Option(metavar="LIST", help="Axis of i_q, A, likewise.")] = None,
     fill: Annotated[
-        bool, typer.Option("--fill", help="Continue the map to points without data instead of marking them as NaN.")
+        bool, typer.Option("--fill", help="Extrapolate the map to points without data instead of marking them as NaN.")
     ] = False,
     pole_pairs: Annotated[
-        int | None, typer.Option(help="Number of pole pairs, for a result that does not know it.", min=1)
+        int | None, typer.Option(help="Number of pole pairs, if the result does not contain it.", min=1)
     ] = None,
     u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V.")] = None,
     leakage: Annotated[float, typer.Option(help="Stator leakage inductance for plecs, H.")] = 0.0,
-    bandwidth: Annotated[float, typer.Option(help="Of the current controllers for vesc and odrive, rad/s.")] = 1000.0,
+    bandwidth: Annotated[float, typer.Option(help="Controller bandwidth for vesc and odrive, rad/s.")] = 1000.0,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,

@@ -12,7 +12,7 @@ from drive_id.errors import ConfigurationError
 
 def import_file(
     file: Annotated[Path, typer.Argument(help="Map: .npz, .mat of SyR-e or Motor-CAD, or .csv.", show_default=False)],
-    output: Annotated[Path, typer.Option(help="Result folder to write, as 'drive-id fit' does.")],
+    output: Annotated[Path, typer.Option(help="Result folder to write, like that of 'drive-id fit'.")],
     format_name: Annotated[
         str | None, typer.Option("--format", help="npz, syre, syre-flux, motor-cad or csv.  \\[default: by the file]")
     ] = None,
@@ -21,11 +21,9 @@ def import_file(
         typer.Option(help="d axis: pm (magnet) or sr (largest permeance).  \\[default: as the file says, or pm]"),
     ] = None,
     order: Annotated[str, typer.Option(help="dq or qd: order of the arrays' indices, or of the columns.")] = "dq",
-    sign: Annotated[
-        str, typer.Option(help="motor or generator: when currents and torque count as positive.")
-    ] = "motor",
-    magnet: Annotated[str, typer.Option(help="plus or minus: the side of its axis on which the magnet is.")] = "plus",
-    q_axis: Annotated[str, typer.Option(help="leads or lags: where q is, 90 degrees from d.")] = "leads",
+    sign: Annotated[str, typer.Option(help="motor or generator: sign convention of currents and torque.")] = "motor",
+    magnet: Annotated[str, typer.Option(help="plus or minus: side of its axis on which the magnet lies.")] = "plus",
+    q_axis: Annotated[str, typer.Option(help="leads or lags: q is 90 degrees ahead of or behind d.")] = "leads",
     current: Annotated[str, typer.Option(help="peak, rms, or power (power-invariant): scaling of currents.")] = "peak",
     flux: Annotated[str, typer.Option(help="peak, rms, or power (power-invariant): scaling of fluxes.")] = "peak",
     current_scale: Annotated[float, typer.Option(help="Factor from the file's unit to ampere.")] = 1.0,
@@ -37,12 +35,12 @@ def import_file(
     psi_q_file: Annotated[
         Path | None, typer.Option(help="Text file with the matrix of psi_q; FILE then holds that of psi_d.")
     ] = None,
-    angle: Annotated[str, typer.Option(help="electrical or mechanical: rotor positions of the file.")] = "electrical",
+    angle: Annotated[str, typer.Option(help="electrical or mechanical: angle of the rotor positions.")] = "electrical",
     angle_offset: Annotated[
         float, typer.Option(help="Electrical angle from phase a to d at the file's position 0, degrees.")
     ] = 0.0,
     pole_pairs: Annotated[int | None, typer.Option(help="Number of pole pairs.", min=1)] = None,
-    resistance: Annotated[float | None, typer.Option(help="Resistance of the stator, ohm.")] = None,
+    resistance: Annotated[float | None, typer.Option(help="Stator resistance, ohm.")] = None,
     i_max: Annotated[
         float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the map]")
     ] = None,

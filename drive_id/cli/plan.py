@@ -34,7 +34,7 @@ def plan_experiment(
     speed_min: Annotated[float | None, typer.Option(help="Lowest speed, rpm.  \\[default: 250]")] = None,
     speed_max: Annotated[float | None, typer.Option(help="Highest speed, rpm.  \\[default: 1500]")] = None,
     reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Also turn backwards.")] = None,
-    accuracy: Annotated[float | None, typer.Option(help="Of the flux, percent.  \\[default: 0.05]")] = None,
+    accuracy: Annotated[float | None, typer.Option(help="Wanted flux accuracy, percent.  \\[default: 0.05]")] = None,
     duration: Annotated[float | None, typer.Option(help="Duration, s.  \\[default: as the accuracy requires]")] = None,
     duration_max: Annotated[float | None, typer.Option(help="Longest duration, s.  \\[default: 60]")] = None,
     output: Annotated[Path | None, typer.Option(help="ROS parameter file (YAML) to write.")] = None,
@@ -43,7 +43,7 @@ def plan_experiment(
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Propose trajectory, speeds and duration for a wanted accuracy, given rough machine data."""
+    """Propose trajectory, speeds and duration for a wanted accuracy, from rough machine data."""
     from drive_id.core.planning.planner import plan
     from drive_id.core.planning.settings import PlanSettings
     from drive_id.files.results.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan

@@ -8,19 +8,19 @@ import typer
 
 from drive_id.cli.options import JsonFlag, QuietFlag, say, working
 
-PdfFlag = Annotated[bool, typer.Option("--pdf", help="Write a PDF of the same name, too.")]
+PdfFlag = Annotated[bool, typer.Option("--pdf", help="Also write a PDF of the same name.")]
 
 
 def report_result(
     directory: Annotated[
-        Path, typer.Argument(help="Result folder, as fit or import wrote it.", show_default=False, metavar="DIR")
+        Path, typer.Argument(help="Result folder of fit or import.", show_default=False, metavar="DIR")
     ],
     output: Annotated[Path, typer.Option(help="HTML file to write; an earlier report is replaced.")],
     pdf: PdfFlag = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Write a report of a result: one HTML file that needs neither network nor other files."""
+    """Write a report on a result: one HTML file that needs no network and no other files."""
     from drive_id.fitting.result import load
     from drive_id.report.page.report import check_report_output, write_report
 

@@ -1,1 +1,1 @@
-"""Flux maps from and for other tools: import, export, comparison."""
+"""Exchange of flux maps with other tools: import, export, comparison."""

@@ -81,7 +81,7 @@ class Comparison:
         return float(self.i_d[place[0]]), float(self.i_q[place[1]]), self.difference[place]
 
     def tree(self) -> dict[str, Any]:
-        """Return all figures as plain values; what is unknown is None."""
+        """Return all figures as plain values; None if unknown."""
         i_d, i_q, worst = self.worst()
         units = self.in_sigma
         torque, relative = None, None
@@ -173,7 +173,7 @@ def _curves(first: Identification, second: Identification) -> tuple[FloatArray |
 
 
 def _joint(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the root of the sum of squares of what is known; NaN where neither standard error is."""
+    """Return the root sum of squares of the known standard errors; NaN where both are unknown."""
     known = np.isfinite(first) | np.isfinite(second)
     joint = np.hypot(np.where(np.isfinite(first), first, 0.0), np.where(np.isfinite(second), second, 0.0))
     return np.where(known, joint, np.nan)

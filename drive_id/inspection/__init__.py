@@ -1,1 +1,1 @@
-"""What is in a log, before a fit: contents, findings, and a proposed signals file."""
+"""Inspect a log before a fit: contents, findings, and a proposed signals file."""

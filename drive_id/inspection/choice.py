@@ -1,4 +1,4 @@
-"""Choose the columns of a log that are currents, voltages and angle: by names, by values, and by a rough machine."""
+"""Choose the columns of a log that are currents, voltages and angle, by names, values and a rough machine model."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class AngleColumn:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Currents, voltages and angle, how the angle is read, and the samples so read."""
+    """Currents, voltages and angle, how the angle is read, and the resulting samples."""
 
     currents: PhaseGroup
     voltages: PhaseGroup
@@ -147,7 +147,7 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
 
 
 def _balanced(values: FloatArray) -> bool:
-    """Tell whether phases (N, 2 or 3) have about equal size, their common part left out, and are no angles or times."""
+    """Return whether phases (N, 2 or 3), less their common part, have about equal size and are no angles or times."""
     three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
     part = three - three.mean(axis=1, keepdims=True)
     size = part.std(axis=0)
@@ -215,7 +215,7 @@ def _chosen(
     angles: Sequence[AngleColumn],
     dc: tuple[Table, str] | None,
 ) -> Choice | None:
-    """Return the likeliest currents, voltages and angle, by their names and by what a rough machine explains."""
+    """Return the likeliest currents, voltages and angle, by their names and the fit of a rough machine model."""
     pairs = [
         (i, u)
         for i in currents
@@ -268,7 +268,7 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
 
 
 def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float | None, tuple[int, ...] | None]]:
-    """Return counts per revolution, modulus and pole pairs by which the angle turns as the voltages do."""
+    """Return the counts per revolution, modulus and pole pairs that make the angle rotate with the voltages."""
     if u.group.frame == "dq":
         return []
     z = _vector(u)

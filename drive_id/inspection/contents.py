@@ -1,4 +1,4 @@
-"""The numbers of a log of any kind as tables: topics of a bag, or groups of columns, the first rows of each."""
+"""The numbers of any log as tables: the first rows of each topic of a bag or group of columns."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a log holds.
+    """Contents of a log.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class _TopicReader:
             self.problem = str(error)
 
     def add(self, data: bytes, log_time: int) -> None:
-        """Take one message; one of another shape than the first is left out."""
+        """Add a message; messages with another shape than the first are left out."""
         try:
             decoded = self._decode(data)
         except DECODE_ERRORS as error:

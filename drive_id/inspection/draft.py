@@ -1,4 +1,4 @@
-"""Propose a signals file for a log, with comments on what is not sure."""
+"""Propose a signals file for a log, with comments on what is uncertain."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class _Writer:
         self._unsure.append(sentence)
 
     def _time(self, table: Table, lines: list[str]) -> list[str]:
-        """Return the lines that say where and when the samples of a table are."""
+        """Return the lines that give the location and time of a table's samples."""
         found = []
         if self._contents.is_bag:
             found.append(f"  topic: {table.name}")
@@ -233,7 +233,7 @@ class _Writer:
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
     def _speed(self) -> list[str]:
-        """Return the speed beside the angle, if its unit is plain from the angle."""
+        """Return the speed next to the angle, if the angle makes its unit clear."""
         angle, choice = self._choice.angle, self._choice
         at = regular_stamps(angle.table)
         x = np.unwrap(angle.values, period=choice.modulus or choice.turn) if angle.like.wraps else angle.values
@@ -295,7 +295,7 @@ def _frame(found: PhaseGroup) -> list[str]:
 
 
 def _quoted(name: str) -> str:
-    """Return a name as YAML takes it, quoted unless it is a plain word."""
+    """Return a name for YAML, quoted unless it is a plain word."""
     if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in (
         "y",
         "n",
@@ -316,7 +316,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _nice(period: float) -> str:
-    """Write a period, s, as that of the nearest round rate if it is one."""
+    """Write a period, s, rounded to that of a round rate if it is close to one."""
     rate = 1 / period
     for step in (1000.0, 100.0, 10.0, 1.0):
         near = round(rate / step) * step

@@ -1,4 +1,4 @@
-"""Look at a log before a fit: contents, findings of the one prescan, an overview, and a proposed signals file."""
+"""Inspect a log before a fit: contents, findings of the prescan, an overview, and a proposed signals file."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def inspect_log(
     draft: bool = False,
     tell: Progress = silent,
 ) -> Inspection:
-    """Look at a log.
+    """Inspect a log.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _table_tree(table: Table) -> dict[str, Any]:
 
 
 def _plain(value: float) -> float | None:
-    """Return a number that JSON has, None for one that is not finite."""
+    """Return a number for JSON, None if it is not finite."""
     value = float(value)
     if not math.isfinite(value):
         return None

@@ -1,4 +1,4 @@
-"""What the names of columns suggest: which belong together as phases, and what they may be."""
+"""What column names suggest: which columns form phases, and what they may be."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class NameGroup:
 
 
 def words(name: str) -> set[str]:
-    """Return the words of a name, lower case: at capitals, digits and signs."""
+    """Return the words of a name in lower case, split at capitals, digits and signs."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     found = {word for word in re.split(r"[^a-zA-Z]+", spaced.lower()) if word}
     return found | {word.rstrip("s") for word in found if len(word) > 3}
 
 
 def suggests(name: str, meaning: str) -> bool:
-    """Tell whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
+    """Whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
     lower = name.lower().strip()
     unit = any(lower.endswith(end) for end in _UNITS.get(meaning, ()))
     own = words(name)

@@ -1,4 +1,4 @@
-"""Messages of a bench's own topics to blocks of our signals, by a signals file."""
+"""Translate messages of a bench's own topics to blocks of our signals, by a signals file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_WAITING = 200_000
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock:
-    """Samples of a drive without a gap, as our messages carry them.
+    """Gap-free samples of a drive, as in our messages.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Translator:
         return tuple(dict.fromkeys(source.topic for source in self._sources.values()))
 
     def found(self, given: str, topic: TopicInfo) -> None:
-        """Take the type of a topic, by its name in the signals file.
+        """Set the type of a topic, named as in the signals file.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The nodes of one drive, seen by a client: ready, sane, and called through their services."""
+"""A client of one drive's nodes: waits for them, checks them and calls their services."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _SPIN, _TOLD = 0.05, 1.0
 
 @dataclass(frozen=True)
 class Progress:
-    """What is under way.
+    """Progress of the current step.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Identified:
 
 
 class Bench:
-    """Calls the nodes of one drive one after the other, each call with a deadline.
+    """Calls the nodes of one drive in sequence, each call with a deadline.
 
     It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. Used in a ``with`` block, it stops
     trajectory and recording if the block ends by an exception.
@@ -337,7 +337,7 @@ class Bench:
         return Progress(sentence, waited, elapsed, duration, self._value(IDENTIFICATION, "coverage"))
 
     def _value(self, node: str, key: str) -> float:
-        """Return a number that a node reports, 0 if it does not."""
+        """Return a number that a node reports, 0 if it reports none."""
         status = self._statuses.get(node)
         values = {entry.key: entry.value for entry in status.values} if status is not None else {}
         with contextlib.suppress(ValueError):

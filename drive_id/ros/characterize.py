@@ -91,7 +91,7 @@ def telling(console: Console) -> Iterator[Callable[[Progress], None]]:
 
 
 def plain_folder(output: Path, title: str) -> Path:
-    """Return the folder, by a plain name, of the result with this title."""
+    """Return the folder, with a plain name, for the result with this title."""
     return output / title.replace(", ", "_")
 
 
@@ -105,7 +105,7 @@ def read_truth(path: Path) -> GroundTruth:
 
 
 def prepare_output(output: Path, titles: Mapping[str, object]) -> None:
-    """Create the folder for the results; refuse one that holds some, before anything is started."""
+    """Create the folder for the results, before anything starts; refuse a folder that already holds results."""
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,7 +117,7 @@ def prepare_output(output: Path, titles: Mapping[str, object]) -> None:
 
 
 def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: Path) -> None:
-    """Write the table, move the results to their plain names, and print what the fits state."""
+    """Write the table, rename the result folders to plain names, and print the statements of the fits."""
     with (output / "table.txt").open("w", encoding="utf-8") as file:
         Console(file=file, width=_WIDTH).print(comparison(results, truth))
     stated: dict[str, list[str]] = {}
@@ -132,7 +132,7 @@ def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: P
 
 
 def print_sentences(heading: str, titles: Mapping[str, list[str]]) -> None:
-    """Print sentences, each with the titles of the results that it stands in."""
+    """Print sentences, each with the titles of the results that contain it."""
     if titles:
         say(heading)
     for sentence, where in titles.items():

@@ -1,1 +1,1 @@
-"""Method ``static``: maps, resistance and inverter drop from operating points at rest, logged slowly in d and q."""
+"""Method ``static``: maps, resistance and inverter drop from steady operating points of slow logs in d and q."""

@@ -1,4 +1,4 @@
-"""Fast samples of phase quantities as slow telemetry in d and q."""
+"""Average fast samples of phase quantities to slow telemetry in d and q."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LARGEST_TURN = 0.5
 
 
 def averaged(samples: Samples) -> OperatingData:
-    """Return d and q components averaged over 0.1 s, within gap-free runs; what remains of a run is left out.
+    """Return d and q components averaged over 0.1 s, within gap-free runs; the remainder of a run is left out.
 
     The voltages are means over each sample, during which they are held in the stator frame.
 

@@ -1,4 +1,4 @@
-"""The inverter's drop in d and q under sinusoidal currents: the fundamental of its curve, along the current vector."""
+"""The inverter's drop in d and q under sinusoidal currents: the fundamental of its curve, in phase with the current."""
 
 from __future__ import annotations
 

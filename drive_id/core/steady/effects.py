@@ -1,4 +1,4 @@
-"""What real logs hold besides the voltage equation: effects that are tested, and fitted where they are significant."""
+"""Effects in real logs beyond the voltage equation; they are tested, and fitted if significant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Identify a drive from operating points: choose the model by the points, weigh them, solve, and judge.
+"""Identify a drive from operating points: choose the model, weight the points, solve, and assess the result.
 
 u_d = R i_d - omega psi_q + drop_d,    u_q = R i_q + omega psi_d + drop_q
 """
@@ -56,7 +56,7 @@ J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class StaticFit:
-    """The drive behind operating points.
+    """A drive identified from operating points.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def fit_points(points: OperatingPoints, i_max: float, u_dc: float | None = None)
 
 
 def distinct_currents(i_dq: FloatArray, distance: float) -> FloatArray:
-    """Return those of the currents (N, 2), i_q taken without sign, that are not closer than this to one before."""
+    """Return the currents (N, 2), with abs(i_q), that are not closer than this to an earlier one."""
     found: list[FloatArray] = []
     for i in np.column_stack([i_dq[:, 0], np.abs(i_dq[:, 1])]):
         if not found or np.hypot(*(np.array(found) - i).T).min() >= distance:
@@ -184,7 +184,7 @@ def distinct_currents(i_dq: FloatArray, distance: float) -> FloatArray:
 
 
 def turning(points: OperatingPoints) -> BoolArray:
-    """Tell (P,) at which points the machine turns, so that its fluxes induce voltages."""
+    """Return (P,) at which points the machine turns, so that its fluxes induce voltages."""
     return np.asarray(np.abs(points.speed) > _STANDSTILL * np.abs(points.speed).max())
 
 
@@ -207,7 +207,7 @@ def _bases(points: OperatingPoints, i_max: float) -> list[FluxBasis]:
 
 @dataclass(frozen=True, eq=False)
 class _Weighed:
-    """A solution, with the weights that led to it."""
+    """A solution and its weights."""
 
     basis: FluxBasis
     effects: tuple[Effect, ...]
@@ -337,7 +337,7 @@ def _equations(
 
 
 def scales(points: OperatingPoints) -> tuple[float, float]:
-    """Return an ohm and a henry that voltages, currents and speeds suggest."""
+    """Return a resistance and an inductance of the size that voltages, currents and speeds suggest."""
     voltage = float(np.sqrt(np.mean(points.u_dq**2)))
     ohm = voltage / points.i_max
     return ohm, ohm / float(np.abs(points.speed).max())
@@ -436,7 +436,7 @@ def _matched(points: OperatingPoints, found: _Weighed, covariance: FloatArray) -
 
 
 def _outlying(found: _Weighed, points: OperatingPoints) -> BoolArray:
-    """Tell (P,) which few points are far from the model that describes all others."""
+    """Return (P,) which few points are far from the model that describes all others."""
     white = np.einsum("nab,nb->na", found.whitening, found.residual)
     size = np.hypot(*white.T)
     typical = float(np.median(size)) / 1.1774

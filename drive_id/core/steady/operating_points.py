@@ -1,4 +1,4 @@
-"""Operating points at rest in slow telemetry: which samples belong to one, their means and the errors of the means.
+"""Steady operating points in slow telemetry: their samples, means and the errors of the means.
 
 A segment rests while the range of i_d, of i_q and of the speed each stays within a tolerance: 2 % of the largest
 current amplitude or of the largest speed, or more where noise needs it. Its first and last sample, which may be means
@@ -122,7 +122,7 @@ def operating_points(data: OperatingData) -> OperatingPoints:
 
 
 def joined_points(parts: list[OperatingPoints]) -> OperatingPoints:
-    """Put the points of several logs together; what one of them does not know, none knows.
+    """Join the points of several logs; a quantity that one log lacks is left out for all.
 
     Raises
     ------

@@ -84,7 +84,7 @@ def default_axis(i_max: float, low: float = -1.0, high: float = 1.0) -> FloatArr
 
 
 def clean(values: FloatArray) -> FloatArray:
-    """Return values without the last digits that adding steps leaves: 0.3, not 0.30000000000000004."""
+    """Return values without the rounding errors of added steps: 0.3, not 0.30000000000000004."""
     scale = float(np.abs(values).max(initial=0.0))
     rounded = [0.0 if abs(value) < 1e-9 * scale else float(f"{value:.12g}") for value in values.tolist()]
     return np.array(rounded)

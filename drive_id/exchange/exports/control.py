@@ -1,4 +1,4 @@
-"""Current references over torque and speed, as tables of controllers want them."""
+"""Tables of current references over torque and speed for controllers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WEAKENING = 4.0
 
 @dataclass(frozen=True, eq=False)
 class ControlTable:
-    """References of least current within the limits.
+    """References of minimum current within the limits.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class ControlTable:
 
 
 def control_table(table: MapTable) -> ControlTable:
-    """Search the references of a drive for its DC-link voltage and i_max.
+    """Compute the references of a drive for its DC-link voltage and i_max.
 
     Raises
     ------

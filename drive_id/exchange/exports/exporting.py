@@ -1,4 +1,4 @@
-"""Export: from a result to the file of another tool."""
+"""Export a result to a file for another tool."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Exported:
 def content_of(
     result: Identification, name: str, choice: TableChoice | None = None, options: ExportOptions | None = None
 ) -> tuple[bytes, Exported]:
-    """Return the content of a file of a format, and what it holds.
+    """Return the content of a file in a format, and a description of it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What single formats want to know besides the map."""
+"""Options that only some formats need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A flux map sampled on the axes of a table: what every format writes."""
+"""A flux map sampled on the axes of a table, which every format writes."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class MapTable:
         return replace(self, result=result)
 
     def angles(self, span: float) -> FloatArray:
-        """Return electrical angles from 0 over a span, without its end, fine enough for all harmonics, rad."""
+        """Return electrical angles from 0 over a span, without its end, spaced finely enough for all harmonics, rad."""
         periods = max((math.ceil(harmonic.order * span / (2 * np.pi)) for harmonic in self.result.harmonics), default=0)
         count = max(_LEAST_ANGLES, _PER_PERIOD * periods)
         return np.arange(count, dtype=np.float64) * (span / count)
@@ -191,7 +191,7 @@ class MapTable:
         return self.masked(self.torque[..., None] + ripple)
 
     def facts(self) -> dict[str, str | float | int]:
-        """Return what is known of the machine and of the table, by name; SI units."""
+        """Return the known facts about the machine and the table, by name; SI units."""
         machine, result = self.machine, self.result
         texts = {"machine": result.machine, "method": result.method}
         numbers = {

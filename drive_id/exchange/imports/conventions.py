@@ -1,4 +1,4 @@
-"""Conventions of foreign maps, and their conversion to ours: peak SI values, magnet on +d, q 90 degrees ahead."""
+"""Conventions of other tools' maps, and their conversion to ours: peak SI values, magnet on +d, q 90 degrees ahead."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Conventions:
                 raise ConfigurationError(f"--{_option(name)} is {value}: give a positive factor.")
 
     def differing(self, other: Conventions) -> str:
-        """Return as command-line options what this one says and another does not."""
+        """Return the entries that differ from another's as command-line options."""
         names = [entry.name for entry in fields(self) if getattr(self, entry.name) != getattr(other, entry.name)]
         return " ".join(f"--{_option(name)} {getattr(self, name)}" for name in names)
 

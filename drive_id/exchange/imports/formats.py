@@ -1,4 +1,4 @@
-"""The formats that can be imported, and how a file tells its own."""
+"""The formats that can be imported, and how they are detected."""
 
 from __future__ import annotations
 

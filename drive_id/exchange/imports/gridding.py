@@ -64,7 +64,7 @@ class _Columns:
 
 
 def gridded(points: MapPoints) -> Gridded:
-    """Lay points out on a grid; scattered points become a reciprocal, monotone spline first.
+    """Put points on a grid; scattered points are first fitted by a reciprocal, monotone spline.
 
     Parameters
     ----------

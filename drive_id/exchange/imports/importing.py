@@ -1,4 +1,4 @@
-"""Import: from a file of another tool to a result as a fit gives it."""
+"""Import a file of another tool as a result like that of a fit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OURS = Conventions()
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user says of a file, apart from how to read it.
+    """What the user states about a file, apart from how to read it.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _shape_statement(found: Gridded) -> str:
 
 
 def _reach(flux_map: FluxMap) -> float:
-    """Return the radius of the disc that the axes cover, A; of the half or quarter that they do."""
+    """Return the radius, A, of the disc, half disc or quarter disc that the axes cover."""
     return float(min(np.abs(flux_map.i_d).max(), np.abs(flux_map.i_q).max()))
 
 

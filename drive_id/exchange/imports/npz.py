@@ -70,7 +70,7 @@ def read_npz(source: Source) -> MapPoints:
 
 
 def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q: int) -> FloatArray:
-    """Return an array indexed [i_d, i_q, ...], from one in the order of the source.
+    """Return an array indexed [i_d, i_q, ...] from one with the source's index order.
 
     Raises
     ------

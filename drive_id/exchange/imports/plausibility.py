@@ -1,4 +1,4 @@
-"""Whether a map can be that of a machine in our conventions, and if not, which conventions would make it one."""
+"""Check whether a map is plausible in our conventions, and if not, which conventions would make it so."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _AMPLITUDES = ("current", "flux")
 
 @np.errstate(over="ignore", invalid="ignore")
 def faults(points: MapPoints) -> list[str]:
-    """Say what is implausible in a map that should be in our conventions.
+    """Describe what is implausible in a map that should be in our conventions.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
 
 
 def _usable(points: MapPoints, conventions: Conventions) -> bool:
-    """Tell whether conventions apply: an axis that the file itself tells cannot be another."""
+    """Return whether conventions are possible: they must not contradict an axis that the file itself states."""
     return points.axis is None or points.axis == conventions.axis
 
 

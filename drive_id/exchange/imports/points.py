@@ -90,7 +90,7 @@ class MapPoints:
         shape: tuple[int, int] | None = None,
         machine: str = "",
     ) -> MapPoints:
-        """Build a map from points some of which have NaN for flux linkages: these are left out.
+        """Build a map from points; those with NaN flux linkages are left out.
 
         Raises
         ------

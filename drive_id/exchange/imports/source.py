@@ -1,4 +1,4 @@
-"""The file to import, and what its user says about reading it."""
+"""The file to import, and how to read it."""
 
 from __future__ import annotations
 

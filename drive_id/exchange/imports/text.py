@@ -49,7 +49,7 @@ def read_csv(source: Source) -> MapPoints:
 
 
 def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, int]:
-    """Return which column holds which of our quantities."""
+    """Return which column holds which quantity."""
     unknown = [name for name in source.columns if name not in COLUMNS]
     if unknown:
         raise ConfigurationError(f"--columns names '{unknown[0]}': the quantities are {', '.join(COLUMNS)}.")
@@ -101,7 +101,7 @@ def _matrices(source: Source, psi_q_file: Path) -> MapPoints:
 
 
 def _lines(path: Path) -> tuple[list[str], dict[str, Any]]:
-    """Return the lines that are not empty, and what comments tell of the machine."""
+    """Return the nonempty lines, and what comments state about the machine."""
     try:
         text = read_input(path, _MOST_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -124,7 +124,7 @@ def _number(text: str) -> Any:
 
 
 def _table(path: Path) -> tuple[list[str] | None, FloatArray, dict[str, Any]]:
-    """Return the headings, if there are any, the numbers (N, C), and what comments tell."""
+    """Return the headings, if any, the numbers (N, C), and what comments state."""
     lines, told = _lines(path)
     if not lines:
         raise ConfigurationError(f"'{path}' is empty: give a file with one row for each point.")

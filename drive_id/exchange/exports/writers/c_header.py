@@ -40,7 +40,7 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
 
 
 def _comment(text: str) -> str:
-    """Return text that ends no comment."""
+    """Return text that cannot end a comment."""
     plain = "".join(character if " " <= character <= "~" else "?" for character in text)
     return plain.replace("*/", "* /").replace("??", "? ?")
 

@@ -18,6 +18,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.methods.registry import method_named
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
 from drive_id.live.identification_settings import IdentificationSettings
@@ -72,7 +73,7 @@ class Identification(Node):
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
         self._publish_again()
-        on_change(self, FitSettings, lambda _: None, self._on_settings)
+        on_change(self, FitSettings, self._check_settings, self._on_settings)
         self._foreign = self._foreign_topics(settings.signals) if settings.signals else None
         self._topics = [
             MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
@@ -145,6 +146,9 @@ class Identification(Node):
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
             self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
+
+    def _check_settings(self, settings: FitSettings) -> None:
+        method_named(settings.method)  # refuses a method that live samples cannot serve
 
     def _on_settings(self, settings: FitSettings) -> None:
         if self._identifier.configure(settings):

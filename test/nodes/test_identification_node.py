@@ -510,7 +510,7 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
     reply = identify(ros)
     assert (reply.success, reply.flux_map.method, reply.report.samples_read) == (True, "psm", 20_000)
     assert set_parameter("method", "joint").successful
-    for name, value in (("method", "best"), ("i_max", -1.0), ("splines_d", 2), ("data_directory", "/")):
+    for name, value in (("method", "best"), ("method", "static"), ("i_max", -1.0), ("splines_d", 2), ("data_directory", "/")):
         assert not set_parameter(name, value).successful, name
     assert set_parameter("splines_d", 9).successful
     assert identify(ros).code == "empty_topic"  # the samples are forgotten
@@ -578,12 +578,15 @@ def test_without_i_max_live_samples_are_refused_with_a_remedy(ros, bag):
     assert "Traceback" not in process.output
 
 
-def test_nonsense_at_start_is_one_sentence(ros):
-    process = ros.start(MODULE, parameters={"i_max": -1.0}, namespace="/fourth")
+@pytest.mark.parametrize(
+    ("name", "value", "words"), [("i_max", -1.0, "i_max"), ("method", "static", "Method static fits operating points")]
+)
+def test_nonsense_at_start_is_one_sentence(ros, name, value, words):
+    process = ros.start(MODULE, parameters={name: value}, namespace="/fourth")
     process.expected_to_fail = True
     process.popen.wait(DEADLINE)
     assert process.popen.returncode == 1
-    assert "i_max" in process.output
+    assert words in process.output
     assert "Traceback" not in process.output
 
 

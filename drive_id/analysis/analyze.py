@@ -24,12 +24,14 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import Trajectory, characteristic_current, mtpa, mtpv
 from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
-from drive_id.errors import DataError
+from drive_id.errors import ConfigurationError, DataError
 from drive_id.fitting.result import Identification, InverterCurve, load
 from drive_id.types import BoolArray, FloatArray
 
 _RPM = math.pi / 30
 _REACH = 1.25
+_FURTHEST = 4.0
+"""Largest current of an analysis relative to that of the map."""
 _LEAST_TORQUE = 1e-4
 """Of the product of flux and current."""
 _MOST_FALLING = 0.5
@@ -154,7 +156,8 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     Raises
     ------
     ConfigurationError
-        When pole pairs or DC-link voltage are neither in the result nor in the settings.
+        When pole pairs or DC-link voltage are neither in the result nor in the settings, the resistance is not in the
+        result, or i_max is far beyond the map.
     ResultError
         When the folder cannot be read.
     DataError
@@ -171,7 +174,13 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     )
     model.known_pole_pairs()
     voltages = chosen.u_dc or (model.known_u_dc(),)
+    model.known_resistance()
     i_max = chosen.i_max or found.i_max
+    if i_max > _FURTHEST * found.i_max:
+        raise ConfigurationError(
+            f"i_max is {i_max:.4g} A, but the map reaches {found.i_max:.4g} A: choose at most {_FURTHEST:g} times that, "
+            "for beyond it nothing is known."
+        )
     at_most = mtpa(model, i_max, chosen.current_points)
     _check(model, found, at_most, i_max)
     beyond = mtpv(model, i_max, chosen.current_points)

@@ -178,6 +178,11 @@ def test_points_beyond_the_data_are_marked_and_told(result):
     assert any("of field weakening at 540 V lie outside" in sentence for sentence in found.statements)
 
 
+def test_currents_far_beyond_the_map_are_refused(result):
+    with pytest.raises(ConfigurationError, match=r"i_max is 1e\+09 A, but the map reaches .* A"):
+        drive_id.analyze(result, replace(SMALL, i_max=1e9))
+
+
 def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None))
     with pytest.raises(ConfigurationError, match="--pole-pairs"):
@@ -185,6 +190,8 @@ def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     assert drive_id.analyze(unknown, replace(SMALL, pole_pairs=3)).model.pole_pairs == 3
     with pytest.raises(ConfigurationError, match="--u-dc"):
         drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
+    with pytest.raises(ConfigurationError, match="import the map with --resistance"):
+        drive_id.analyze(replace(result, drive=replace(result.drive, resistance=np.nan)), SMALL)
     for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 2.0}):
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             drive_id.AnalysisSettings(**wrong)

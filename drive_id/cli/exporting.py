@@ -57,7 +57,7 @@ def export_result(
     common = None
     if grid is not None or span is not None:
         low, high = span or (-result.i_max, result.i_max)
-        common = equal_steps(grid or 41, low, high)
+        common = equal_steps(41 if grid is None else grid, low, high)
         if all(axis is not None for axis in given):
             raise ConfigurationError(
                 "--axis-d and --axis-q leave nothing for --grid and --range to choose: drop one pair."

@@ -131,6 +131,7 @@ def test_axes_and_gaps(run, drive, tmp_path):
     [
         (("--format", "mat"), "choose csv, netcdf"),
         (("--format", "csv", "--grid", 40, "--range", -10, 10), "choose --grid 41"),
+        (("--format", "csv", "--grid", 0), "choose 4 to 2001 points"),
         (("--format", "csv", "--axis-d", "1,2,3,4"), "--axis-d does not contain 0"),
         (("--format", "csv", "--axis-d", "-1:1:2", "--axis-q", "-1:1:2", "--grid", 5), "drop one pair"),
         (("--format", "vesc", "--bandwidth", -1), "--bandwidth"),

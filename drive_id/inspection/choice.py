@@ -92,6 +92,11 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     voltages = sorted(groups, key=_as_voltage, reverse=True)
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
+    if missing and not angles and _has_components(contents):
+        raise ConfigurationError(
+            f"Nothing in {contents.path} looks like a rotor angle: if it is a slow log in d and q, write a signals file "
+            "without one, as in docs/slow_logs.md, and fit with --method static."
+        )
     if missing:
         raise ConfigurationError(
             f"Nothing in {contents.path} looks like {' or '.join(missing)}: write the signals file by hand, from "
@@ -136,6 +141,12 @@ def time_column(table: Table) -> tuple[str, str] | None:
             if _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
                 return name, unit
     return None
+
+
+def _has_components(contents: Contents) -> bool:
+    """Tell whether the names of two pairs of columns at least are those of d and q."""
+    found = [group for table in contents.tables for group in name_groups(list(table.columns)) if group.frame == "dq"]
+    return len(found) > 1
 
 
 def _groups(table: Table) -> Iterator[PhaseGroup]:

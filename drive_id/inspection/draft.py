@@ -242,7 +242,7 @@ class _Writer:
         half = len(x) // 2
         first = float(x[half] - x[0]) / (float(at[half] - at[0]) * 1e-9)
         for name, y in angle.table.columns.items():
-            if name == angle.name or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
+            if not moved or name == angle.name or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
             for unit, factor in SPEED_UNITS.items():
                 for scale in (1, -1):

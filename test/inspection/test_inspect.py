@@ -273,6 +273,24 @@ def test_nothing_that_looks_like_signals(tmp_path, samples):
     assert found.draft is None
 
 
+@pytest.mark.parametrize("rows", [60, 400])
+def test_slow_logs_in_d_and_q_are_for_method_static(rows, tmp_path):
+    k = np.arange(rows)
+    waves = {name: np.sin(0.1 * n * k) for n, name in enumerate(("i_d", "i_q", "u_d", "u_q"), 1)}
+    path = write_csv(tmp_path / "slow.csv", {"t": 0.1 * k, **waves, "n": np.where(k % 50 < 25, 500.0, -500.0)})
+    (finding,) = inspect_log(path).findings
+    assert finding.code == "no_draft"
+    assert "fit with --method static" in finding.message
+    text = """
+defaults: {stamp: t, stamp_unit: s}
+currents: {frame: dq, fields: [i_d, i_q]}
+voltages: {frame: dq, fields: [u_d, u_q]}
+resolver: {speed: n, speed_unit: rpm, mechanical: true, pole_pairs: 4}
+"""
+    (finding,) = inspect_log(path, parse_signals(text, "test")).findings
+    assert "names no angle: name it, or fit with --method static" in finding.message
+
+
 def test_channel_groups_are_named(tmp_path, samples):
     path = write_mdf(tmp_path / "log.mf4", columns(samples))
     found = inspect_log(path)
@@ -307,7 +325,12 @@ def test_angles_and_counts():
     assert angle_like(np.mod(0.011 * k, 1.0)).unit == "rev"
     found = angle_like(np.floor(np.mod(17.3 * k, 4096)))
     assert (found.unit, found.turn, found.certain) == ("counts", 4096, True)
+    reversing = 0.03 * np.where(k < 1800, k, 1800 - 0.7 * (k - 1800))
+    noise = 1e-3 * np.random.default_rng(0).normal(size=3000)
+    assert angle_like(np.mod(reversing + noise, 2 * np.pi) - np.pi).unit == "rad"
     assert angle_like(np.sin(0.01 * k)) is None
+    assert angle_like(np.abs(np.mod(0.03 * k, 2 * np.pi) - np.pi)) is None  # a triangle
+    assert angle_like(np.sign(np.sin(0.01 * k)) + noise) is None  # a square wave
     assert angle_like(np.random.default_rng(0).normal(size=3000)) is None
     assert angle_like(np.ones(3000)) is None
     assert is_count(np.delete(k, [5, 6, 900]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 _FEWEST = 50
 _WRAP = 0.6
@@ -64,11 +64,20 @@ def angle_like(x: FloatArray) -> AngleLike | None:
         against = np.sign(steps[wraps]) == -np.sign(np.median(moving))
         turn = float(np.median(np.abs(steps[wraps]))) + float(np.median(np.abs(small)))
         good = steady >= _STEADY and against.mean() >= _STEADY
-        return _in_unit(turn, x) if good else None
+        return _in_unit(turn, x) if good or _reverses_seldom(steps, wraps) else None
     if steady < _MONOTONE or np.abs(steps).max() > _UNEVEN * np.median(np.abs(steps)) + 2:
         return None
     whole = bool(np.all(x == np.rint(x))) and spread > _MANY
     return AngleLike("counts" if whole else "rad", 0.0 if whole else 2 * np.pi, wraps=False, certain=False)
+
+
+def _reverses_seldom(steps: FloatArray, wraps: BoolArray) -> bool:
+    """Tell whether steps (N,) mostly keep their direction, and the wraps among them go against it."""
+    moves = np.flatnonzero(~wraps & (steps != 0))
+    direction = np.sign(steps[moves])
+    before = direction[np.maximum(np.searchsorted(moves, np.flatnonzero(wraps)) - 1, 0)]
+    keeps = np.mean(direction[1:] == direction[:-1])
+    return bool(keeps >= _MONOTONE and np.mean(np.sign(steps[wraps]) == -before) >= _STEADY)
 
 
 def _in_unit(turn: float, x: FloatArray) -> AngleLike | None:

@@ -56,7 +56,9 @@ def check(settings: object) -> None:
     """
     for field in dataclasses.fields(settings):  # type: ignore[arg-type]  # any dataclass instance
         value = getattr(settings, field.name)
-        for entry in value if isinstance(value, tuple) else (value,):
+        if isinstance(field.default, tuple) and isinstance(value, (int, float, str)):
+            raise ConfigurationError(f"{field.name} is {_shown(value)}: it must be a sequence, as ({_shown(value)},).")
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
             _check_entry(field, entry)
 
 
@@ -67,6 +69,8 @@ def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:
     low, high, choices = (field.metadata.get(key) for key in ("minimum", "maximum", "choices"))
     if choices and value not in choices:
         raise ConfigurationError(f"{field.name} is '{value}': it must be one of {', '.join(choices)}.")
+    if isinstance(value, str) and not choices and (low is not None or high is not None):
+        raise ConfigurationError(f"{field.name} is '{value}': it must be a number.")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return
     if isinstance(value, float) and not math.isfinite(value):

@@ -42,6 +42,19 @@ def refused(mapping: dict, said: str) -> None:
     assert len(text) < 300
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"several": 4.0}, r"several is 4\.0: it must be a sequence, as \(4\.0,\)"),
+        ({"several": [-1.0]}, "several is -1"),
+        ({"size": "large"}, "size is 'large': it must be a number"),
+    ],
+)
+def test_values_of_another_kind_in_python_are_refused(given, said):
+    with pytest.raises(ConfigurationError, match=said):
+        Everything(**given)
+
+
 def test_nothing_given_is_the_defaults():
     assert from_mapping(Everything, {}, "file.yaml") == Everything()
 

@@ -178,8 +178,8 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     i_max = chosen.i_max or found.i_max
     if i_max > _FURTHEST * found.i_max:
         raise ConfigurationError(
-            f"i_max is {i_max:.4g} A, but the map reaches {found.i_max:.4g} A: choose at most {_FURTHEST:g} times that, "
-            "for beyond it nothing is known."
+            f"i_max is {i_max:.4g} A, but the map reaches {found.i_max:.4g} A: choose at most {_FURTHEST:g} times "
+            "that, for beyond it nothing is known."
         )
     at_most = mtpa(model, i_max, chosen.current_points)
     _check(model, found, at_most, i_max)

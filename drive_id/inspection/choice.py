@@ -94,8 +94,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     missing = [what for what, found in kinds if not found]
     if missing and not angles and _has_components(contents):
         raise ConfigurationError(
-            f"Nothing in {contents.path} looks like a rotor angle: if it is a slow log in d and q, write a signals file "
-            "without one, as in docs/slow_logs.md, and fit with --method static."
+            f"Nothing in {contents.path} looks like a rotor angle: if it is a slow log in d and q, write a signals "
+            "file without one, as in docs/slow_logs.md, and fit with --method static."
         )
     if missing:
         raise ConfigurationError(

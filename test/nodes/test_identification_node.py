@@ -510,7 +510,8 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
     reply = identify(ros)
     assert (reply.success, reply.flux_map.method, reply.report.samples_read) == (True, "psm", 20_000)
     assert set_parameter("method", "joint").successful
-    for name, value in (("method", "best"), ("method", "static"), ("i_max", -1.0), ("splines_d", 2), ("data_directory", "/")):
+    nonsense = {"i_max": -1.0, "splines_d": 2, "data_directory": "/"}
+    for name, value in (("method", "best"), ("method", "static"), *nonsense.items()):
         assert not set_parameter(name, value).successful, name
     assert set_parameter("splines_d", 9).successful
     assert identify(ros).code == "empty_topic"  # the samples are forgotten

@@ -223,7 +223,8 @@ def _opened(
 ) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, SignalStream | ColumnStream]]:
     if angle and not signals.resolver.angle:
         raise ConfigurationError(
-            "Section 'resolver' of the signals file names no angle: name it, or fit with --method static, which needs none."
+            "Section 'resolver' of the signals file names no angle: name it, or fit with --method static, which needs "
+            "none."
         )
     if log_kind(path):
         with printable_errors(), open_log(path) as log:

@@ -118,8 +118,8 @@ def client(**options):
         yield bench
 
 
-def run_all(timeout=30.0):
-    with client() as bench:
+def run_all(timeout=30.0, **options):
+    with client(**options) as bench:
         bench.wait_until_ready(timeout)
         bench.run_experiment()
 
@@ -173,13 +173,12 @@ def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
     nodes.script = ["running"] * 400
     nodes.slow = {"trajectory_publisher/stop": 1.5}
 
-    def tell(progress):
+    def tell(_):
         if "trajectory_publisher/start" in nodes.calls:
             raise BrokenPipeError("the terminal is gone")
 
-    with pytest.raises(BrokenPipeError), client(tell=tell) as bench:
-        bench.wait_until_ready(30.0)
-        bench.run_experiment()
+    with pytest.raises(BrokenPipeError):
+        run_all(tell=tell)
     assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
 
 

@@ -105,7 +105,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
 
 
 def _calibrations(fit: StaticFit) -> tuple[Calibration, ...]:
-    """Return the iron loss, if it was fitted, under the name that method full gives it: the map excludes its current."""
+    """Return the iron loss, if it was fitted, under its name in method full; the map is without its current."""
     if IRON_LOSS not in fit.effects:
         return ()
     value, spread = fit.coefficient(1 + fit.effects.index(IRON_LOSS))

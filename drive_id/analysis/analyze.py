@@ -37,6 +37,10 @@ _LEAST_TORQUE = 1e-4
 _MOST_FALLING = 0.5
 _WEAKENING = 4.0
 """Highest speed of the tables, in corner speeds."""
+_UNKNOWN_RESISTANCE = (
+    "The resistance is unknown: voltages neglect it, and losses, efficiency and ki are NaN; import the map with "
+    "--resistance."
+)
 
 
 class Figure(NamedTuple):
@@ -319,6 +323,8 @@ def _statements(
     ranges: tuple[SpeedRange, ...],
 ) -> tuple[str, ...]:
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
+    if not math.isfinite(model.resistance):
+        out.append(_UNKNOWN_RESISTANCE)
     if not model.monotone:
         out.append(_on_inverse(model))
     if not found.harmonics:

@@ -87,7 +87,7 @@ class MachineModel:
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance : float
-        With the linear part of the inverter's drop, ohm.
+        With the linear part of the inverter's drop, ohm; NaN when unknown.
     pole_pairs, u_dc : int, float or None
         None when unknown; what needs them raises.
     inverter_current, inverter_voltage : (C,) float

@@ -17,7 +17,8 @@ class Operation:
     """Steady operating points (...) of a drive; build them by :meth:`at`.
 
     With iron loss the stator current is the map's current plus that of the loss; otherwise both are the same. The power
-    balance ``power = mechanical power + copper + iron + inverter`` holds exactly.
+    balance ``power = mechanical power + copper + iron + inverter`` holds exactly. Voltages neglect a resistance that is
+    not known; losses and power of the winding are NaN then.
 
     Parameters
     ----------
@@ -63,17 +64,19 @@ class Operation:
         loss = model.iron.current(induced, electrical) if model.iron.known else np.zeros_like(induced)
         stator = i_dq + loss
         drop = np.stack(model.inverter_drop(stator[..., 0], stator[..., 1]), axis=-1)
-        u_dq = induced + model.resistance * stator + drop
+        resistive = model.resistance if np.isfinite(model.resistance) else 0.0
+        u_dq = induced + resistive * stator + drop
+        copper = 1.5 * model.resistance * np.sum(stator**2, axis=-1)
         return cls(
             i_dq=i_dq,
             stator=stator,
             u_dq=u_dq,
             speed=np.broadcast_to(speed, u_dq.shape[:-1]),
             torque=np.broadcast_to(torque, u_dq.shape[:-1]),
-            copper=1.5 * model.resistance * np.sum(stator**2, axis=-1),
+            copper=copper,
             iron=1.5 * np.sum(induced * loss, axis=-1),
             inverter=1.5 * np.sum(drop * stator, axis=-1),
-            power=1.5 * np.sum(u_dq * stator, axis=-1),
+            power=np.where(np.isfinite(copper), 1.5 * np.sum(u_dq * stator, axis=-1), np.nan),
         )
 
     def chosen(self, rows: BoolArray) -> Operation:

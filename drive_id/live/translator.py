@@ -35,7 +35,7 @@ class SignalBlock:
     stamp : int
         Of the first sample, ns.
     first_sample : int
-        Running count of the first sample; it jumps by the samples lost.
+        Running count of the first sample; it jumps by the samples lost, told by the time of each gap.
     sample_period : float
         s.
     currents, voltages : (N, 3) float32
@@ -108,8 +108,8 @@ class Translator:
             to_phases=conversions(signals),
         )
         self._pieces: list[Piece] = []
-        self._origin: int | None = None
         self._next = 0
+        self._last_stamp: int | None = None
         self.unreadable = 0
         self.dropped = 0
         """Messages that waited too long."""
@@ -178,17 +178,20 @@ class Translator:
         samples = piece.samples
         blocks = []
         for number, run in enumerate(samples.runs()):
-            start = run.start + (piece.continues and number == 0)
+            continues = piece.continues and number == 0
+            start = run.start + continues
             if start < run.stop:
-                blocks.append(self._block(samples.part(start, run.stop)))
+                blocks.append(self._block(samples.part(start, run.stop), continues=continues))
         return blocks
 
-    def _block(self, samples: Samples) -> SignalBlock:
+    def _block(self, samples: Samples, *, continues: bool) -> SignalBlock:
+        """Return samples as a block; only a gap counts as lost time, for the true period is not quite the declared."""
         stamp, period = int(samples.stamp[0]), samples.sample_period
-        if self._origin is None:
-            self._origin = stamp
-        first = max(self._next, round((stamp - self._origin) * 1e-9 / period))
-        self._next = first + len(samples)
+        lost = 0
+        if not continues and self._last_stamp is not None:
+            lost = max(0, round((stamp - self._last_stamp) * 1e-9 / period) - 1)
+        first = self._next + lost
+        self._next, self._last_stamp = first + len(samples), int(samples.stamp[-1])
         angle = np.mod(samples.angle + np.pi, 2 * np.pi) - np.pi
         return SignalBlock(
             stamp=stamp,

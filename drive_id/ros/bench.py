@@ -122,8 +122,8 @@ class Identified:
 class Bench:
     """Calls the nodes of one drive in sequence, each call with a deadline.
 
-    It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. Used in a ``with`` block, it stops
-    trajectory and recording if the block ends by an exception.
+    It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. At the end of a ``with`` block, and
+    by :meth:`close`, it stops a trajectory and a recording that it began and that have not ended.
 
     Parameters
     ----------
@@ -166,17 +166,16 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if error is not None:
-                self.stop()
-        finally:
-            self.close()
+        self.close()
 
     def close(self) -> None:
-        """Leave the ROS graph."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        """Leave the ROS graph, after :meth:`stop`."""
+        try:
+            self.stop()
+        finally:
+            self._executor.shutdown()
+            self._node.destroy_node()
+            self._context.try_shutdown()
 
     def wait_until_ready(self, timeout: float = 300.0) -> None:
         """Wait until all nodes report and the drive publishes; then check that they fit together.
@@ -220,8 +219,11 @@ class Bench:
         ExperimentError
             When a node refuses, does not answer, or the trajectory is stopped before its end.
         """
-        self._begun = True
-        started = self._required(f"{RECORDER}/start", name=name)
+        self._begun = True  # before there is an answer, which may come too late
+        started = self._called(f"{RECORDER}/start", name=name)
+        if not started.success:  # the recorder may be busy for another client, who shall not be stopped
+            self._begun = False
+        self._succeeded(f"{RECORDER}/start", started)
         self._required(f"{IDENTIFICATION}/reset")
         self._run_trajectory()
         stopped = self._required(f"{RECORDER}/stop")
@@ -251,6 +253,7 @@ class Bench:
         if not self._begun:
             return []
         self._begun = False
+        self._tell = None  # what shows progress may be what failed
         self.timeout = min(self.timeout, _STOPPING)
         return [self._stopped(node) for node in (PUBLISHER, RECORDER)]
 
@@ -310,9 +313,12 @@ class Bench:
 
     def _required(self, name: str, /, **fields: Any) -> Any:
         response = self._called(name, **fields)
+        self._succeeded(name, response)
+        return response
+
+    def _succeeded(self, name: str, response: Any) -> None:
         if not response.success:
             raise ExperimentError(f"{name}: {response.message}")
-        return response
 
     def _wait(
         self,

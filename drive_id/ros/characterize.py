@@ -186,8 +186,12 @@ def _options() -> argparse.Namespace:
 def main() -> None:
     """Run the experiment and print its table; the exit code is 0 only if everything succeeded."""
     options = _options()
-    # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it.
+    # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it; so shall a
+    # request to end and, without nohup, the loss of the terminal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
     sys.exit(_run(options))
 
 
@@ -200,9 +204,11 @@ def _run(options: argparse.Namespace) -> int:
             bench = Bench(timeout=options.timeout, tell=tell, arguments=sys.argv)
             return characterize(bench, options)
     except (DriveIdError, OSError, KeyboardInterrupt, ROSInterruptException) as error:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one is enough, and the drive must come to rest
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)  # one is enough, and the drive must come to rest
+        said = bench.stop() if bench is not None else []  # before anything is written: the terminal may be gone
         sys.stderr.write(f"characterize: {str(error) or 'interrupted'}\n")
-        for sentence in bench.stop() if bench is not None else []:
+        for sentence in said:
             sys.stderr.write(f"   {sentence}\n")
         return 1
     finally:

@@ -199,6 +199,23 @@ def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
         drive_id.analyze(tmp_path, SMALL)
 
 
+def test_without_a_resistance_voltages_are_limited_all_the_same_and_losses_unknown(result, tmp_path):
+    """An imported map may have none; no limit of the voltage was kept then."""
+    unknown = replace(result, drive=replace(result.drive, resistance=np.nan))
+    without = replace(result, drive=replace(result.drive, resistance=1e-9))
+    found, expected = drive_id.analyze(unknown, SMALL), drive_id.analyze(without, SMALL)
+    for name in ("max_torque", "corner_speed", "max_speed", "max_power"):
+        assert found.figures[name].value == pytest.approx(expected.figures[name].value, rel=1e-4)
+    assert found.figures["corner_speed"].value > 0
+    assert np.isnan([found.figures[name].value for name in ("resistance", "ki", "max_efficiency")]).all()
+    table = found.speed_ranges[0].references
+    assert np.isnan(table.copper).all()
+    assert np.isnan(table.power).all()
+    assert np.nanmax(table.voltage) <= found.speed_ranges[0].limits.u_max * (1 + 1e-6)
+    assert any("The resistance is unknown: voltages neglect it" in sentence for sentence in found.statements)
+    found.save(tmp_path / "out")
+
+
 def test_a_foreign_folder_is_left_alone_and_an_own_one_replaced(analysis, folder, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(OutputError, match="not results of drive_id"):

@@ -38,7 +38,8 @@ def signals(**changes):
 class Stranger:
     """A drive with an encoder that counts mechanical turns, and duty cycles."""
 
-    def __init__(self, count, seed=0):
+    def __init__(self, count, seed=0, period=PERIOD):
+        self.period = period
         random = np.random.default_rng(seed)
         self.i_abc = random.normal(size=(count, 3)).astype(np.float64)
         self.duty = random.uniform(-1, 1, (count, 3)).astype(np.float32)
@@ -47,7 +48,7 @@ class Stranger:
 
     def joint(self, k):
         types = STORE.types
-        nanoseconds = round(k * PERIOD * 1e9)
+        nanoseconds = round(k * self.period * 1e9)
         stamp = types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
         message = types[JOINT](
             types["std_msgs/msg/Header"](stamp, "drive"), ["rotor"], np.array([self.angle[k]]),
@@ -111,6 +112,23 @@ def test_lost_messages_show_in_the_count():
     assert made.report().gaps == 1
     after = next(block for block in blocks if block.first_sample == 250)
     np.testing.assert_allclose(after.currents[0], stranger.i_abc[250], rtol=1e-6)
+
+
+@pytest.mark.parametrize("error", [-2e-3, 2e-3])
+def test_a_period_that_is_not_quite_the_declared_one_is_no_loss_and_hides_none(error):
+    stranger, made = Stranger(4000, period=PERIOD * (1 + error)), translator(voltages={"stamp": "log_time"})
+    blocks = []
+    for number, k in enumerate([*range(3000), *range(3004, 4000)]):
+        received = round(k * stranger.period * 1e9)
+        made.receive("joint", stranger.joint(k), received)
+        made.receive("duty", stranger.floats(k), received)
+        if number % 37 == 36:
+            blocks += made.advance()
+    firsts = np.array([block.first_sample for block in blocks])
+    ends = firsts + [len(block.currents) for block in blocks]
+    lost = firsts[1:] - ends[:-1]
+    assert lost[lost != 0].tolist() == [4]
+    assert firsts[1:][lost != 0].tolist() == [3004]
 
 
 def test_damaged_messages_are_counted_and_the_rest_goes_on():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -28,7 +29,7 @@ class Nodes:
 
         from drive_id.nodes.middleware import without_type_lookup
 
-        self.calls, self.refused = [], set()
+        self.calls, self.refused, self.slow = [], set(), {}
         self.script, self.state = ["running", "running", "idle"], "idle"
         self.waiting = False
         self.context = Context()
@@ -59,6 +60,7 @@ class Nodes:
     def answer(self, name, **fields):
         def callback(_, response):
             self.calls.append(name)
+            time.sleep(self.slow.get(name, 0.0))
             response.success, response.message = name not in self.refused, f"{name} says so."
             for field, value in fields.items():
                 setattr(response, field, value)
@@ -116,8 +118,8 @@ def client(**options):
         yield bench
 
 
-def run_all(timeout=30.0):
-    with client() as bench:
+def run_all(timeout=30.0, **options):
+    with client(**options) as bench:
         bench.wait_until_ready(timeout)
         bench.run_experiment()
 
@@ -149,6 +151,35 @@ def test_a_refusal_is_passed_on_and_the_recording_is_closed(nodes):
     with pytest.raises(ExperimentError, match=r"trajectory_publisher/start: trajectory_publisher/start says so\."):
         run_all()
     assert nodes.calls[-1] == "recorder/stop"
+
+
+def test_a_recorder_that_is_busy_for_another_client_is_left_alone(nodes):
+    nodes.refused = {"recorder/start"}
+    with pytest.raises(ExperimentError, match=r"recorder/start: recorder/start says so\."):
+        run_all()
+    assert nodes.calls == ["recorder/start"]
+
+
+def test_an_error_that_the_block_catches_leaves_the_drive_at_rest_too(nodes):
+    nodes.script = ["running", "tripped"]
+    with client() as bench:
+        bench.wait_until_ready(30.0)
+        with contextlib.suppress(ExperimentError):
+            bench.run_experiment()
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+
+
+def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
+    nodes.script = ["running"] * 400
+    nodes.slow = {"trajectory_publisher/stop": 1.5}
+
+    def tell(_):
+        if "trajectory_publisher/start" in nodes.calls:
+            raise BrokenPipeError("the terminal is gone")
+
+    with pytest.raises(BrokenPipeError):
+        run_all(tell=tell)
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
 
 
 def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):

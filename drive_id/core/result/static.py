@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.calibration import Calibration
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.maps.support import Support
 from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
@@ -97,9 +98,22 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         flux_map=FluxMap(axis, axis, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside),
         report=report,
         sigma_inverter_voltage=sigma_drop,
+        calibrations=_calibrations(fit),
         statements=_statements(fit, linear, points),
         linear=linear,
     )
+
+
+def _calibrations(fit: StaticFit) -> tuple[Calibration, ...]:
+    """Return the iron loss, if it was fitted, under its name in method full; the map is without its current."""
+    if IRON_LOSS not in fit.effects:
+        return ()
+    value, spread = fit.coefficient(1 + fit.effects.index(IRON_LOSS))
+    sentence = (
+        f"Iron loss is significant and was fitted: 1 / R_c = {value:.3g} ± {spread:.2g} S beside the windings. R does "
+        "not include it."
+    )
+    return (Calibration("iron_loss_conductance", value, spread, "S", True, sentence),)
 
 
 def supported(fit: StaticFit, axis: FloatArray) -> BoolArray:
@@ -243,13 +257,7 @@ def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) 
             "R is not accurate: record points with large current at low speed or standstill, where R i is a larger "
             "part of the voltage."
         )
-    for number, effect in enumerate(fit.effects, start=1):
-        value, spread = fit.coefficient(number)
-        if effect == IRON_LOSS:
-            found.append(
-                f"Iron loss is significant and was fitted: 1 / R_c = {value:.3g} ± {spread:.2g} S beside the "
-                "windings. R does not include it."
-            )
+    found += [entry.sentence for entry in _calibrations(fit)]
     if used.winding_temperature is not None:
         found.append("R holds at 20 degrees Celsius, with the temperature coefficient of copper.")
     return tuple(found)

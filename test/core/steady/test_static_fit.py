@@ -124,9 +124,13 @@ def test_iron_loss_and_a_delay_of_the_voltages_are_found():
     found = identified(lossy)
     assert any("Iron loss is significant" in statement for statement in found.statements)
     assert found.resistance == pytest.approx(drive.resistance, rel=0.03)
+    (loss,) = found.calibrations  # from where analyses and reports take it
+    assert (loss.name, loss.unit, loss.applied) == ("iron_loss_conductance", "S", True)
+    assert loss.value == pytest.approx(0.004, abs=max(4 * loss.sigma, 4e-4))
     behind = data.u_dq + 60e-6 * data.speed[:, None] * (data.u_dq @ J.T)
     found = identified(replace(data, u_dq=behind))
     assert any("frame of the voltages is behind" in warning for warning in found.report.warnings)
+    assert found.calibrations == ()
     assert found.resistance == pytest.approx(drive.resistance, rel=0.03)
 
 

@@ -160,8 +160,8 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     Raises
     ------
     ConfigurationError
-        When pole pairs or DC-link voltage are neither in the result nor in the settings, the resistance is not in the
-        result, or i_max is far beyond the map.
+        When pole pairs or DC-link voltage are neither in the result nor in the settings, or i_max is far beyond the
+        map.
     ResultError
         When the folder cannot be read.
     DataError
@@ -178,7 +178,6 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     )
     model.known_pole_pairs()
     voltages = chosen.u_dc or (model.known_u_dc(),)
-    model.known_resistance()
     i_max = chosen.i_max or found.i_max
     if i_max > _FURTHEST * found.i_max:
         raise ConfigurationError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -283,21 +282,6 @@ class MachineModel:
                 "The result does not tell the DC-link voltage, which the voltage limit needs: give --u-dc (u_dc), V."
             )
         return self.u_dc
-
-    def known_resistance(self) -> float:
-        """Return the resistance, ohm.
-
-        Raises
-        ------
-        ConfigurationError
-            When it is unknown.
-        """
-        if not math.isfinite(self.resistance):
-            raise ConfigurationError(
-                "The result does not tell the resistance, which voltages and losses need: import the map with "
-                "--resistance."
-            )
-        return self.resistance
 
     @cached_property
     def _fundamental(self) -> tuple[FloatArray, FloatArray]:

@@ -157,8 +157,9 @@ class Bench:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._names = {self._node.resolve_service_name(node): node for node in NODES}
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._services = {name: self._node.create_client(kind, name) for name, kind in SERVICES.items()}
+        # After the clients: a node that is heard here knows of them, and its replies are not lost.
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def __enter__(self) -> Bench:
         return self

@@ -190,8 +190,6 @@ def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     assert drive_id.analyze(unknown, replace(SMALL, pole_pairs=3)).model.pole_pairs == 3
     with pytest.raises(ConfigurationError, match="--u-dc"):
         drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
-    with pytest.raises(ConfigurationError, match="import the map with --resistance"):
-        drive_id.analyze(replace(result, drive=replace(result.drive, resistance=np.nan)), SMALL)
     for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 2.0}):
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             drive_id.AnalysisSettings(**wrong)

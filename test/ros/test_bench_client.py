@@ -29,9 +29,7 @@ class Nodes:
 
         from drive_id.nodes.middleware import without_type_lookup
 
-        self.calls, self.refused, self.slow = [], set(), {}
-        self.script, self.state = ["running", "running", "idle"], "idle"
-        self.waiting = False
+        self.begin()
         self.context = Context()
         with without_type_lookup():
             self.context.init(args=[], domain_id=domain)
@@ -57,6 +55,12 @@ class Nodes:
         self.thread = threading.Thread(target=self.executor.spin, daemon=True)
         self.thread.start()
 
+    def begin(self):
+        """Forget what a test has told and called."""
+        self.calls, self.refused, self.slow = [], set(), {}
+        self.script, self.state = ["running", "running", "idle"], "idle"
+        self.waiting, self.playing = False, iter(())
+
     def answer(self, name, **fields):
         def callback(_, response):
             self.calls.append(name)
@@ -69,8 +73,6 @@ class Nodes:
             return response
 
         return callback
-
-    playing = iter(())
 
     def report(self):
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -90,6 +92,8 @@ class Nodes:
     def close(self):
         self.executor.shutdown()
         self.thread.join()
+        for node in self.nodes.values():
+            node.destroy_node()
         self.context.try_shutdown()
 
 
@@ -101,13 +105,20 @@ def domain():
     lock.close()
 
 
+@pytest.fixture(scope="module")
+def all_nodes(domain):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        made = Nodes(domain)
+        yield made
+        made.close()
+
+
 @pytest.fixture
-def nodes(domain, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    made = Nodes(domain)
-    yield made
-    made.close()
+def nodes(all_nodes):
+    all_nodes.begin()
+    return all_nodes
 
 
 @contextlib.contextmanager
@@ -189,22 +200,25 @@ def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
         client() as bench,
     ):
         bench.wait_until_ready(30.0)
+    nodes.nodes["identification"].set_parameters([nodes.parameter("i_max", value=100.0)])
     assert nodes.calls == []
 
 
 def test_two_drives_in_one_namespace_are_refused(nodes):
     from drive_id_msgs.msg import Resolver
 
-    publishers = [node.create_publisher(Resolver, "resolver", 1) for node in list(nodes.nodes.values())[:2]]
+    two = list(nodes.nodes.values())[:2]
+    publishers = [node.create_publisher(Resolver, "resolver", 1) for node in two]
     with pytest.raises(ExperimentError, match="2 nodes publish /drive/resolver: leave one drive"):
         run_all()
-    assert len(publishers) == 2
+    for node, publisher in zip(two, publishers, strict=True):
+        node.destroy_publisher(publisher)
 
 
 def test_a_silent_drive_is_told(nodes):
     nodes.waiting = True
-    with pytest.raises(ExperimentError, match=r"After 2 s, still waiting for the drive: trajectory_publisher reports"):
-        run_all(2.0)
+    with pytest.raises(ExperimentError, match=r"After 8 s, still waiting for the drive: trajectory_publisher reports"):
+        run_all(8.0)
 
 
 def test_progress_counts_the_trajectory(nodes):

@@ -275,6 +275,11 @@ def test_plecs():
     assert (file["id"][N], file["iq"][M], file["Lsigma"]) == (-5.0, 10.5, 1e-3)
 
 
+def test_plecs_refuses_a_leakage_above_the_inductances():
+    with pytest.raises(ConfigurationError, match=r"--leakage is 1 H, but the least inductance is [\d.e-]+ H"):
+        content("plecs", leakage_inductance=1.0)
+
+
 def test_modelica():
     lines = content("modelica").decode().splitlines()
     assert lines[0] == "#1"

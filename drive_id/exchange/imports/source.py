@@ -48,6 +48,8 @@ class Source:
 
     def __post_init__(self) -> None:
         for path in (self.path, self.psi_q_file):
+            if path is not None and path.is_dir():
+                raise ConfigurationError(f"'{path}' is a folder: name a file in it, as flux_map.npz of a result.")
             if path is not None and not path.is_file():
                 raise ConfigurationError(f"There is no file '{path}' to import: check the path.")
         if self.angle not in ("electrical", "mechanical"):

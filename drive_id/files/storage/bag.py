@@ -269,6 +269,8 @@ def present_files(path: Path) -> tuple[Path, ...]:
     with _readable(path):
         files = _present(path)
     if not files:
+        if (path / "identification.json").exists():
+            raise NotABagError(f"{path} is a result folder, not a recording: see it by drive-id info or report.")
         raise NotABagError(f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder.")
     return tuple(files)
 

@@ -191,8 +191,8 @@ def _check_shapes(path: Path, arrays: dict[str, FloatArray]) -> None:
         axis = arrays.get(key)
         if axis is None:
             continue
-        steps = np.diff(axis) if axis.ndim == 1 else np.zeros(1)
-        if len(steps) == 0 or not (np.all(steps > 0) or np.all(steps < 0)):
+        ordered = axis.ndim == 1 and len(axis) > 1 and np.isfinite(axis).all()
+        if not ordered or not (np.all(axis[1:] > axis[:-1]) or np.all(axis[1:] < axis[:-1])):
             raise ConfigurationError(
                 f"Axis '{key}' in machine file '{path}' must be 1-D and sorted without repetition."
             )

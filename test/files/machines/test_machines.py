@@ -284,3 +284,12 @@ def test_bad_syre_files(tmp_path):
         (tmp_path / "motor.mat").write_bytes(content)
         with pytest.raises(ConfigurationError, match="is damaged or not a MATLAB file"):
             read_machine(tmp_path / "motor.mat")
+
+
+@pytest.mark.parametrize("key", ["id", "iq", "theta_e_deg"])
+def test_an_axis_that_is_not_finite_is_refused_without_a_word_of_numpy(tmp_path, key):
+    values = contract()
+    axis = np.array(values[key], np.float64)
+    axis[:2] = -np.inf  # their difference is not a number, which numpy warns of
+    with pytest.raises(ConfigurationError, match=f"Axis '{key}' in machine file .* must be 1-D and sorted"):
+        read_machine(write(tmp_path / "infinite.npz", values | {key: axis}))

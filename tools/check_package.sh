@@ -17,6 +17,7 @@ for distribution in "$output"/*.whl "$output"/*.tar.gz; do
         rm -rf bag result
         venv/bin/drive-id simulate --machine ipm --seconds 2 --noise 0.001 --output bag --quiet
         venv/bin/drive-id fit bag --output result --quiet
-        venv/bin/drive-id info result | head -n 12
+        venv/bin/drive-id info result >info.txt # head closes a pipe early, which drive-id would report
+        head -n 12 info.txt
     ' "$scratch" "$distribution"
 done

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drive_id.core.signals.join import Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
-from drive_id.core.signals.signal import Signal
+from drive_id.core.signals.signal import Signal, block_stamps
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.message_reader import DECODE_ERRORS, MessageSamples, Reader, message_reader
 from drive_id.files.messages.signal_sources import SignalMap
@@ -56,10 +56,10 @@ class SignalBlock:
 
     def signals(self) -> tuple[Signal, Signal, Signal]:
         """Return currents, voltages and resolver as signals."""
-        steps = np.rint(np.arange(len(self.currents)) * (self.sample_period * 1e9)).astype(np.int64)
+        stamp = block_stamps(self.stamp, len(self.currents), self.sample_period)
         start = np.zeros(1, np.int64)
         currents, voltages, resolver = (
-            Signal(name, self.stamp + steps, values.astype(np.float64), self.sample_period, start)
+            Signal(name, stamp, values.astype(np.float64), self.sample_period, start)
             for name, values in zip(SECTIONS, (self.currents, self.voltages, self.resolver), strict=True)
         )
         return currents, voltages, resolver

@@ -40,13 +40,14 @@ class ForeignTopics:
                 self._subscribe(given)
 
     def findings(self) -> list[Observation]:
-        """Return the topics that nobody publishes, or that cannot be read."""
+        """Return the topics that nobody publishes, and what cannot be read."""
         missing = [
             f"Nobody publishes {self._node.resolve_topic_name(given)}."
             for given in self._translator.topics
             if given not in self._subscriptions and given not in self._troubles
         ]
-        return [(Level.WARN, sentence) for sentence in (*self._troubles.values(), *missing)]
+        unreadable = [self._translator.last_error] if self._translator.last_error else []
+        return [(Level.WARN, sentence) for sentence in (*self._troubles.values(), *missing, *unreadable)]
 
     def _subscribe(self, given: str) -> None:
         name = self._node.resolve_topic_name(given)

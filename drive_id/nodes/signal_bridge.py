@@ -75,8 +75,6 @@ class SignalBridge(Node):
     def _health(self) -> Health:
         report = self._translator.report()
         findings = self._foreign.findings()
-        if self._translator.last_error:
-            findings.append((Level.WARN, self._translator.last_error))
         findings += [(Level.WARN, warning) for warning in report.warnings if self._published]
         said = findings[0][1] if findings else "The bench's topics are translated."
         values = {

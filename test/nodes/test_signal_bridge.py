@@ -53,7 +53,7 @@ def test_a_stranger_is_translated_and_nothing_is_lost(ros):
         ros.node.create_subscription(kind, name, received[kind].append, deep)
 
     def note(message):
-        values.update({s.name: {v.key: v.value for v in s.values} for s in message.status})
+        values.update({s.name: {v.key: v.value for v in s.values} | {"message": s.message} for s in message.status})
 
     ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
     joint = ros.node.create_publisher(JointState, "joint", deep)
@@ -99,6 +99,13 @@ def test_a_stranger_is_translated_and_nothing_is_lost(ros):
 
     ros.wait(both, "the diagnostics of both")
     assert values["/signal_bridge"]["unreadable messages"] == values["/signal_bridge"]["dropped messages"] == "0"
+
+    joint.publish(JointState())  # without a current
+
+    def told(node):
+        return any("joint cannot be read as" in text for text in values.get(f"/{node}", {}).values())
+
+    ros.wait(lambda: told("signal_bridge") and told("identification"), "a word on the unreadable message")
 
 
 def test_a_bridge_without_a_signals_file_says_so(ros):

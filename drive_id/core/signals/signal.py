@@ -45,6 +45,11 @@ class Signal:
     losses: int = 0
 
 
+def block_stamps(first: int, count: int, period: float) -> IntArray:
+    """Return the stamps (N,), ns, of equally spaced samples, the first at ``first`` ns, ``period`` s apart."""
+    return np.asarray(first + np.rint(np.arange(count) * (period * 1e9)).astype(np.int64))
+
+
 def finite_rows(values: FloatArray) -> BoolArray:
     """Tell which rows of ``values`` (N, K) hold finite numbers only."""
     finite: BoolArray = np.all(np.isfinite(values), axis=1)

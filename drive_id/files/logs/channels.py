@@ -14,6 +14,18 @@ from drive_id.files.logs.column_log import OWN_TIME, ROWS, Column, ColumnGroup, 
 _NUMBERS = "iufb"
 
 
+def _parts(
+    groups: Sequence[ColumnGroup],
+    wanted: Sequence[Column],
+    rows: int,
+    read: Callable[[Column, slice], NDArray[Any]],
+) -> Iterator[Rows]:
+    """Yield the wanted columns part by part, each read by its group's rows."""
+    lengths = {group.name: group.rows or 0 for group in groups if group.name in {c.group for c in wanted}}
+    for at, progress in shares(lengths, rows):
+        yield Rows({column: read(column, at[column.group]) for column in wanted}, progress)
+
+
 class MdfLog:
     """An MDF file, version 3 or 4; each channel group has its own time, that of its master channel."""
 
@@ -44,10 +56,8 @@ class MdfLog:
         self.groups = tuple(groups)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
-        lengths = {group.name: group.rows or 0 for group in self.groups if group.name in {c.group for c in wanted}}
-        for at, progress in shares(lengths, rows):
-            yield Rows({column: self._slice(column, at[column.group]) for column in wanted}, progress)
+        """Return the wanted columns part by part."""
+        return _parts(self.groups, wanted, rows, self._slice)
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         number, count = self._numbers[column.group], at.stop - at.start
@@ -87,10 +97,8 @@ class TdmsLog:
         self.groups = tuple(groups)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
-        lengths = {group.name: group.rows or 0 for group in self.groups if group.name in {c.group for c in wanted}}
-        for at, progress in shares(lengths, rows):
-            yield Rows({column: self._slice(column, at[column.group]) for column in wanted}, progress)
+        """Return the wanted columns part by part."""
+        return _parts(self.groups, wanted, rows, self._slice)
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         group = self._file[column.group]

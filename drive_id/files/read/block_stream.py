@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core.signals.signal import SampleCount, Signal
+from drive_id.core.signals.signal import SampleCount, Signal, block_stamps
 from drive_id.errors import MessageTypeError, SamplePeriodError
 from drive_id.files.messages.block_codec import decode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
@@ -60,7 +60,7 @@ class BlockStream:
         self.count.add(block.first_sample, len(block))
         return Signal(
             name=self.topic,
-            stamp=block.stamp + np.rint(np.arange(len(block)) * (period * 1e9)).astype(np.int64),
+            stamp=block_stamps(block.stamp, len(block), period),
             values=np.column_stack(block.values).astype(np.float64),
             sample_period=period,
             block_start=np.zeros(1, np.int64),

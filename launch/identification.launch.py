@@ -1,7 +1,7 @@
 """The nodes that identify a drive, real or simulated: trajectory publisher, recorder, identification.
 
-``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` holds for all nodes that
-have it and takes precedence over their parameter files. Topics are remapped for all nodes with
+``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` and ``use_sim_time`` hold
+for all nodes that have them and take precedence over their parameter files. Topics are remapped for all nodes with
 ``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, recorder and identification are started
 again if they die; the trajectory publisher never is, because whoever starts a trajectory must have seen why it ended.
 """
@@ -12,12 +12,12 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 NODES = ("trajectory_publisher", "recorder", "identification")
 WITH_RADIUS = ("trajectory_publisher", "identification")
 RESPAWN_DELAY = 2.0  # s
+SWITCH = {"true": True, "false": False, "True": True, "False": False}
 TOPICS = (
     "current_reference", "phase_currents", "phase_voltages", "resolver", "dc_link_voltage", "winding_temperature",
     "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points", "operating_point",
@@ -31,9 +31,17 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "i_max", default_value="", description="Radius of the current disc, A; empty: as in the parameter files."
         ),
-        DeclareLaunchArgument("use_sim_time", default_value="false", description="Take the time from /clock."),
         DeclareLaunchArgument(
-            "respawn", default_value="false", description="Start recorder and identification again if they die."
+            "use_sim_time",
+            default_value="",
+            choices=["", *SWITCH],
+            description="Take the time from /clock; empty: as in the parameter files.",
+        ),
+        DeclareLaunchArgument(
+            "respawn",
+            default_value="false",
+            choices=list(SWITCH),
+            description="Start recorder and identification again if they die.",
         ),
     ]
     arguments += [
@@ -52,24 +60,32 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     """Describe the nodes, the arguments being known."""
-    i_max = LaunchConfiguration("i_max").perform(context)
-    respawn = LaunchConfiguration("respawn").perform(context).lower() == "true"
-    use_sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    given = {name: LaunchConfiguration(name).perform(context) for name in ("i_max", "use_sim_time", "respawn")}
     nodes = []
     for node in NODES:
-        own = {"use_sim_time": use_sim_time}
-        if i_max and node in WITH_RADIUS:
-            own["i_max"] = float(i_max)
+        own: dict[str, bool | float] = {}
+        if given["use_sim_time"]:
+            own["use_sim_time"] = SWITCH[given["use_sim_time"]]
+        if given["i_max"] and node in WITH_RADIUS:
+            own["i_max"] = _number("i_max", given["i_max"])
         nodes.append(
             Node(
                 package="drive_id",
                 executable=node,
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[LaunchConfiguration(f"{node}_parameters"), own],
+                parameters=[LaunchConfiguration(f"{node}_parameters"), *([own] if own else [])],
                 remappings=[(topic, LaunchConfiguration(topic)) for topic in TOPICS],
                 output="screen",
-                respawn=respawn and node != "trajectory_publisher",
+                respawn=SWITCH[given["respawn"]] and node != "trajectory_publisher",
                 respawn_delay=RESPAWN_DELAY,
             )
         )
     return nodes
+
+
+def _number(name: str, text: str) -> float:
+    """Return an argument as a number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name}:={text} is not a number: give one, as in {name}:=300.0") from None

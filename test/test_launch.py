@@ -1,0 +1,119 @@
+"""The launch files, executed: by launch_ros where it is installed, else by stand-ins for the little they use of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parent.parent
+USED = {
+    "launch": ("LaunchContext", "LaunchDescription"),
+    "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
+    "launch.substitutions": ("LaunchConfiguration",),
+    "launch_ros": (),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
+}
+INSTALLED = importlib.util.find_spec("launch_ros") is not None
+
+
+class Configuration:
+    """Stands for a launch configuration: the value of an argument."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def perform(self, context):
+        return context.launch_configurations[self.name]
+
+
+def stand_ins():
+    """The package launch is on no Python package index."""
+    for name, members in USED.items():
+        module = ModuleType(name)
+        for member in members:
+            setattr(module, member, lambda *args, **given: SimpleNamespace(args=args, **given))
+        yield name, module
+
+
+class Launched:
+    """A launch file with arguments, as far as ``_nodes``."""
+
+    def __init__(self, file, monkeypatch, **arguments):
+        if not INSTALLED:
+            for name, module in stand_ins():
+                monkeypatch.setitem(sys.modules, name, module)
+        spec = importlib.util.spec_from_file_location("launch_file", ROOT / "launch" / file)
+        self.module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(self.module)
+        self.declared = {}
+        monkeypatch.setattr(self.module, "DeclareLaunchArgument", self._declare)
+        monkeypatch.setattr(self.module, "LaunchConfiguration", Configuration)
+        monkeypatch.setattr(self.module, "Node", SimpleNamespace)
+        monkeypatch.setattr(self.module, "ParameterValue", lambda value, value_type: (value, value_type), raising=False)
+        monkeypatch.setattr(self.module, "LaunchDescription", list)
+        monkeypatch.setattr(self.module, "OpaqueFunction", lambda function: function)
+        self.described = self.module.generate_launch_description()
+        values = {name: given["default_value"] for name, given in self.declared.items()}
+        assert set(arguments) <= set(values)
+        self.context = SimpleNamespace(launch_configurations=values | arguments)
+
+    def _declare(self, name, **given):
+        assert given["description"].endswith(".")
+        assert given["default_value"] in given.get("choices", [given["default_value"]])
+        self.declared[name] = given
+        return name
+
+    def nodes(self):
+        return {node.executable: node for node in self.described[-1](self.context)}
+
+    def own(self, node):
+        """The parameters that prevail over the file."""
+        first, *further = node.parameters
+        assert isinstance(first, Configuration)
+        assert Path(first.perform(self.context)).is_file()
+        values = further[0] if further else {}
+        return {
+            name: value[0].perform(self.context) if isinstance(value, tuple) else value
+            for name, value in values.items()
+        }
+
+
+def test_what_is_not_given_does_not_hide_the_parameter_files(monkeypatch):
+    bench = Launched("bench.launch.py", monkeypatch)
+    assert bench.own(bench.nodes()["bench_simulator"]) == {}
+    nodes = Launched("identification.launch.py", monkeypatch)
+    assert [nodes.own(node) for node in nodes.nodes().values()] == [{}, {}, {}]
+    assert not any(node.respawn for node in nodes.nodes().values())
+
+
+def test_what_is_given_prevails(monkeypatch):
+    bench = Launched("bench.launch.py", monkeypatch, machine="spm", truth_file="/tmp/truth.npz")
+    assert bench.own(bench.nodes()["bench_simulator"]) == {"machine": "spm", "truth_file": "/tmp/truth.npz"}
+    launched = Launched("identification.launch.py", monkeypatch, i_max="300", use_sim_time="true", respawn="true")
+    nodes = launched.nodes()
+    assert launched.own(nodes["recorder"]) == {"use_sim_time": True}
+    assert launched.own(nodes["identification"]) == {"use_sim_time": True, "i_max": 300.0}
+    assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0}
+    assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification"}
+
+
+def test_a_radius_that_is_no_number_is_named(monkeypatch):
+    launched = Launched("identification.launch.py", monkeypatch, i_max="abc")
+    with pytest.raises(ValueError, match=r"i_max:=abc is not a number: give one, as in i_max:=300\.0"):
+        launched.nodes()
+
+
+@pytest.mark.parametrize("file", ["bench.launch.py", "identification.launch.py"])
+def test_every_topic_can_be_renamed_and_every_file_has_what_its_node_is_told(monkeypatch, file):
+    launched = Launched(file, monkeypatch)
+    for node in launched.nodes().values():
+        assert {topic: target.name for topic, target in node.remappings} == {t: t for t in launched.module.TOPICS}
+        text = Path(node.parameters[0].perform(launched.context)).read_text(encoding="utf-8")
+        assert list(yaml.safe_load(text)) == ["/**"]  # for any name and namespace
+    assert set(launched.module.TOPICS) <= set(launched.declared)

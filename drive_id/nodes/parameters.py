@@ -142,9 +142,11 @@ def _descriptor(
         type=kind.value, description=field.metadata.get("description", "") + unit, read_only=read_only
     )
     low, high = field.metadata.get("minimum"), field.metadata.get("maximum")
+    limits = [f"at {words} {limit:g}" for words, limit in (("least", low), ("most", high)) if limit is not None]
     if optional:
-        limits = [f"at {words} {limit:g}" for words, limit in (("least", low), ("most", high)) if limit is not None]
         descriptor.additional_constraints = ", ".join([*limits, "nan: the default"])
+    elif kind in _ARRAYS.values():
+        descriptor.additional_constraints = f"each {', '.join(limits)}" if limits else ""
     elif kind is Parameter.Type.DOUBLE:
         bounds = FloatingPointRange(from_value=-_LARGEST, to_value=_LARGEST)
         if low is not None:
@@ -160,7 +162,8 @@ def _descriptor(
             )
         ]
     if field.metadata.get("choices"):
-        descriptor.additional_constraints = "one of " + ", ".join(field.metadata["choices"])
+        entries = "each one of " if kind in _ARRAYS.values() else "one of "
+        descriptor.additional_constraints = entries + ", ".join(field.metadata["choices"])
     return descriptor
 
 

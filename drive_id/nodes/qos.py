@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 STREAM = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -27,3 +36,36 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The flux map: late subscribers get the last one."""
+
+
+def deaf_subscribers(node: Node, topic: str) -> list[str]:
+    """Return a sentence for each subscription that receives nothing from the node's own publisher of a topic.
+
+    Parameters
+    ----------
+    node : Node
+    topic : str
+        As given to ``create_publisher``.
+    """
+    name = node.resolve_topic_name(topic)
+    own = [
+        info for info in node.get_publishers_info_by_topic(name) if _full_name(info) == node.get_fully_qualified_name()
+    ]
+    if not own:
+        return []  # not yet in the graph
+    kind, offered = own[0].topic_type, own[0].qos_profile  # as the graph tells it: infinite durations are 0 in ours
+    sentences = []
+    for info in node.get_subscriptions_info_by_topic(name):
+        compatibility, reason = qos_check_compatible(offered, info.qos_profile)
+        if info.topic_type != kind:
+            why = f"it expects {info.topic_type} instead of {kind}."
+        elif compatibility == QoSCompatibility.ERROR:
+            why = f"its quality of service is not offered ({reason.removeprefix('ERROR: ').strip(' ;')})."
+        else:
+            continue
+        sentences.append(f"{_full_name(info)} receives nothing on {name}: {why}")
+    return sentences
+
+
+def _full_name(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

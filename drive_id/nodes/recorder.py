@@ -140,17 +140,16 @@ class Recorder(Node):
     def _on_start(self, request: Any, response: Any) -> Any:
         before = ""
         if self._now() <= 0:
-            response.message = (
+            return self._refused(
+                response,
                 "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set "
-                "use_sim_time to false."
+                "use_sim_time to false.",
             )
-            return response
         if self._session is not None and self._session.error:
             before = f" The recording before it was cut short: {self._session.error}"
         elif self._session is not None:
             verb = "is being completed" if self._stopping else "is being recorded"
-            response.message = f"{self._session.path} {verb}: stop it first."
-            return response
+            return self._refused(response, f"{self._session.path} {verb}: stop it first.")
         try:
             path = new_recording(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
             for topic in self._topics:
@@ -168,13 +167,18 @@ class Recorder(Node):
             for name, data in self._extra.latched():
                 self._session.receive(name, data, self._now())
         except DriveIdError as error:
-            response.message = str(error)
-            return response
+            return self._refused(response, str(error))
         self._told_error = self._stopping = False
         self._last.clear()
         self._clock_watch.begin(time.monotonic())
         response.success, response.uri, response.message = True, str(path), f"Recording {path}.{before}"
         self.get_logger().info(response.message)
+        return response
+
+    def _refused(self, response: Any, message: str) -> Any:
+        """Answer a refused start, and log it: whoever asked may be a script that looks at nothing."""
+        response.message = message
+        self.get_logger().warning(f"start: {message}")
         return response
 
     def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

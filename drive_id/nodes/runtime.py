@@ -13,16 +13,18 @@ from types import FrameType
 from typing import NoReturn
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from drive_id.errors import DriveIdError
+from drive_id.nodes.arguments import ros_arguments, warn_of_unknown_parameters
 from drive_id.nodes.middleware import without_type_lookup
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_POINT = ". A DOUBLE is written with a decimal point, as in 300.0."
 _WAKE_UP = 0.1  # s after which an idle node notices a signal at the latest
 
 
@@ -73,11 +75,14 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
     code = 0
     try:
         with without_type_lookup():
-            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            with ros_arguments():
+                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = make()
+            warn_of_unknown_parameters(node)
         spin(node, stop)
     except (DriveIdError, ParameterException) as error:
-        sys.stderr.write(f"{make.__name__}: {error}\n")
+        remedy = _POINT if isinstance(error, InvalidParameterTypeException) and "DOUBLE" in str(error) else ""
+        sys.stderr.write(f"{make.__name__}: {error}{remedy}\n")
         code = 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the usual end of a node

@@ -18,14 +18,14 @@ from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.state_machine import ReferenceBlock
+from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.diagnostics import Diagnostics
 from drive_id.nodes.managed import guard_transitions
 from drive_id.nodes.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT, deaf_subscribers
 from drive_id.nodes.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -48,6 +48,7 @@ class TrajectoryPublisher(LifecycleNode):
         self._experiment = self._new_experiment(settings)
         self._frame_id = settings.frame_id
         self._logged = ""
+        self._deaf: list[str] = []
         self._active = False
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
@@ -142,8 +143,18 @@ class TrajectoryPublisher(LifecycleNode):
     def _health(self) -> Health:
         health = self._experiment.health(self._now(), time.monotonic())
         if self._active:
-            return health
+            waits = health.level is Level.OK and health.values["state"] == ExperimentState.IDLE.value
+            return self._heard(health) if waits else health  # while current flows, nothing may take time
         return Health(Level.OK, self._inactive(), {**health.values, "lifecycle": self._stage()})
+
+    def _heard(self, health: Health) -> Health:
+        """Add which subscriptions to the references are deaf, not a reason to refuse a start: it may be a display."""
+        deaf = deaf_subscribers(self, "current_reference")
+        for sentence in deaf:
+            if sentence not in self._deaf:
+                self.get_logger().warning(sentence)
+        self._deaf = deaf
+        return Health.of(health.message, [(Level.OK, sentence) for sentence in deaf], health.values)
 
     def _stage(self) -> str:
         return "unconfigured" if self._publisher is None else "inactive"
@@ -163,11 +174,15 @@ class TrajectoryPublisher(LifecycleNode):
         self._logged = reason
 
     def _on_currents(self, message: PhaseCurrents) -> None:
+        if self._publisher is None:
+            return  # one that had arrived before the node was cleaned up
         i_abc = _arrays(message.a, message.b, message.c)
         if self._experiment.currents(self._now(), time.monotonic(), message.first_sample, i_abc):
             self._on_timer()
 
     def _on_resolver(self, message: Resolver) -> None:
+        if self._publisher is None:
+            return
         signals = _arrays(message.angle, message.speed)
         if self._experiment.resolver(self._now(), time.monotonic(), message.first_sample, signals):
             self._on_timer()
@@ -190,7 +205,10 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _answer(self, request: str, response: Trigger.Response) -> Trigger.Response:
         self._on_timer()
-        self.get_logger().info(f"{request}: {response.message}")
+        if response.success:  # rclpy permits one severity for each line of code
+            self.get_logger().info(f"{request}: {response.message}")
+        else:
+            self.get_logger().warning(f"{request}: {response.message}")
         return response
 
     def _publish(self, blocks: Iterable[ReferenceBlock]) -> None:

@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
+from drive_id.nodes.arguments import ros_arguments
 from drive_id.nodes.middleware import without_type_lookup
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
@@ -135,6 +136,11 @@ class Bench:
         Called with :class:`Progress` about once a second while something is waited for.
     arguments : sequence of str
         ROS arguments, such as ``["--ros-args", "-r", "__ns:=/drive_1"]``.
+
+    Raises
+    ------
+    ConfigurationError
+        When the namespace or the arguments are none.
     """
 
     def __init__(
@@ -151,7 +157,7 @@ class Bench:
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._states: list[str] = []
         self._context = Context()
-        with without_type_lookup():
+        with without_type_lookup(), ros_arguments():
             self._context.init(args=list(arguments))
             self._node = Node("bench_client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,6 +56,23 @@ class Managed:
         from std_srvs.srv import Trigger
 
         return self.ros.call(Trigger, f"{NAME}/{name}")
+
+    def health(self, condition=lambda _: True):
+        """Return the values of the next diagnostics for which the condition holds, with the message."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        heard = []
+
+        def hear(array):
+            for status in array.status:
+                values = {value.key: value.value for value in status.values} | {"message": status.message}
+                if status.name == NAME and condition(values):
+                    heard.append(values)
+
+        subscription = self.ros.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
+        self.ros.wait(lambda: heard, "diagnostics")
+        self.ros.node.destroy_subscription(subscription)
+        return heard[0]
 
     def begin(self):
         """Start an experiment, as soon as the drive is heard, and wait until it has current."""
@@ -110,9 +128,12 @@ def test_without_autostart_each_state_permits_what_it_should(ros):
     assert not managed.call("start").success
     assert managed.change("cleanup")
     ros.wait(lambda: ros.node.count_publishers("/current_reference") == 0, "the publisher to go")
+    managed.rest()  # meanwhile the drive goes on: these samples are not lost
     assert managed.change("configure")
     assert managed.change("activate")
     managed.begin()  # again
+    health = managed.health()
+    assert [value for key, value in health.items() if key.startswith("lost samples")] == ["0", "0"]
     assert managed.change("shutdown")
     managed.assert_ends_at_zero()
     assert managed.state() == "finalized"
@@ -129,3 +150,44 @@ def test_it_activates_itself_and_ends_at_zero_with_the_process(ros):
     assert managed.process.interrupt()[0] == 0
     managed.assert_ends_at_zero()
     managed.close()
+
+
+def test_a_subscription_that_receives_nothing_is_told(ros):
+    from drive_id_msgs.msg import CurrentReference
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    managed = Managed(ros)
+    late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    deaf = ros.node.create_subscription(CurrentReference, "/current_reference", lambda _: None, late)
+    said = managed.health(lambda values: "receives nothing" in values["message"])
+    assert said["state"] == "idle"
+    sentence = said["message"].partition(". ")[2]
+    start = "/test_bench receives nothing on /current_reference: its quality of service is not offered ("
+    assert sentence.startswith(start)
+    assert "transient local" in sentence
+    ros.node.destroy_subscription(deaf)
+    managed.health(lambda values: "receives nothing" not in values["message"])
+    assert managed.process.output.count("receives nothing") == 1
+    managed.close()
+
+
+def test_a_subscription_of_another_type_is_told():
+    """By a graph of its own: a process cannot have one topic with two types in DDS."""
+    require_ros()
+    from drive_id.nodes.qos import STREAM, deaf_subscribers
+
+    def info(namespace, name, kind):
+        return SimpleNamespace(node_namespace=namespace, node_name=name, topic_type=kind, qos_profile=STREAM)
+
+    other, right = "x/msg/Other", "x/msg/Right"
+    publishers = [info("/ns", "z", other), info("/ns", "own", right)]
+    subscriptions = [info("/", "a", other), info("/b", "c", other), info("/", "d", right)]
+    graph = SimpleNamespace(
+        resolve_topic_name=lambda name: f"/ns/{name}",
+        get_fully_qualified_name=lambda: "/ns/own",
+        get_publishers_info_by_topic={"/ns/topic": publishers, "/ns/no": publishers[:1]}.get,
+        get_subscriptions_info_by_topic={"/ns/topic": subscriptions, "/ns/no": subscriptions}.get,
+    )
+    why = "receives nothing on /ns/topic: it expects x/msg/Other instead of x/msg/Right."
+    assert deaf_subscribers(graph, "topic") == [f"/a {why}", f"/b/c {why}"]
+    assert deaf_subscribers(graph, "no") == []

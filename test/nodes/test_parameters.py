@@ -74,6 +74,9 @@ def test_the_defaults(make):
     assert node.describe_parameter("size").description == "How large [m]"
     assert node.describe_parameter("times").read_only
     assert node.describe_parameter("limit").additional_constraints == "at least 0, nan: the default"
+    assert node.describe_parameter("times").additional_constraints == "each at least 0"
+    assert node.describe_parameter("gains").additional_constraints == ""
+    assert node.describe_parameter("name").additional_constraints == "one of a, b"
 
 
 def test_a_parameter_file(make, tmp_path):
@@ -82,6 +85,52 @@ def test_a_parameter_file(make, tmp_path):
     assert make("--params-file", str(path))[1] == Some(times=(1.0, 2.0), limit=4.0, gains=(0.0, 1.0))
     path.write_text("/**:\n  ros__parameters:\n    times: []\n    limit: .nan\n    orders: []\n")
     assert make("--params-file", str(path))[1] == Some(orders=())
+
+
+def test_parameters_that_do_not_exist_are_told(make, capfd):
+    from drive_id.nodes.arguments import warn_of_unknown_parameters
+
+    given = [f"{name}:=3" for name in ("count", "coumt", "zzzzzz", "qos_overrides./parameter_events.publisher.depth")]
+    node, settings = make(*(word for text in given for word in ("-p", text)))
+    warn_of_unknown_parameters(node)
+    assert settings.count == 3
+    logged = [line.partition("[some]: ")[2] for line in "".join(capfd.readouterr()).splitlines() if "[some]" in line]
+    assert sorted(logged) == [
+        "There is no parameter coumt, so its value is ignored: did you mean count?",
+        "There is no parameter zzzzzz, so its value is ignored: ros2 param list shows those there are.",
+    ]
+
+
+@pytest.mark.parametrize(
+    "given", ["--params-file nowhere.yaml", "-r __ns:=bad-name", "-p count:=", "--frobnicate", "-r"]
+)
+def test_wrong_ros_arguments_are_told_in_one_sentence(given):
+    require_ros()
+    from rclpy.context import Context
+
+    from drive_id.nodes.arguments import ros_arguments
+
+    with (
+        pytest.raises(
+            ConfigurationError, match=r"^ROS refuses the arguments \(.+\): correct what follows --ros-args\.$"
+        ) as told,
+        ros_arguments(),
+    ):
+        Context().init(args=["--ros-args", *given.split()])
+    assert "/project/" not in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_a_name_that_is_none_is_told_and_a_mistake_of_ours_is_not(make):
+    from rclpy.node import Node
+
+    from drive_id.nodes.arguments import ros_arguments
+
+    node, _ = make()
+    with pytest.raises(ConfigurationError, match="ROS refuses the arguments \\(Invalid namespace"), ros_arguments():
+        Node("other", namespace="bad-name", context=node.context)
+    with pytest.raises(RuntimeError, match="ours"), ros_arguments():
+        raise RuntimeError("ours")
 
 
 def test_a_wrong_start(make):

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from ros_bench import require_ros, ros_bench
 
-NODES = Path(__file__).parent.parent.parent / "drive_id" / "nodes"
+ROOMS = [Path(__file__).parent.parent.parent / "drive_id" / room for room in ("nodes", "ros")]
 PRIVATE = {"_parameter_overrides", "_exit"}
-"""Node._parameter_overrides: the only place that shows that an empty array was given. os._exit is Python's own."""
+"""Node._parameter_overrides: the only place that shows what was given at the start: an empty array, and parameters that
+the node does not have. os._exit is Python's own."""
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def ros():
 def test_no_other_private_member_is_used():
     """Of objects other than self; imports of private modules count, too."""
     found = set()
-    for file in NODES.glob("*.py"):
+    for file in (file for room in ROOMS for file in room.glob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
                 of_self = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
@@ -88,6 +89,36 @@ def test_a_goal_that_executes_notifies_its_server():
         "execute_callback",
     ]
     assert "notify_execute" in inspect.getsource(ServerGoalHandle.execute)
+
+
+def test_errors_of_rcl_are_known_by_their_module(ros):
+    """ros_arguments tells them from others so: their classes are in a private module."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    with pytest.raises(RuntimeError) as unknown:
+        Context().init(args=["--ros-args", "--frobnicate"])
+    with pytest.raises(RuntimeError) as missing:
+        Context().init(args=["--ros-args", "--params-file", "nowhere.yaml"])
+    node = Node("names", context=ros.context)
+    with pytest.raises(RuntimeError) as topic:  # ExtraTopics.resolved takes it for what is not the name of a topic
+        node.resolve_topic_name("{nonsense}")
+    node.destroy_node()
+    assert {type(told.value).__module__.partition(".")[0] for told in (unknown, missing, topic)} == {"rclpy"}
+
+
+def test_a_transition_that_leads_nowhere_raises(ros):
+    """guard_transitions answers it instead: with the events executor, the error ends the process."""
+    from lifecycle_msgs.srv import ChangeState
+    from rclpy.lifecycle import LifecycleNode
+
+    node = LifecycleNode("managed", context=ros.context)
+    (service,) = (service for service in node.services if service.srv_type is ChangeState)
+    request = ChangeState.Request()
+    request.transition.id = 99
+    with pytest.raises(RuntimeError, match="Transition"):
+        service.callback(request, ChangeState.Response())
+    node.destroy_node()
 
 
 def test_the_events_executor_is_where_it_was():

@@ -22,6 +22,7 @@ from drive_id.types import Samples
 
 SECTIONS = ("currents", "voltages", "resolver")
 _BATCH, _CAPACITY = 100, 50_000
+_LONGEST_DELAY = 2.0  # s between the signals of one clock
 _MOST_WAITING = 200_000
 """Messages of a signal that wait for :meth:`Translator.advance`; earlier ones are dropped beyond."""
 
@@ -114,6 +115,7 @@ class Translator:
         self.dropped = 0
         """Messages that waited too long."""
         self.last_error = ""
+        self._newest: dict[str, int] = {}
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -168,7 +170,17 @@ class Translator:
         """Return what became of the signals."""
         return self._join.report()
 
+    def clock_finding(self) -> str:
+        """Return a sentence when the newest stamps of the signals are further apart than any delay; else nothing."""
+        times = {section: 1e-9 * self._newest[section] for section in SECTIONS if section in self._newest}
+        if len(times) < len(SECTIONS) or max(times.values()) - min(times.values()) < _LONGEST_DELAY:
+            return ""
+        shown = ", ".join(f"{name} ({self._sources[name].topic}) {time:.3f} s" for name, time in times.items())
+        return f"The newest stamps do not go together, {shown}: take the stamps of all signals from one clock."
+
     def _add(self, section: str, signal: Signal) -> None:
+        if len(signal.stamp):
+            self._newest[section] = int(signal.stamp[-1])
         if section in SECTIONS:
             self._pieces += self._join.add(SECTIONS.index(section), signal)
         else:

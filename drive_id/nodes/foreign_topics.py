@@ -40,14 +40,14 @@ class ForeignTopics:
                 self._subscribe(given)
 
     def findings(self) -> list[Observation]:
-        """Return the topics that nobody publishes, and what cannot be read."""
+        """Return the topics that nobody publishes, what cannot be read, and clocks that differ."""
         missing = [
             f"Nobody publishes {self._node.resolve_topic_name(given)}."
             for given in self._translator.topics
             if given not in self._subscriptions and given not in self._troubles
         ]
-        unreadable = [self._translator.last_error] if self._translator.last_error else []
-        return [(Level.WARN, sentence) for sentence in (*self._troubles.values(), *missing, *unreadable)]
+        said = filter(None, (self._translator.last_error, self._translator.clock_finding()))
+        return [(Level.WARN, sentence) for sentence in (*self._troubles.values(), *missing, *said)]
 
     def _subscribe(self, given: str) -> None:
         name = self._node.resolve_topic_name(given)

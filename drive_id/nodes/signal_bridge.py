@@ -76,7 +76,8 @@ class SignalBridge(Node):
         report = self._translator.report()
         findings = self._foreign.findings()
         findings += [(Level.WARN, warning) for warning in report.warnings if self._published]
-        said = findings[0][1] if findings else "The bench's topics are translated."
+        doing = "The bench's topics are translated." if self._published else "Nothing has been translated yet."
+        said = findings[0][1] if findings else doing
         values = {
             "samples": str(self._published),
             "gaps": str(report.gaps),

@@ -114,6 +114,29 @@ def test_lost_messages_show_in_the_count():
     np.testing.assert_allclose(after.currents[0], stranger.i_abc[250], rtol=1e-6)
 
 
+def test_clocks_that_differ_are_told():
+    """The drive's clock began 100 s before its count: no voltage belongs to any current."""
+    made, stranger = translator(), Stranger(40)
+    assert made.clock_finding() == ""
+    blocks = []
+    for k in range(40):
+        made.receive("duty", stranger.floats(k), 0)
+    blocks += made.advance()
+    assert made.clock_finding() == ""  # the others may not have begun
+    stranger.period = 100.0 / 20
+    for k in range(20, 30):
+        made.receive("joint", stranger.joint(k), 0)
+    blocks += made.advance()
+    assert blocks == []
+    assert made.clock_finding() == (
+        "The newest stamps do not go together, currents (joint) 145.000 s, voltages (duty) 0.008 s, resolver (joint) "
+        "145.000 s: take the stamps of all signals from one clock."
+    )
+    made, stranger = translator(), Stranger(2500)
+    assert translated(made, stranger, range(2500))
+    assert made.clock_finding() == ""
+
+
 @pytest.mark.parametrize("error", [-2e-3, 2e-3])
 def test_a_period_that_is_not_quite_the_declared_one_is_no_loss_and_hides_none(error):
     stranger, made = Stranger(4000, period=PERIOD * (1 + error)), translator(voltages={"stamp": "log_time"})

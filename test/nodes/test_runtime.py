@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -78,6 +79,28 @@ def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
     ros.wait(lambda: "Ready" in process.output, "the bench")
     ros.wait(lambda: ros.node.count_publishers("/clock") == 1, "its clock")
     assert process.interrupt()[0] == 0, process.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--params-file", "nowhere.yaml"], "TrajectoryPublisher: ROS refuses the arguments ("),
+        (
+            ["-p", "i_max:=300"],
+            "expecting type 'DOUBLE': i_max. A DOUBLE is written with a decimal point, as in 300.0.",
+        ),
+    ],
+)
+def test_a_wrong_start_is_told_in_a_sentence(tmp_path, arguments, sentence):
+    ended = subprocess.run(
+        [sys.executable, "-m", PUBLISHER, "--ros-args", *arguments],
+        env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOG_DIR": str(tmp_path)},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=DEADLINE, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    *of_rcl, line = ended.stdout.splitlines()
+    assert sentence in line
+    assert all("[rcl]" in other for other in of_rcl), ended.stdout
 
 
 def test_a_signal_while_the_node_is_made(ros):

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from ros_bench import own_domain, require_ros
 
-from drive_id.errors import ExperimentError
+from drive_id.errors import ConfigurationError, ExperimentError
 
 NODES = ("trajectory_publisher", "recorder", "identification")
 
@@ -202,6 +202,14 @@ def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
         bench.wait_until_ready(30.0)
     nodes.nodes["identification"].set_parameters([nodes.parameter("i_max", value=100.0)])
     assert nodes.calls == []
+
+
+def test_a_namespace_that_is_none_is_told():
+    require_ros()
+    from drive_id.ros import Bench
+
+    with pytest.raises(ConfigurationError, match=r"ROS refuses the arguments .*Invalid namespace"):
+        Bench(namespace="bad-name")
 
 
 def test_two_drives_in_one_namespace_are_refused(nodes):

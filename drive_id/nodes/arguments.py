@@ -14,6 +14,7 @@ from drive_id.errors import ConfigurationError
 
 _PLACES = re.compile(r",? at /\S+:\d+")
 """Where rcl has found a mistake, in its own source."""
+_PREFIX = re.compile(r"^failed to (?:initialize rcl|parse ROS arguments): ", re.IGNORECASE)
 _FOR_MIDDLEWARE = "qos_overrides."
 """Parameters that a node may be given without declaring them."""
 
@@ -34,7 +35,7 @@ def ros_arguments() -> Iterator[None]:
     except RuntimeError as error:  # RCLError and UnknownROSArgsError, which are in a private module
         if not type(error).__module__.startswith("rclpy."):
             raise
-        reason = _PLACES.sub("", str(error)).removeprefix("failed to initialize rcl: ")
+        reason = _PREFIX.sub("", _PLACES.sub("", str(error)))
     else:
         return
     raise ConfigurationError(f"ROS refuses the arguments ({reason.strip(' .')}): correct what follows --ros-args.")

@@ -31,6 +31,7 @@ from rich.progress import Progress as Bar
 
 from drive_id.errors import DriveIdError, ExperimentError
 from drive_id.files.machines.ground_truth import decode_truth
+from drive_id.nodes.arguments import ros_arguments
 from drive_id.ros.bench import Bench, Identified, Progress
 from drive_id.ros.comparison import comparison
 from drive_id.types import GroundTruth
@@ -180,12 +181,18 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
     parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s")
     parser.add_argument("--start-up", type=float, default=300.0, help="time for all nodes to become ready, s")
-    return parser.parse_args(remove_ros_args(sys.argv)[1:])
+    with ros_arguments():
+        own = remove_ros_args(sys.argv)[1:]
+    return parser.parse_args(own)
 
 
 def main() -> None:
     """Run the experiment and print its table; the exit code is 0 only if everything succeeded."""
-    options = _options()
+    try:
+        options = _options()
+    except DriveIdError as error:
+        sys.stderr.write(f"characterize: {error}\n")
+        sys.exit(1)
     # Ctrl-C shall raise KeyboardInterrupt here, also in the background of a script, which would ignore it; so shall a
     # request to end and, without nohup, the loss of the terminal.
     signal.signal(signal.SIGINT, signal.default_int_handler)

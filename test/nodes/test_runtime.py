@@ -15,6 +15,7 @@ from ros_bench import DEADLINE, ros_bench
 
 from drive_id.nodes.middleware import without_type_lookup
 
+CLIENT = "drive_id.ros.characterize"
 VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"
 
 
@@ -82,18 +83,24 @@ def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("module", "arguments", "sentence"),
     [
-        (["--params-file", "nowhere.yaml"], "TrajectoryPublisher: ROS refuses the arguments ("),
         (
+            PUBLISHER,
+            ["--params-file", "nowhere.yaml"],
+            "TrajectoryPublisher: ROS refuses the arguments (Couldn't parse",
+        ),
+        (CLIENT, ["-r", "__ns:=bad-name"], "characterize: ROS refuses the arguments (Couldn't parse"),
+        (
+            PUBLISHER,
             ["-p", "i_max:=300"],
-            "expecting type 'DOUBLE': i_max. A DOUBLE is written with a decimal point, as in 300.0.",
+            "type 'DOUBLE': i_max. A DOUBLE is written with a decimal point, as in 300.0.",
         ),
     ],
 )
-def test_a_wrong_start_is_told_in_a_sentence(tmp_path, arguments, sentence):
+def test_a_wrong_start_is_told_in_a_sentence(tmp_path, module, arguments, sentence):
     ended = subprocess.run(
-        [sys.executable, "-m", PUBLISHER, "--ros-args", *arguments],
+        [sys.executable, "-m", module, "--ros-args", *arguments],
         env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOG_DIR": str(tmp_path)},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=DEADLINE, check=False,
     )  # fmt: skip

@@ -59,8 +59,9 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
         lambda: (
             services <= used(graph.get_service_names_and_types_by_node)
             and published <= used(graph.get_publisher_names_and_types_by_node)
+            and rights["topics", "subscribe"] - FROM_TIME <= used(graph.get_subscriber_names_and_types_by_node)
         ),
-        f"what {node} offers",
+        f"what {node} offers and listens to",
     )
     assert used(graph.get_publisher_names_and_types_by_node) == published
     listened = used(graph.get_subscriber_names_and_types_by_node)

@@ -54,5 +54,5 @@ def warn_of_unknown_parameters(node: Node) -> None:
     known = node.list_parameters([], 0).names if unknown else []
     for name in unknown:
         near = difflib.get_close_matches(name, known, 1)
-        guess = f"did you mean {near[0]}?" if near else "ros2 param list shows those there are."
+        guess = f"did you mean {near[0]}?" if near else "ros2 param list shows all parameters."
         node.get_logger().warning(f"There is no parameter {name}, so its value is ignored: {guess}")

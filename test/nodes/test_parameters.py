@@ -97,7 +97,7 @@ def test_parameters_that_do_not_exist_are_told(make, capfd):
     logged = [line.partition("[some]: ")[2] for line in "".join(capfd.readouterr()).splitlines() if "[some]" in line]
     assert sorted(logged) == [
         "There is no parameter coumt, so its value is ignored: did you mean count?",
-        "There is no parameter zzzzzz, so its value is ignored: ros2 param list shows those there are.",
+        "There is no parameter zzzzzz, so its value is ignored: ros2 param list shows all parameters.",
     ]
 
 

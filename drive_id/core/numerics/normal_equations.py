@@ -18,11 +18,10 @@ _TILE = 256
 def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
     """Return T' A T of a symmetric A."""
     transposed = sparse.csr_array(t.T)
-    half = transposed @ matrix
     out = np.empty((t.shape[1], t.shape[1]))
     for start in range(0, t.shape[1], _TILE):  # in parts: the matrices are large
         part = slice(start, start + _TILE)
-        out[:, part] = transposed @ np.ascontiguousarray(half[part].T)
+        out[:, part] = transposed @ np.ascontiguousarray((transposed[part] @ matrix).T)
     return out
 
 

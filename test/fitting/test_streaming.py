@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,11 +23,12 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
-from drive_id.files.messages.signals_file import parse_signals
+from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
 from drive_id.files.read.reader import read_recordings
 from drive_id.files.results import checkpoint
+from drive_id.files.results.checkpoint import Checkpoint
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import accumulate_bags, fit_bags
@@ -330,6 +332,19 @@ def test_without_room_for_a_checkpoint_the_work_goes_on(bag, tmp_path, monkeypat
     before = (tmp_path / "mine.npz").read_bytes()
     accumulate([bag], SETTINGS, checkpoint=tmp_path / "mine.npz")
     assert (tmp_path / "mine.npz").read_bytes() == before
+
+
+def test_a_checkpoint_is_written_without_a_copy_in_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    evidence = Evidence.within(SETTINGS, 300.0)
+    monkeypatch.setattr(evidence, "state", lambda: {f"sums_{k}": np.ones(1 << 18) for k in range(16)})  # 2 MB each
+    kept = Checkpoint(tmp_path / "kept", [], SETTINGS, SignalMap(), "")
+    tracemalloc.start()
+    kept.save(evidence, 1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert kept.saved
+    assert peak < 1.5 * 16 * 2**21
 
 
 @pytest.mark.usefixtures("long")

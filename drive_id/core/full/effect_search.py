@@ -59,12 +59,14 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class EffectSearch:
-    """Sums with the columns of all effects, the solution with the selected ones, and the savings behind the selection.
+    """The solution with the selected effects, and the savings behind the selection.
 
     Parameters
     ----------
     sums : WindowSums
+        With the columns of all effects if any was taken; without them otherwise, since they are large.
     solver : Solver
+        Of sums with the columns of all effects.
     solution : FullSolution
     columns : EffectColumns
     taken : tuple of Taken
@@ -146,6 +148,8 @@ def search_effects(
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(spec)
     names = {each.name for each in taken}
+    if names <= {DELAY}:
+        extended = sums
     taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
     return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
 

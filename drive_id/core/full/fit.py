@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise, zip_longest
 
 import numpy as np
 from scipy import sparse
@@ -13,7 +13,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effect_search import EffectSearch, Taken
 from drive_id.core.full.effects import EffectColumns
-from drive_id.core.full.lack_of_fit import LEAST_TOLD, LackOfFit, lack_of_fit, tested_causes
+from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
 from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
@@ -34,9 +34,15 @@ _SLOPE_STEP = 0.02
 _STUDENT = 1.21
 """Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
 _KURTOSIS, _FEWEST = 3.0, 6.0
+_PARTS = 4
+"""Parts of the windows that are evaluated in parallel threads."""
 _NEAR_ZERO = 0.02
 """Currents relative to i_max below which the steep inverter curve amplifies current noise."""
 _PASSIVE_POINTS, _STIFFER, _ROUNDS = 41, 10.0, 7
+
+
+_Batch = tuple[FloatArray, float, float, float]
+"""Scores (M,), mean square residual, (Vs)^2, mean square inductance, H^2, and time, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +253,7 @@ def fit_full(
         solution, bias_bound = correct_attenuation(solver, uncertain, noise)
         if settings.passive_maps:
             solution = enforce_passivity(solver, solution)
-        batches, energy, times = batch_changes(sums, solution)
-        misfit = lack_of_fit(sums, solution, noise)
+        batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         changes = np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes])
         if solution.spec.wide:
             changes = np.column_stack([changes, _among_curves(solver, solution)])
@@ -307,33 +312,53 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     return float(sides[0] - sides[1]) / (2 * step)
 
 
-def batch_changes(sums: WindowSums, solution: FullSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the change of the estimate by each batch of kept windows (size, B), its comparable energy and time (B,).
+def residual_statistics(
+    sums: WindowSums, solution: FullSolution, noise: CurrentNoise
+) -> tuple[FloatArray, FloatArray, FloatArray, LackOfFit]:
+    """Evaluate the residuals of the kept windows.
 
-    The energy, (Vs)^2, is the mean square residual of windows away from zero current, 0 without any, divided by their
-    mean square inductance where that is above average: residuals by current noise are proportional to it.
+    Returns
+    -------
+    changes : (size, B) float
+        Change of the estimate by each batch.
+    energy : (B,) float
+        Comparable energy of each batch, (Vs)^2: the mean square residual of windows away from zero current, 0 without
+        any, divided by their mean square inductance where that is above average: residuals by current noise are
+        proportional to it.
+    time : (B,) float
+        s.
+    misfit : LackOfFit
     """
     model, kept = sums.model, sums.kept()
     through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
     covariance = solution.white_covariance  # cached before the threads start
 
-    def batches_of(segment: Windows) -> list[tuple[FloatArray, float, float, float]]:
-        rows = model.design_times(segment, through, solution.spec.orders)
-        away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
-        squares = squared_inductances(model, solution.estimate, segment)
-        return _batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0))
+    def evaluated(segments: Sequence[Windows]) -> tuple[list[list[_Batch]], GroupSums]:
+        batches, groups = [], GroupSums(solution.basis.shape[1])
+        for segment in segments:
+            rows = model.design_times(segment, through, solution.spec.orders)
+            squares = squared_inductances(model, solution.estimate, segment)
+            away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
+            batches.append(_batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0)))
+            groups.add(segment, rows, noise.variance * squares, model.i_max)
+        return batches, groups
 
-    batches = [batch for several in in_threads(batches_of, kept) for batch in several]
-    scores, energy, square, time = (np.array(values) for values in zip(*batches, strict=True))
+    parts = in_threads(evaluated, [kept[number::_PARTS] for number in range(_PARTS)])
+    (_, groups), *others = parts
+    for _, other in others:
+        groups.merge(other)
+    in_order = (batches for together in zip_longest(*(part for part, _ in parts), fillvalue=()) for batches in together)
+    scores, energy, square, time = (np.array(x) for x in zip(*chain.from_iterable(in_order), strict=True))
     share = sums.windows / max(sum(len(segment) for segment in kept), 1)
     usual = square[square > 0].mean() if square.any() else 1.0
-    changes = solution.basis @ solution.gain(np.sqrt(share) * scores.T)
-    return np.asarray(changes), energy / np.maximum(square / usual, 1.0), time
+    changes = np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T))
+    energy /= np.maximum(square / usual, 1.0)
+    return changes, energy, time, groups.lack_of_fit(model, solution, share)
 
 
 def _batch_scores(
     solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray, squares: FloatArray
-) -> list[tuple[FloatArray, float, float, float]]:
+) -> list[_Batch]:
     """Return of each batch the scores (ZT)'e (M,), mean square residual, (Vs)^2, mean of ``squares``, and time, s.
 
     ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r. The residuals e are corrected for leverage by CR2,

@@ -19,18 +19,15 @@ from scipy import sparse
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, squared_inductances
+from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
-from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 LEAST_TOLD = 1.3
 """Ratio of the residuals to noise above which a warning is given."""
 
 _CELLS, _POSITIONS = 12, 48
-_PARTS = 4
-"""Parts of the windows that are summed in parallel threads."""
 _FEWEST = 8
 """Fewest windows of a group that is evaluated."""
 _SIGNIFICANCE = 4.0
@@ -73,51 +70,76 @@ class LackOfFit:
     causes: Mapping[str, float] = field(default_factory=dict)
 
 
-def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -> LackOfFit:
-    """Compare the residuals with noise, by region of the current plane and by rotor position."""
-    model, kept = sums.model, sums.kept()
-    through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
-    unknowns = solution.basis.shape[1]
+class GroupSums:
+    """Scores and residuals of windows, summed by cell of the current plane and by rotor position.
 
-    def grouped(segments: Sequence[Windows]) -> list[FloatArray]:
-        """Return scores and facts, by cell and by rotor position."""
-        sums_of = [np.zeros((count, width)) for width in (unknowns, 5) for count in (_CELLS**2, _POSITIONS)]
-        for segment in segments:
-            rows = model.design_times(segment, through, solution.spec.orders)
-            error = rows[..., -1]
-            turn = np.exp(-1j * segment.angle.mean(axis=1))
-            turned = (error[:, 0] + 1j * error[:, 1]) * turn
-            expected = noise.variance * squared_inductances(model, solution.estimate, segment)
-            scores = np.einsum("nak,na->nk", rows[..., :-1], error)
-            facts = np.stack([np.ones(len(segment)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-            groups = _groups(segment, model.i_max)
-            for group, total, values in zip((*groups, *groups), sums_of, (scores, scores, facts, facts), strict=True):
-                chosen = (np.ones(len(group)), (group, np.arange(len(group))))
-                total[...] += sparse.csr_array(chosen, shape=(len(total), len(group))) @ values
-        return sums_of
+    Parameters
+    ----------
+    unknowns : int
+    """
 
-    parts = in_threads(grouped, [kept[number::_PARTS] for number in range(_PARTS)])
-    by_cell, by_position, cells, positions = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
-    squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
-    enough = cells[:, 0] > _FEWEST
-    worst = int(np.argmax(np.where(enough, squares, 0.0)))
-    share = sums.windows / max(sum(len(segment) for segment in kept), 1)
-    ratios = [_repeating(facts) for facts in (cells, positions)]
-    changes = [
-        solution.basis @ solution.gain(np.sqrt(max(1 - 1 / ratio, 0.0)) * share * scores.T)
-        for ratio, scores in zip(ratios, (by_cell, by_position), strict=True)
-        if ratio > 1
-    ]
-    inner = _inner_cells() & enough
-    return LackOfFit(
-        ratio=_rms_ratio(cells[enough]),
-        i_dq=_centre(worst, model.i_max),
-        worst=float(np.sqrt(squares[worst])),
-        low=_rms_ratio(cells[inner]),
-        by_current=ratios[0],
-        by_position=ratios[1],
-        changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
-    )
+    def __init__(self, unknowns: int) -> None:
+        self._scores = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
+        self._facts = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]
+
+    def add(self, windows: Windows, rows: FloatArray, expected: FloatArray, i_max: float) -> None:
+        """Add windows.
+
+        Parameters
+        ----------
+        windows : Windows
+        rows : (N, 2, unknowns + 1) float
+            Z T and, last, the residuals.
+        expected : (N,) float
+            Squared residuals that current noise explains, (Vs)^2.
+        i_max : float
+            Radius of the current disc, A.
+        """
+        error = rows[..., -1]
+        turned = (error[:, 0] + 1j * error[:, 1]) * np.exp(-1j * windows.angle.mean(axis=1))
+        scores = np.einsum("nak,na->nk", rows[..., :-1], error)
+        facts = np.stack([np.ones(len(windows)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
+        for group, of_scores, of_facts in zip(_groups(windows, i_max), self._scores, self._facts, strict=True):
+            chosen = (np.ones(len(group)), (group, np.arange(len(group))))
+            sums = sparse.csr_array(chosen, shape=(len(of_facts), len(group)))
+            of_scores[...] += sums @ scores
+            of_facts[...] += sums @ facts
+
+    def merge(self, other: GroupSums) -> None:
+        """Add the sums over other windows."""
+        for own, theirs in zip((*self._scores, *self._facts), (*other._scores, *other._facts), strict=True):
+            own[...] += theirs
+
+    def lack_of_fit(self, model: FullModel, solution: FullSolution, share: float) -> LackOfFit:
+        """Compare the residuals with noise, by region of the current plane and by rotor position.
+
+        Parameters
+        ----------
+        model : FullModel
+        solution : FullSolution
+        share : float
+            Number of all windows over that of the windows added.
+        """
+        (by_cell, by_position), (cells, positions) = self._scores, self._facts
+        squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
+        enough = cells[:, 0] > _FEWEST
+        worst = int(np.argmax(np.where(enough, squares, 0.0)))
+        ratios = [_repeating(facts) for facts in (cells, positions)]
+        changes = [
+            solution.basis @ solution.gain(np.sqrt(max(1 - 1 / ratio, 0.0)) * share * scores.T)
+            for ratio, scores in zip(ratios, (by_cell, by_position), strict=True)
+            if ratio > 1
+        ]
+        inner = _inner_cells() & enough
+        return LackOfFit(
+            ratio=_rms_ratio(cells[enough]),
+            i_dq=_centre(worst, model.i_max),
+            worst=float(np.sqrt(squares[worst])),
+            low=_rms_ratio(cells[inner]),
+            by_current=ratios[0],
+            by_position=ratios[1],
+            changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
+        )
 
 
 def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str]) -> dict[str, float]:

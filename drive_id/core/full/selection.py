@@ -157,6 +157,8 @@ def _select(
         advantage, clearly = _advantage(solver, free, error)
         if clearly and _advantage_beyond_noise(solver, spec, error, free, noise) > _CLEAR_GAIN:
             freed = search.sums.freed(model.all_orders)
+            if search.sums.effects is None:
+                freed = freed.with_effects(search.columns)
             search = replace(search, sums=freed, solver=Solver.over(freed))
             everything = search.solver.solve(replace(free, orders=orders))
             significant = _significant_orders(freed.model, everything, i_dq)

@@ -19,7 +19,7 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
+from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
 from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Gathered, Limits, SimulationModel, Sums
 from drive_id.core.methods.paper import regression_sums
 from drive_id.core.numerics.bspline import Axis
@@ -27,6 +27,8 @@ from drive_id.errors import DataError
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
+_POINTS = 256
+"""Points of the map whose standard errors are formed at once."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
 _OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
@@ -154,9 +156,12 @@ class TrueFrame:
 
     def sigma(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
-        model = self.fit.model
-        rows = model.flux.rows(rotated(i_dq, -self.angle))
-        return fitted_sigma(rows.dot(self.fit.changes[model.map])), self.fit.white_sigma(rows)
+        model, changes = self.fit.model, self.fit.changes[self.fit.model.map]
+        rows, consistent = model.flux.rows(rotated(i_dq, -self.angle)), np.empty((len(i_dq), 2))
+        for start in range(0, len(i_dq), _POINTS):  # in parts: each point takes a number for each batch of time
+            part = slice(start, start + _POINTS)
+            consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
+        return consistent, self.fit.white_sigma(rows)
 
 
 def _orders(fit: FullFit) -> list[int]:

@@ -18,11 +18,10 @@ _TILE = 256
 def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
     """Return T' A T of a symmetric A."""
     transposed = sparse.csr_array(t.T)
-    half = transposed @ matrix
     out = np.empty((t.shape[1], t.shape[1]))
     for start in range(0, t.shape[1], _TILE):  # in parts: the matrices are large
         part = slice(start, start + _TILE)
-        out[:, part] = transposed @ np.ascontiguousarray(half[part].T)
+        out[:, part] = transposed @ np.ascontiguousarray((transposed[part] @ matrix).T)
     return out
 
 
@@ -65,18 +64,24 @@ def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
 def penalized(
     normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], in_map: BoolArray
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in the unknowns of the map."""
-    inner, outer = np.flatnonzero(in_map), np.flatnonzero(~in_map)
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in the unknowns of the map.
+
+    The unknowns of the map are adjacent. ``normal`` is overwritten.
+    """
+    outer, (first, last) = np.flatnonzero(~in_map), np.flatnonzero(in_map)[[0, -1]]
+    inner = slice(first, last + 1)
     factor, scale = factorize(increased(normal[np.ix_(outer, outer)], penalties[0][outer][:, outer]))
 
     def halved(right: FloatArray) -> FloatArray:
         return np.asarray(linalg.solve_triangular(factor, (right.T / scale).T, lower=True, check_finite=False))
 
-    across, known = halved(normal[np.ix_(outer, inner)]), halved(moment[outer])
-    schur, reduced = normal[np.ix_(inner, inner)] - across.T @ across, moment[inner] - across.T @ known
+    across, known = halved(normal[outer, inner]), halved(moment[outer])
+    schur, reduced = normal[inner, inner], moment[inner] - across.T @ known
+    schur -= across.T @ across
     estimates = []
-    for penalty in penalties:
-        inner_factor, inner_scale = factorize(increased(schur.copy(), penalty[inner][:, inner]))
+    for number, penalty in enumerate(penalties, start=1):
+        penalized_schur = schur.copy() if number < len(penalties) else schur
+        inner_factor, inner_scale = factorize(increased(penalized_schur, penalty[inner][:, inner]))
         x = np.empty(len(moment))
         x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale, check_finite=False) / inner_scale
         rest = known - across @ x[inner]

@@ -7,7 +7,6 @@ An ``.npz`` without pickled objects. ``header`` is a JSON text: format, version,
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import time
@@ -112,12 +111,11 @@ class Checkpoint:
             "i_max": evidence.i_max,
             "pieces": pieces,
         }
-        stream = io.BytesIO()
         arrays = {"header": np.asarray(json.dumps(header)), **prefixed("evidence", evidence.state())}
-        np.savez(stream, **arrays)  # type: ignore[arg-type]  # numpy types them as bool
         staged = self.path.with_name(f"{self.path.name}.{os.getpid()}")
         try:
-            staged.write_bytes(stream.getvalue())
+            with staged.open("wb") as stream:  # not by way of memory: the sums are large
+                np.savez(stream, **arrays)  # type: ignore[arg-type]  # numpy types them as bool
             staged.replace(self.path)
         except OSError:
             self._usable = False

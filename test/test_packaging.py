@@ -116,6 +116,28 @@ def test_both_descriptions_of_the_package_agree(metadata, manifest):
     assert manifest.findtext("description") == metadata["description"] + "."
 
 
+def test_both_packages_name_the_same_people_and_licence(manifest):
+    messages = ET.parse(ROOT / "msg_defs" / "package.xml").getroot()
+    assert messages.findtext("license") == manifest.findtext("license")
+    people = [
+        [
+            (person.tag, person.text, person.get("email"))
+            for kind in ("maintainer", "author")
+            for person in root.iter(kind)
+        ]
+        for root in (manifest, messages)
+    ]
+    assert people[0] == people[1]
+
+
+@pytest.mark.parametrize("folder", [".", "msg_defs"])
+def test_the_tools_of_ros_accept_the_package(folder):
+    package = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg is not installed: it comes with ROS 2")
+    warnings: list[str] = []
+    package.parse_package(str(ROOT / folder), warnings=warnings).validate(warnings)
+    assert warnings == []
+
+
 def test_every_import_is_a_declared_dependency(metadata, manifest):
     required = {re.match(r"[\w.-]+", text)[0] for text in metadata["install_requires"]}
     declared = dependencies(manifest, "depend", "exec_depend")

@@ -290,8 +290,8 @@ def test_the_radius_of_samples_without_references_is_their_own_quantile(good):
     """Of a recording without references, whose amplitude grows steadily, beside one with references."""
     i_dq = np.column_stack([np.linspace(0.0, 260.0, len(good)), np.zeros(len(good))])
     growing = replace(good, i_abc=frames.to_abc(i_dq, good.angle), i_dq_reference=None)
-    known = frames.to_abc(np.full_like(i_dq, 150.0), good.angle)
-    known = replace(good, i_abc=known, i_dq_reference=np.full_like(i_dq, 150.0))
+    known = frames.to_abc(np.full_like(i_dq, 160.0), good.angle)
+    known = replace(good, i_abc=known, i_dq_reference=np.full_like(i_dq, 160.0))
     prescan = Prescan()
     for samples in (known, growing):
         prescan.add(samples)

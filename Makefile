@@ -32,7 +32,7 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench fuzz lint docs coverage package colcon clean
+.PHONY: help setup demo test bench fuzz lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -61,9 +61,18 @@ lint: setup ## check style, types and the direction of imports
 	@$(RUN) mypy
 	@$(RUN) python -m pytest -q test/test_imports.py
 
-coverage: setup ## run the tests and report which lines of core and files they reach
+ament: setup ## run the linters of ROS 2 from the Python package index
+	@test -d out/ament || $(RUN) python -m pip install --quiet --disable-pip-version-check --target out/ament \
+	    --requirement tools/requirements-ament.txt
+	@$(RUN) PYTHONPATH="$(CURDIR)/out/ament:$$PYTHONPATH" python -m pytest -q test/test_ament_lint.py
+
+mutation: setup ## change core/checks and core/signals in 100 places, and list the changes that no test notices
+	@$(RUN) python tools/mutation.py --tests test/core/checks test/core/signals test/inspection --mutants 100 $(ARGS) \
+	    -- drive_id/core/checks drive_id/core/signals
+
+coverage: setup ## run the tests and report which lines of core and files they reach: all tests must reach 95 %
 	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 python -m pytest -n $(JOBS) --dist loadscope -q --cov=drive_id.core --cov=drive_id.files \
-	    --cov-report=term:skip-covered $(ARGS)
+	    --cov-report=term:skip-covered $(or $(ARGS),--cov-fail-under=95)
 
 package: setup ## build wheel and sdist into out/dist, install each into an empty environment, and fit with it
 	@$(RUN) bash tools/check_package.sh out/dist

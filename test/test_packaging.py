@@ -21,19 +21,19 @@ import drive_id
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "drive_id").rglob("*.py"))
 
-# Where an import comes from: the name on the Python package index and the rosdep key.
-LIBRARIES = {
+# Where an import comes from: the name on the Python package index and the rosdep key; None: rosdep has no key for it.
+LIBRARIES: dict[str, tuple[str, str | None]] = {
     "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", "mcap-ros2-support"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", "mcap-ros2-support"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
-    "plotly": ("plotly", "python3-plotly"),
+    "plotly": ("plotly", None),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
-    "threadpoolctl": ("threadpoolctl", "python3-threadpoolctl"),
+    "threadpoolctl": ("threadpoolctl", None),
     "typer": ("typer", "python3-typer"),
     "yaml": ("PyYAML", "python3-yaml"),
     "zstandard": ("zstandard", "mcap-ros2-support"),
@@ -116,6 +116,28 @@ def test_both_descriptions_of_the_package_agree(metadata, manifest):
     assert manifest.findtext("description") == metadata["description"] + "."
 
 
+def test_both_packages_name_the_same_people_and_licence(manifest):
+    messages = ET.parse(ROOT / "msg_defs" / "package.xml").getroot()
+    assert messages.findtext("license") == manifest.findtext("license")
+    people = [
+        [
+            (person.tag, person.text, person.get("email"))
+            for kind in ("maintainer", "author")
+            for person in root.iter(kind)
+        ]
+        for root in (manifest, messages)
+    ]
+    assert people[0] == people[1]
+
+
+@pytest.mark.parametrize("folder", [".", "msg_defs"])
+def test_the_tools_of_ros_accept_the_package(folder):
+    package = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg is not installed: it comes with ROS 2")
+    warnings: list[str] = []
+    package.parse_package(str(ROOT / folder), warnings=warnings).validate(warnings)
+    assert warnings == []
+
+
 def test_every_import_is_a_declared_dependency(metadata, manifest):
     required = {re.match(r"[\w.-]+", text)[0] for text in metadata["install_requires"]}
     declared = dependencies(manifest, "depend", "exec_depend")
@@ -130,14 +152,21 @@ def test_every_import_is_a_declared_dependency(metadata, manifest):
         assert name in LIBRARIES, f"{file} imports {name}: name it in setup.py, package.xml and here"
         distribution, key = LIBRARIES[name]
         assert distribution in required, f"{file} imports {name}: name {distribution} in setup.py"
-        assert key in declared, f"{file} imports {name}: name {key} in package.xml"
+        assert key is None or key in declared, f"{file} imports {name}: name {key} in package.xml"
 
 
 def test_no_library_is_known_in_one_place_only(metadata, manifest):
     required = {re.match(r"[\w.-]+", text)[0] for text in metadata["install_requires"]}
     assert required == {distribution for distribution, _ in LIBRARIES.values()}
     launching = {"launch", "launch_ros"}  # what launch/ imports is nothing for pip
-    assert dependencies(manifest, "exec_depend") == {key for _, key in LIBRARIES.values()} | launching
+    assert dependencies(manifest, "exec_depend") == {key for _, key in LIBRARIES.values() if key} | launching
+
+
+def test_the_release_page_says_what_rosdep_cannot_install(metadata):
+    page = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
+    unknown = {distribution for distribution, key in LIBRARIES.values() if key is None}
+    wanted = [f'"{text}"' for text in metadata["install_requires"] if re.match(r"[\w.-]+", text)[0] in unknown]
+    assert f"    pip install {' '.join(wanted)}\n" in page
 
 
 def test_every_executable_exists(metadata):

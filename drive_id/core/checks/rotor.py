@@ -44,11 +44,7 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
     if wraps.sum() >= _FEWEST_WRAPS and spread > 0:
         turn = float(np.median(np.abs(every[wraps]))) + float(np.median(np.abs(every[~wraps])))
         whole = round(turn / (2 * np.pi))
-        if (
-            1 <= whole < _MOST_POLE_PAIRS
-            and abs(turn / (2 * np.pi) / whole - 1) < _TURN_TOLERANCE
-            and abs(turn - 360) > 1
-        ):
+        if 1 <= whole < _MOST_POLE_PAIRS and abs(turn / (2 * np.pi) / whole - 1) < _TURN_TOLERANCE:
             return
         for unit, name in _UNITS.items():
             if abs(turn / unit - 1) < 2 * _TURN_TOLERANCE:

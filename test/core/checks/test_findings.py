@@ -88,9 +88,9 @@ READINGS = {
     "8 for 4 pole pairs": (lambda s: turned(s, 2), "pole_pairs", "(4 instead of 8, say)"),
     "3 for 4 pole pairs": (lambda s: turned(s, 0.75), "pole_pairs", "by 4/3"),
     "a third, clockwise": (lambda s: turned(s, -1 / 3), "pole_pairs", "with 3 pole pairs"),
-    "currents a, b": (lambda s: replace(s, i_abc=s.i_abc[:, [1, 0, 2]]), "phases_swapped", "Phases a and b of the"),
-    "voltages b, c": (lambda s: replace(s, u_abc=s.u_abc[:, [0, 2, 1]]), "phases_swapped", "Phases b and c of the"),
-    "voltages a, c": (lambda s: replace(s, u_abc=s.u_abc[:, [2, 1, 0]]), "phases_swapped", "Phases a and c of the"),
+    "currents a, b": (lambda s: replace(s, i_abc=s.i_abc[:, [1, 0, 2]]), "phases_swapped", "a and b of the currents"),
+    "voltages b, c": (lambda s: replace(s, u_abc=s.u_abc[:, [0, 2, 1]]), "phases_swapped", "b and c of the voltages"),
+    "voltages a, c": (lambda s: replace(s, u_abc=s.u_abc[:, [2, 1, 0]]), "phases_swapped", "a and c of the voltages"),
     "both a, b": (
         lambda s: replace(s, i_abc=s.i_abc[:, [1, 0, 2]], u_abc=s.u_abc[:, [1, 0, 2]]),
         "direction",
@@ -202,7 +202,9 @@ def test_units_of_the_angle(ipm):
 def test_degrees_that_never_wrap(drives):
     for samples in drives.values():
         degrees = np.rad2deg(np.unwrap(samples.angle))
-        assert told(replace(samples, angle=degrees)).code == "angle_unit"
+        finding = told(replace(samples, angle=degrees))
+        assert finding.code == "angle_unit"
+        assert finding.values["factor"] == pytest.approx(np.pi / 180)
     samples = drives["ipm"]
     both = replace(samples, angle=np.rad2deg(np.unwrap(samples.angle)), speed=np.rad2deg(samples.speed))
     assert "speed_unit: deg/s" in told(both).message

@@ -284,3 +284,15 @@ def test_pieces_without_references_between_others_are_no_held_point(samples):
     prescan.add(replace(first, i_dq_reference=held))
     prescan.add(cut(samples, 7000, 20_000)[0])
     prescan.check()
+
+
+def test_the_radius_of_samples_without_references_is_their_own_quantile(good):
+    """Of a recording without references, whose amplitude grows steadily, beside one with references."""
+    i_dq = np.column_stack([np.linspace(0.0, 260.0, len(good)), np.zeros(len(good))])
+    growing = replace(good, i_abc=frames.to_abc(i_dq, good.angle), i_dq_reference=None)
+    known = frames.to_abc(np.full_like(i_dq, 160.0), good.angle)
+    known = replace(good, i_abc=known, i_dq_reference=np.full_like(i_dq, 160.0))
+    prescan = Prescan()
+    for samples in (known, growing):
+        prescan.add(samples)
+    assert prescan.radius == pytest.approx(260.0 * (1 - 2e-3), abs=0.1)  # 0.1 % of both are 0.2 % of one

@@ -54,6 +54,25 @@ def test_a_wrong_sample_is_located_wherever_pieces_end(samples, at, pieces, name
     assert ("phase c" if name == "i_abc" else "angle") in finding.message
 
 
+@pytest.mark.parametrize("amplitude", [0.05, 300.0])
+@pytest.mark.parametrize("turn", [0.02, -0.3])
+@pytest.mark.parametrize(("phase", "name"), [(1, "phase b"), (None, "angle")])
+def test_a_wrong_sample_of_drives_of_any_size_and_speed(samples, amplitude, turn, phase, name):
+    angle = turn * np.arange(len(samples)) + 0.1
+    i_abc = amplitude * np.cos(angle[:, None] - 2 * np.pi / 3 * np.arange(3))
+    u_abc, speed = 60.0 / amplitude * i_abc, np.full(len(samples), turn / samples.sample_period)
+    if phase is None:
+        angle[4711] += 0.06
+    else:
+        i_abc[4711, phase] += 0.1 * amplitude
+    angle = np.angle(np.exp(1j * angle))
+    changed = replace(samples, i_abc=i_abc, u_abc=u_abc, angle=angle, speed=speed, i_dq_reference=None)
+    (finding,) = single(changed)
+    assert name in finding.message
+    assert finding.values["samples"] == 1
+    assert finding.values["time"] == pytest.approx((samples.stamp[4711] - samples.stamp[0]) * 1e-9, abs=1e-9)
+
+
 def test_a_jump_of_the_angle_by_a_turn_is_none(samples):
     angle = samples.angle.copy()
     angle[5000] += 2 * np.pi

@@ -65,3 +65,13 @@ def test_gaps_are_not_bridged_and_a_coarse_angle_needs_its_speed():
     assert np.abs(with_speed.signal.values[:, 0] - angle).max() < 0.1
     with pytest.raises(DataError, match="too few"):
         interpolated_rotor(Signal("/enc", signal.stamp[:3], signal.values[:3]), clock)
+
+
+@pytest.mark.parametrize("with_speed", [True, False])
+def test_samples_in_any_order_and_repeated_ones_give_the_same(with_speed):
+    whole = rotor(4000.0, with_speed=with_speed)
+    clock = START + 3_333 + 100_000 * np.arange(9_900)
+    wanted = interpolated_rotor(whole, clock)
+    order = np.append(np.arange(len(whole.stamp))[::-1], [17, 17, 900])
+    found = interpolated_rotor(Signal("/enc", whole.stamp[order], whole.values[order]), clock)
+    np.testing.assert_array_equal(found.signal.values, wanted.signal.values)

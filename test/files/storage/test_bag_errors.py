@@ -78,8 +78,8 @@ def sqlite_copy(bag: Path, target: Path) -> Path:
     store = message_typestore()
     with AnyReader([bag]) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         keys = {t: writer.add_connection(t, i.msgtype, typestore=store) for t, i in reader.topics.items()}
-        for connection, time, raw in reader.messages():
-            writer.write(keys[connection.topic], time, raw)
+        for connection, stamp, raw in reader.messages():
+            writer.write(keys[connection.topic], stamp, raw)
     return target
 
 
@@ -267,8 +267,8 @@ def test_damaged_truth(tmp_path):
     with AnyReader([tmp_path / "good"]) as reader, Rosbag2McapWriter(tmp_path / "bad") as writer:
         for connection in reader.connections:
             writer.add_topic(connection.topic, connection.msgtype)
-        for connection, time, raw in reader.messages():
-            writer.write(connection.topic, raw, time)
+        for connection, stamp, raw in reader.messages():
+            writer.write(connection.topic, raw, stamp)
         writer.attach("ground_truth.npz", b"PK no archive")
     refused(tmp_path / "bad", BagError, "ground truth attached to .* cannot be read")
 
@@ -366,8 +366,8 @@ def test_garbage_in_a_message(tmp_path):
     with AnyReader([tmp_path / "good"]) as reader, Rosbag2McapWriter(tmp_path / "bad") as writer:
         for connection in reader.connections:
             writer.add_topic(connection.topic, connection.msgtype)
-        for k, (connection, time, raw) in enumerate(reader.messages()):
-            writer.write(connection.topic, raw if k != 10 else raw[:50], time)
+        for k, (connection, stamp, raw) in enumerate(reader.messages()):
+            writer.write(connection.topic, raw if k != 10 else raw[:50], stamp)
     refused(
         tmp_path / "bad",
         MessageTypeError,

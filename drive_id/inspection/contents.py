@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.errors import DriveIdError
+from drive_id.errors import DriveIdError, MessageTypeError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
@@ -30,6 +30,7 @@ _MOST_MESSAGES = 200_000
 _MOST_ELEMENTS = 16
 """Longest array whose elements are columns of their own; longer ones are blocks of samples."""
 _DEPTH = 4
+_FIRST_ROWS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
 
 
 def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
-    wanted = [Column(group.name, name) for name in group.columns]
+    wanted = _of_numbers(log, [Column(group.name, name) for name in group.columns])
     time = Column(group.name, OWN_TIME)
     found: dict[Column, list[Any]] = defaultdict(list)
     problem, count, total = "", 0, group.rows
@@ -151,6 +152,21 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
     return Table(
         group.name, log.kind, total, columns, dict(group.columns), stamp, "own" if time in found else "", 1, problem
     )
+
+
+def _of_numbers(log: ColumnLog, columns: list[Column]) -> list[Column]:
+    """Return the columns that hold numbers or times, by the first rows; all of them if none does."""
+
+    def readable(wanted: list[Column]) -> bool:
+        try:
+            next(iter(log.parts(wanted, _FIRST_ROWS)), None)
+        except MessageTypeError:
+            return False
+        return True
+
+    if readable(columns):
+        return columns
+    return [column for column in columns if readable([column])] or columns
 
 
 def _of_topics(bag: Bag, signals: SignalMap) -> Iterator[Table]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
 from column_files import write_csv, write_mdf, write_parquet
 from foreign_rows import write_rows
+from scipy.io import savemat
 
 from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
@@ -336,3 +338,102 @@ def test_angles_and_counts():
     assert is_count(np.delete(k, [5, 6, 900]))
     assert not is_count(2 * k)
     assert (4096, 3) in likely_counts(30.0, 40_960.0)
+
+
+def csv_text(table, separator=",", decimal="."):
+    rows = np.column_stack(list(table.values()))
+    return "".join(separator.join(repr(float(x)).replace(".", decimal) for x in row) + "\n" for row in rows)
+
+
+def clocked(table, form, separator, decimal):
+    """Return rows whose first cell is the time as a text."""
+    start = datetime(2024, 3, 1, 12, 59, 58)  # noqa: DTZ001
+    rows = csv_text({name: x for name, x in table.items() if name != "time_s"}, separator, decimal).splitlines()
+    times = [start + timedelta(microseconds=round(1e6 * t)) for t in table["time_s"]]
+    return "".join(f"{time.strftime(form)}{separator}{row}\n" for time, row in zip(times, rows, strict=True))
+
+
+SCOPE = "Model,MSO58\nSample Interval,1e-4\nRecord Length,6000\nZero Index,0\nVertical Units,A,A,A,V,V,V,rad\n\n"
+
+
+@pytest.mark.parametrize("name", ["oscilloscope", "clock", "German date", "UTF-16", "white space", "numbered rows"])
+def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
+    table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)
+    names, own = ",".join(table), ",".join(list(table)[1:])
+    text, encoding = {
+        "oscilloscope": (SCOPE + f"Labels{',' * 7}\n" + names + "\n" + csv_text(table), "utf-8"),
+        "clock": (f"time,{own}\n" + clocked(table, "%H:%M:%S.%f", ",", "."), "utf-8"),
+        "German date": (
+            f"Zeit,{own}\n".replace(",", ";") + clocked(table, "%d.%m.%Y %H:%M:%S,%f", ";", ","),
+            "utf-8-sig",
+        ),
+        "UTF-16": (names + "\n" + csv_text(table), "utf-16"),
+        "white space": (names.replace(",", "  ") + "\n" + csv_text(table, "  "), "utf-8"),
+        "numbered rows": (
+            f",{names}\n" + "".join(f"{k},{row}\n" for k, row in enumerate(csv_text(table).splitlines())),
+            "utf-8",
+        ),
+    }[name]
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    assert read.sample_period == pytest.approx(1e-4)
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
+    np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
+
+
+def struct_array(records):
+    kinds = [(field, object) for field in records[0]]
+    found = np.zeros(len(records), kinds)
+    for k, record in enumerate(records):
+        found[k] = tuple(record.values())
+    return found
+
+
+@pytest.mark.parametrize("name", ["ControlDesk", "structure with time", "array"])
+def test_drafts_for_structs_of_measurement_tools(name, tmp_path, samples):
+    table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)
+    time, traces = table["time_s"], {key: x for key, x in table.items() if key != "time_s"}
+    content = {
+        "ControlDesk": {
+            "rec1": {
+                "X": struct_array([{"Name": "", "Data": time[None, :]}]),
+                "Y": struct_array([{"Name": f"Model Root/{key}", "Data": x[None, :]} for key, x in traces.items()]),
+            }
+        },
+        "structure with time": {
+            "scope": {
+                "time": time[:, None],
+                "signals": struct_array([{"values": x[:, None], "label": key} for key, x in traces.items()]),
+            }
+        },
+        "array": {"ans": np.vstack([time, *traces.values()])},
+    }[name]
+    path = tmp_path / "log.mat"
+    savemat(path, content)
+    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    assert read.sample_period == pytest.approx(1e-4)
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
+    np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
+
+
+def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, samples):
+    u_a, u_b, u_c = (samples.u_abc - samples.u_abc.mean(axis=1, keepdims=True)).T
+    table = columns(samples, time_s=None, ua=None, ub=None, uc=None, id_ref=None, iq_ref=None, omega=None)
+    table |= {"u_AB": u_a - u_b, "u_BC": u_b - u_c, "u_CA": u_c - u_a}
+    table |= {name: 1e3 * table[name] for name in ("ia", "ib", "ic")}
+    path = write_parquet(tmp_path / "log.parquet", table)
+    draft = inspect_log(path).draft
+    assert sum("No column is the time" in text or "taken for mA" in text for text in draft.unsure) == 2
+    read = read_recording(path, parse_signals(draft.text, "draft")).samples
+    np.testing.assert_allclose(read.i_abc, samples.i_abc, rtol=1e-12)
+    np.testing.assert_allclose(read.u_abc, np.column_stack([u_a, u_b, u_c]), atol=1e-9)
+
+
+def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, samples):
+    table = columns(samples)
+    table["ia"] = np.where(np.arange(len(samples)) % 4000 == 7, np.nan, table["ia"])
+    found = inspect_log(write_parquet(tmp_path / "log.parquet", table))
+    assert "fields: [ia, ib, ic]" in found.draft.text
+    assert "equally_spaced" not in found.draft.text
+    assert "non_finite" in [finding.code for finding in found.findings]

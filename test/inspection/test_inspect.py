@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,16 +14,20 @@ from column_files import write_csv, write_mdf, write_parquet
 from foreign_rows import write_rows
 from scipy.io import savemat
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.writer import Topics, write_recording
+from drive_id.fitting.simulated import run_experiment
 from drive_id.inspection.inspect import inspect_log
 from drive_id.inspection.names import name_groups, suggests
 from drive_id.types import Samples
 
 POLE_PAIRS = 4
+CHECKS = Path(__file__).parents[2] / "docs" / "checks.md"
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +53,30 @@ def swapped(x):
     return x[:, [0, 2, 1]]
 
 
+def every(samples, n):
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    return {name: getattr(samples, name)[::n] for name in names} | {"sample_period": n * samples.sample_period}
+
+
+def drifting(samples):
+    """The machine accelerates by a fifth, and currents and voltages turn with it."""
+    share = 1 + 0.2 * np.arange(len(samples)) / len(samples)
+    angle = np.cumsum(samples.speed * share) * samples.sample_period
+    turned = {name: frames.to_abc(frames.to_dq(x, samples.angle), angle) for name, x in
+              (("i_abc", samples.i_abc), ("u_abc", samples.u_abc))}  # fmt: skip
+    return turned | {"speed": samples.speed * share, "angle": angle}
+
+
+def narrow(samples):
+    """Samples with currents of the first quadrant, at their times."""
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    kept = (i_dq[:, 0] < 0) & (i_dq[:, 1] > 0)
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    starts = np.flatnonzero(np.diff(np.flatnonzero(kept), prepend=-9) > 1)
+    return {name: getattr(samples, name)[kept] for name in names} | {"run_starts": starts}
+
+
+RNG = np.random.default_rng(5)
 WRONG = {
     "duty cycles": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 400 + 0.5}),
     "duty cycles around zero": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 200}),
@@ -64,13 +94,51 @@ WRONG = {
     "no voltage": ("no_voltage", lambda s: {"u_abc": 0 * s.u_abc}),
     "jump": ("angle_jump", lambda s: {"angle": s.angle + 2 * (np.arange(len(s)) > 5000)}),
     "slow clock": ("sample_period", lambda s: {"stamp": s.stamp * 1000, "sample_period": 0.1}),
+    "voltages of another time": ("time_shift", lambda s: {"u_abc": np.roll(s.u_abc, 25, axis=0)}),
+    "voltages of another drive": ("unexplained", lambda s: {"u_abc": s.u_abc[::-1] * [1.0, -0.4, 0.2]}),
+    "every tenth sample": ("decimated", lambda s: every(s, 10)),
+    "a loss of voltage": ("outlier", lambda s: {"u_abc": s.u_abc * (np.abs(np.arange(len(s)) - 21_575) > 25)[:, None]}),
+    "a flipped bit": ("single_sample", lambda s: {"angle": s.angle + 0.02 * (np.arange(len(s)) == 7000)}),
+    "standstill": ("standstill", lambda s: {"angle": 0.3 + 0 * s.angle, "speed": 0 * s.speed}),
+    "every fourtieth sample": ("coarse_sampling", lambda s: every(s, 40)),
+    "slow angle": ("held_angle", lambda s: {"angle": np.repeat(s.angle[::8], 8)[: len(s)]}),
+    "drifting speed": ("speed_drift", drifting),
+    "constant references": ("held_references", lambda s: {"i_dq_reference": 0 * s.i_dq_reference + [-20.0, 30.0]}),
+    "noise only": ("no_trajectory", lambda s: {"i_dq_reference": None, "i_abc": 1e-3 * RNG.normal(size=s.i_abc.shape)}),
+    "current spike": (
+        "current_spike",
+        lambda s: {"i_abc": s.i_abc + 1e4 * (np.arange(len(s)) == 900)[:, None] * [1, 0, -1]},
+    ),
+    "unequal gains": ("zero_sequence", lambda s: {"i_abc": s.i_abc * [1.1, 1.0, 1.0]}),
+    "current offset": ("current_offset", lambda s: {"i_abc": s.i_abc + np.array([20.0, -10.0, -10.0])}),
+    "voltage offset": ("voltage_offset", lambda s: {"u_abc": s.u_abc + np.array([8.0, -4.0, -4.0])}),
+    "saturated current": ("current_clipped", lambda s: {"i_abc": np.clip(s.i_abc, -150.0, 150.0)}),
+    "saturated voltage": ("voltage_clipped", lambda s: {"u_abc": np.clip(s.u_abc, -25.0, 25.0)}),
+    "stuck phase": (
+        "phase_stuck",
+        lambda s: {"i_abc": np.where((np.arange(len(s)) // 400 == 9)[:, None] * [False, True, False], 1.5, s.i_abc)},
+    ),
+    "coarse converter": ("phase_quantized", lambda s: {"i_abc": np.round(s.i_abc / 10) * 10}),
+    "one corner": ("coverage", narrow),
+    "jitter": ("stamp_jitter", lambda s: {"stamp": s.stamp + RNG.integers(-30_000, 30_000, len(s))}),
     "gaps": ("gaps", lambda s: {"stamp": s.stamp + 1_000_000 * (np.arange(len(s)) > 5000)}),
 }
 
 
+LONG = ("a loss of voltage", "drifting speed", "current offset")
+"""What shows against several passes of a trajectory."""
+
+
+@pytest.fixture(scope="module")
+def long():
+    settings = SimulationSettings(current_noise=1e-3)
+    return replace(run_experiment(machine_map("ipm"), settings, seconds=5.0).samples, truth=None)
+
+
 @pytest.mark.parametrize("name", WRONG)
-def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples):
+def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
     code, change = WRONG[name]
+    samples = long if name in LONG else samples
     changed = {"run_starts": np.array([0, 5001])} if name == "gaps" else {}
     if name in ("generator sign", "offset", "swapped currents"):
         changed["i_dq_reference"] = None  # would be wrong, too
@@ -93,6 +161,14 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples):
     told = json.loads(json.dumps(found.tree(), allow_nan=False))["findings"]
     entry = next(entry for entry in told if entry["code"] == code)
     assert set(entry) >= {"code", "message", "value"}
+
+
+def test_every_finding_of_the_documented_table_is_tried():
+    """Each row of docs/checks.md, but for those on files and drafts, has a case above."""
+    documented = set(re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", CHECKS.read_text(encoding="utf-8"), re.MULTILINE))
+    codes = {code for cell in documented for code in re.findall(r"\w+", cell)}
+    assert len(codes) > 35
+    assert codes - {code for code, _ in WRONG.values()} == {"memory", "draft_unsure", "no_draft"}
 
 
 def test_stamps_of_another_unit_are_named(tmp_path, samples):

@@ -331,7 +331,7 @@ def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.comple
         return np.asarray(found.values[:, 0] + 1j * found.values[:, 1])
     values = found.values
     if found.group.frame == "line_to_line":  # leads the phases by 30 degrees, larger by the root of 3
-        return _LINES * _vector(replace(found, group=replace(found.group, frame="abc")))
+        return np.asarray(_LINES * _vector(replace(found, group=replace(found.group, frame="abc"))))
     three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
     return np.asarray(frames.space_vector(three))
 

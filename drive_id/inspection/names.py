@@ -75,11 +75,11 @@ def _lines(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
     for name in names:
         for match in re.finditer(r"(?=([a-zA-Z1])([_-]?)([a-zA-Z2]))", name):
             one, sign, other = match.groups()
-            for a, b, c in _PHASES[:4]:
-                if (one.lower(), other.lower()) != (a, b) or one.isupper() != other.isupper():
+            for phases in _PHASES[:4]:
+                a, b, c = (phases[k].upper() if one.isupper() else phases[k] for k in range(3))
+                if (one, other) != (a, b):
                     continue
-                pairs = [(first.upper(), second.upper()) if one.isupper() else (first, second) for first, second in
-                         ((a, b), (b, c), (c, a))]  # fmt: skip
+                pairs = ((a, b), (b, c), (c, a))
                 head, tail = name[: match.start()], name[match.start() + 2 + len(sign) :]
                 three = tuple(f"{head}{first}{sign}{second}{tail}" for first, second in pairs)
                 stem = f"{head} {tail}"

@@ -6,6 +6,7 @@ a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -49,6 +50,8 @@ class Samples:
         Of a simulation. A fit never uses it, but is scored against it.
     dc_link_voltage, winding_temperature, magnet_temperature, shaft_torque : (N,) float, optional
         Optional signals interpolated at ``stamp``, V, degrees Celsius (twice) and Nm, NaN where unknown.
+    angle_error : float
+        Standard error of an angle that was interpolated, rad; 0 for an angle recorded with each sample.
 
     Raises
     ------
@@ -71,6 +74,7 @@ class Samples:
     winding_temperature: FloatArray | None = None
     magnet_temperature: FloatArray | None = None
     shaft_torque: FloatArray | None = None
+    angle_error: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.stamp)
@@ -210,6 +214,7 @@ class Samples:
                 [part.run_starts[skip:] - skip + at for part, skip, at in zip(parts, skips, offsets, strict=True)]
             ),
             truth=parts[0].truth if all(part.truth is parts[0].truth for part in parts) else None,
+            angle_error=math.sqrt(float(np.average([part.angle_error**2 for part in parts], weights=sizes))),
         )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drive_id.cli.options import JsonFlag, NamespaceOption, QuietFlag, SignalsOption, say, show, warn, working
-from drive_id.errors import OutputError
+from drive_id.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
     from drive_id.inspection.inspect import Inspection
@@ -49,9 +49,16 @@ def check_log(
     elif not quiet:
         for table in inspection_tables(found):
             show(table)
-        _comment(found)
+        _comment(found, asked=draft is not None)
         if draft is not None and found.draft is not None:
             say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} --signals {draft}")
+
+    if draft is not None and found.draft is None:
+        raise ConfigurationError(f"{draft} was not written: {_why_no_draft(found)}")
+
+
+def _why_no_draft(found: "Inspection") -> str:
+    return next(finding.message for finding in found.findings if finding.code == "no_draft")
 
 
 def _refuse(draft: Path | None, picture: Path | None, *, force: bool) -> None:
@@ -64,9 +71,11 @@ def _refuse(draft: Path | None, picture: Path | None, *, force: bool) -> None:
             raise OutputError(f"{path} exists: name another file, or overwrite it with --force.")
 
 
-def _comment(found: "Inspection") -> None:
-    """Print findings and warnings below the tables."""
+def _comment(found: "Inspection", *, asked: bool) -> None:
+    """Print findings and warnings below the tables; ``asked``: a draft is to be written."""
     for finding in found.findings:
+        if finding.code == "no_draft" and asked:
+            continue  # said at the end
         say(f"{finding.code}: {finding.message}", style="red" if finding.severity == "error" else "yellow")
     for warning in found.warnings:
         warn(warning)

@@ -31,6 +31,13 @@ _NAME = 0.1
 """Share of the voltage, unexplained, that weighs as much as one hint of a name."""
 _PERIODS = (5e-7, 0.05)
 _LEAST_LINK = 5.0
+_MOST_THERE = 0.8
+"""Share of the rows from which the missing values of a column are interpolated."""
+_REGULAR = 1e-3
+_LINES = np.exp(-1j * np.pi / 6) / np.sqrt(3)
+_MEANINGS = ("angle", "speed", "current", "voltage", "reference")
+INDEX, GUESSED_PERIOD = "index", 1e-4
+"""Source of stamps that are numbers of rows, and the period, s, that is written for a log without any time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +91,9 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     ConfigurationError
         When no columns look like currents, voltages and an angle: says which are missing.
     """
-    tables = [_timed(table, contents) for table in contents.tables]
+    tables = [_timed(_filled(table), contents) for table in contents.tables]
+    if not any(len(table.stamp) for table in tables):
+        tables = [_numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > _FEWEST and table.columns]
     groups = [found for table in tables for found in _groups(table)]
     angles = sorted((found for table in tables for found in _angles(table)), key=_as_angle, reverse=True)
@@ -127,6 +136,24 @@ def _timed(table: Table, contents: Contents) -> Table:
     return replace(table, stamp=stamp, stamp_source=name)
 
 
+def _filled(table: Table) -> Table:
+    """Return a table in which the few missing values of a column are interpolated, to recognize it nevertheless."""
+
+    def filled(x: FloatArray) -> FloatArray:
+        there = np.isfinite(x)
+        if not _MOST_THERE < there.mean() < 1.0:
+            return x
+        return np.interp(np.arange(len(x)), np.flatnonzero(there), x[there])
+
+    return replace(table, columns={name: filled(x) for name, x in table.columns.items() if len(x)})
+
+
+def _numbered(table: Table) -> Table:
+    """Return a table without a time with stamps from the number of the row, at a rate that is a mere guess."""
+    rows = len(next(iter(table.columns.values()), ()))
+    return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
+
+
 def time_column(table: Table) -> tuple[str, str] | None:
     """Return the column that looks like the time, and its unit; None if none does."""
     for name, x in sorted(table.columns.items(), key=lambda item: not suggests(item[0], "time")):
@@ -140,6 +167,11 @@ def time_column(table: Table) -> tuple[str, str] | None:
         for unit in units:
             if _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
                 return name, unit
+    name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
+    steps = np.diff(x)
+    regular = len(x) >= _FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()
+    if regular and _PERIODS[0] <= steps.mean() <= _PERIODS[1] and not any(suggests(name, what) for what in _MEANINGS):
+        return name, "s"  # the first column, without a telling name
     return None
 
 
@@ -153,7 +185,7 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
     moving = {name: x for name, x in table.columns.items() if len(x) == len(table.stamp) and np.ptp(x) > 0}
     for group in name_groups(list(moving)):
         values = np.column_stack([moving[name] for name in group.names])
-        if np.isfinite(values).all() and (group.frame != "abc" or _balanced(values)):
+        if np.isfinite(values).all() and (group.frame not in ("abc", "line_to_line") or _balanced(values)):
             yield PhaseGroup(table, group, values)
 
 
@@ -181,6 +213,7 @@ def _hints(found: PhaseGroup, meaning: str) -> float:
 def _as_current(found: PhaseGroup) -> float:
     common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
     score = _hints(found, "current") - _hints(found, "voltage") - 2 * _hints(found, "reference")
+    score -= 4.0 * (found.group.frame == "line_to_line")
     return score + (len(found.values.T) == 3) * (common < 0.05) + (found.group.frame == "abc")
 
 
@@ -297,6 +330,8 @@ def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.comple
     if found.group.frame == "alpha_beta":
         return np.asarray(found.values[:, 0] + 1j * found.values[:, 1])
     values = found.values
+    if found.group.frame == "line_to_line":  # leads the phases by 30 degrees, larger by the root of 3
+        return np.asarray(_LINES * _vector(replace(found, group=replace(found.group, frame="abc"))))
     three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
     return np.asarray(frames.space_vector(three))
 

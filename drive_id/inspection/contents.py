@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.errors import DriveIdError
+from drive_id.errors import DriveIdError, MessageTypeError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
-from drive_id.files.messages.field_path import FieldPathError, parse_field_path
+from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.messages.message_reader import DECODE_ERRORS, decoder
 from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.storage.bag import Bag, open_bag
@@ -23,11 +23,14 @@ from drive_id.files.storage.container import TopicInfo
 from drive_id.types import FloatArray, IntArray
 
 ROWS = 40_000
-"""Messages or rows of each topic or group that are looked at."""
+"""Rows of each group of columns, or samples in blocks of each topic, that are looked at."""
+MESSAGES = 20_000
+"""Messages of each topic that are looked at: each is decoded as a Python object."""
 _MOST_MESSAGES = 200_000
 _MOST_ELEMENTS = 16
 """Longest array whose elements are columns of their own; longer ones are blocks of samples."""
 _DEPTH = 4
+_FIRST_ROWS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +128,7 @@ def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
 
 
 def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
-    wanted = [Column(group.name, name) for name in group.columns]
+    wanted = _of_numbers(log, [Column(group.name, name) for name in group.columns])
     time = Column(group.name, OWN_TIME)
     found: dict[Column, list[Any]] = defaultdict(list)
     problem, count, total = "", 0, group.rows
@@ -151,14 +154,31 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
     )
 
 
+def _of_numbers(log: ColumnLog, columns: list[Column]) -> list[Column]:
+    """Return the columns that hold numbers or times, by the first rows; all of them if none does."""
+
+    def readable(wanted: list[Column]) -> bool:
+        try:
+            next(iter(log.parts(wanted, _FIRST_ROWS)), None)
+        except MessageTypeError:
+            return False
+        return True
+
+    if readable(columns):
+        return columns
+    return [column for column in columns if readable([column])] or columns
+
+
 def _of_topics(bag: Bag, signals: SignalMap) -> Iterator[Table]:
     readers = {name: _TopicReader(topic, signals) for name, topic in bag.topics.items()}
     usable = {name for name, reader in readers.items() if not reader.problem}
     for seen, message in enumerate(bag.messages(frozenset(usable)), 1):
         reader = readers[message.topic]
-        if len(reader.logged) < ROWS and not reader.problem:
+        if not (reader.full or reader.problem):
             reader.add(bytes(message.data), message.log_time)
-        if seen >= _MOST_MESSAGES or all(len(readers[name].logged) >= ROWS for name in usable):
+            if reader.full:
+                usable.discard(message.topic)
+        if seen >= _MOST_MESSAGES or not usable:
             break
     for name in sorted(readers):
         yield readers[name].table()
@@ -173,12 +193,19 @@ class _TopicReader:
         self.logged: list[int] = []
         self._stamps: list[int] = []
         self._paths: dict[str, Any] = {}
-        self._values: dict[str, list[FloatArray]] = {}
+        self._values: dict[str, list[FloatArray]] = {}  # of blocks
+        self._single: list[FieldPath] = []
+        self._rows: list[list[float]] = []  # of messages with one sample
         self._block = 1
         try:
             self._decode = decoder(topic, signals)
         except DriveIdError as error:
             self.problem = str(error)
+
+    @property
+    def full(self) -> bool:
+        """Whether no more messages are needed."""
+        return len(self.logged) >= MESSAGES or len(self.logged) * self._block >= ROWS
 
     def add(self, data: bytes, log_time: int) -> None:
         """Add a message; messages with another shape than the first are left out."""
@@ -189,18 +216,22 @@ class _TopicReader:
             return
         if not self._paths:
             self._begin(decoded)
-        try:
-            row = {name: path.values(decoded) for name, path in self._paths.items()}
-        except FieldPathError:
-            return
-        if self._block > 1:
+        if self._block == 1:
+            try:
+                self._rows.append([float(path.find(decoded)) for path in self._single])
+            except (FieldPathError, TypeError, ValueError):
+                return
+        else:
+            try:
+                row = {name: path.values(decoded) for name, path in self._paths.items()}
+            except FieldPathError:
+                return
             sizes = {len(values) for values in row.values() if len(values) > 1}
             if len(sizes) != 1:
                 return
             size = sizes.pop()
-            row = {name: values if len(values) > 1 else np.repeat(values, size) for name, values in row.items()}
-        for name, values in row.items():
-            self._values[name].append(values)
+            for name, values in row.items():
+                self._values[name].append(values if len(values) > 1 else np.repeat(values, size))
         self.logged.append(log_time)
         stamp = getattr(getattr(decoded, "header", None), "stamp", None)
         if stamp is not None:
@@ -219,10 +250,13 @@ class _TopicReader:
                 self._paths[own] = parse_field_path(own, "field")
                 self._values[own] = []
         self._block = size
+        self._single = list(self._paths.values())
 
     def table(self) -> Table:
         """Return what was collected."""
         columns = {name: np.concatenate(values) for name, values in self._values.items() if values}
+        if self._rows:
+            columns = dict(zip(self._paths, np.array(self._rows, np.float64).T, strict=True))
         headed = len(self._stamps) == len(self.logged) and len(set(self._stamps[:50])) > 1
         stamp = np.array(self._stamps if headed else self.logged, np.int64)
         if self._block > 1 and len(stamp) > 1:

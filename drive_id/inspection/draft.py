@@ -12,7 +12,17 @@ from drive_id.core import frames
 from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import Choice, PhaseGroup, choose, dc_link, is_named_link, regular_stamps, time_column
+from drive_id.inspection.choice import (
+    GUESSED_PERIOD,
+    INDEX,
+    Choice,
+    PhaseGroup,
+    choose,
+    dc_link,
+    is_named_link,
+    regular_stamps,
+    time_column,
+)
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
 
@@ -20,6 +30,8 @@ _JITTER = 0.02
 _SAME_RATE = 0.005
 _LARGEST_DUTY = 1.17
 _POOR = 0.35
+_LARGEST_CURRENT = 5000.0
+"""Largest plausible current, A, as that of the check ``current_scale``."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
 _COARSE, _SMOOTHING = 1e-3, 0.003
@@ -66,6 +78,11 @@ class _Writer:
     def draft(self) -> Draft:
         """Return the proposal."""
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
+        if self._choice.currents.table.stamp_source == INDEX:
+            self._doubt(
+                "No column is the time: set sample_period of every section to the time between two rows (written for "
+                f"{GUESSED_PERIOD:g} s); speed, R and flux follow it."
+            )
         left = self._choice.reading.unexplained
         if left > _POOR:
             self._doubt(
@@ -92,6 +109,13 @@ class _Writer:
         else:
             if table.name and len(self._contents.tables) > 1:
                 found.append(f"  group: {_quoted(table.name)}")
+            if table.stamp_source == INDEX:
+                return [
+                    *found,
+                    "  stamp: index",
+                    f"  sample_period: {GUESSED_PERIOD:g}         # EDIT: s; the log has no time",
+                    *lines,
+                ]
             if table.stamp_source not in ("", "own"):
                 _, unit = time_column(table) or ("", "s")
                 found += [f"  stamp: {_quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
@@ -115,6 +139,11 @@ class _Writer:
         lines = [f"  fields: {_listed(i.group.names)}", *_frame(i)]
         label = " ".join(i.group.names).lower()
         scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
+        if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
+            scale = 0.001
+            self._doubt(
+                f"The currents reach {np.abs(i.values).max():.3g} and were taken for mA: correct scale if they are not."
+            )
         scale *= self._choice.reading.voltage_sign
         if scale != 1.0:
             lines.append(f"  scale: {scale:g}")
@@ -175,6 +204,8 @@ class _Writer:
             stamp = "stamp: log_time, " if table.stamp_source == "log_time" else ""
             return f"topic: {table.name}, {stamp}"
         group = f"group: {_quoted(table.name)}, " if table.name and len(self._contents.tables) > 1 else ""
+        if table.stamp_source == INDEX:
+            return f"{group}stamp: index, sample_period: {GUESSED_PERIOD:g}, "
         if table.stamp_source in ("", "own"):
             return group
         _, unit = time_column(table) or ("", "s")

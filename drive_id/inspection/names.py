@@ -30,7 +30,7 @@ class NameGroup:
     ----------
     names : tuple of str
     frame : str
-        ``abc``, ``alpha_beta`` or ``dq``.
+        ``abc``, ``line_to_line``, ``alpha_beta`` or ``dq``.
     stem : str
         What the names have in common.
     """
@@ -59,10 +59,32 @@ def suggests(name: str, meaning: str) -> bool:
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
     """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
     known, seen = set(names), set()
-    for group in (*_triples(names, known), *_components(names, known), *_two_phases(names, known)):
+    for group in (
+        *_lines(names, known),
+        *_triples(names, known),
+        *_components(names, known),
+        *_two_phases(names, known),
+    ):
         if group.names not in seen:
             seen.add(group.names)
             yield group
+
+
+def _lines(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    """Yield voltages between phases: ``u_ab, u_bc, u_ca``, or the first two of them."""
+    for name in names:
+        for match in re.finditer(r"(?=([a-zA-Z1])([_-]?)([a-zA-Z2]))", name):
+            one, sign, other = match.groups()
+            for phases in _PHASES[:4]:
+                a, b, c = (phases[k].upper() if one.isupper() else phases[k] for k in range(3))
+                if (one, other) != (a, b):
+                    continue
+                pairs = ((a, b), (b, c), (c, a))
+                head, tail = name[: match.start()], name[match.start() + 2 + len(sign) :]
+                three = tuple(f"{head}{first}{sign}{second}{tail}" for first, second in pairs)
+                stem = f"{head} {tail}"
+                if stem.strip() and known.issuperset(three[:2]):
+                    yield NameGroup(three if three[2] in known else three[:2], "line_to_line", stem)
 
 
 def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:

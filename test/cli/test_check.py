@@ -89,6 +89,12 @@ def test_bad_input_is_one_sentence(log, tmp_path, capsys, monkeypatch):
     (tmp_path / "there.yaml").write_text("mine")
     assert "overwrite it with --force" in refused("check", log, "--draft", tmp_path / "there.yaml")
     assert (tmp_path / "there.yaml").read_text() == "mine"
+    (tmp_path / "text.csv").write_text("t,a\n" + "".join(f"{k},{k % 7}\n" for k in range(300)))
+    for options in ((), ("--quiet",), ("--json",)):
+        said = refused("check", tmp_path / "text.csv", "--draft", tmp_path / "draft.yaml", *options)
+        assert "draft.yaml was not written: Nothing in" in said
+        assert said.count("looks like") == 1
+    assert not (tmp_path / "draft.yaml").exists()
     assert "no picture that can be drawn" in refused("check", log, "--picture", tmp_path / "p.gif")
     (tmp_path / "bag").mkdir()
     assert "exists" in refused("convert", log, tmp_path / "bag", "--signals", tmp_path / "there.yaml")

@@ -99,7 +99,8 @@ def test_import_refuses_in_one_sentence_and_writes_nothing(run, tmp_path):
 
 @pytest.mark.parametrize("name", ["motulator", "vesc"])
 def test_export(run, drive, tmp_path, name):
-    arguments = ("export", drive, "--format", name, "--output", "out", "--grid", 21, "--range", -10, 10)
+    file = f"out{EXPORTS[name].suffix}"
+    arguments = ("export", drive, "--format", name, "--output", file, "--grid", 21, "--range", -10, 10)
     code, out, err = run(*arguments)
     assert (code, err, EXPORTS[name].title in out) == (0, "", True)
     code, _, err = run(*arguments)
@@ -108,9 +109,9 @@ def test_export(run, drive, tmp_path, name):
     tree = json.loads(out)
     assert (tree["format"], tree["missing"], tree["warnings"]) == (name, 0, [])
     if name == "motulator":
-        with np.load(tmp_path / "out") as file:
-            assert np.unique(file["i_s_dq"].real).tolist() == [float(k) for k in range(-10, 11)]
-            np.testing.assert_allclose(file["psi_s_dq"][3, 15], complex(*flux(-7.0, 5.0)), atol=2e-4)
+        with np.load(tmp_path / file) as content:
+            assert np.unique(content["i_s_dq"].real).tolist() == [float(k) for k in range(-10, 11)]
+            np.testing.assert_allclose(content["psi_s_dq"][3, 15], complex(*flux(-7.0, 5.0)), atol=2e-4)
 
 
 def test_axes_and_gaps(run, drive, tmp_path):
@@ -134,18 +135,20 @@ def test_axes_and_gaps(run, drive, tmp_path):
         (("--format", "csv", "--grid", 0), "choose 4 to 2001 points"),
         (("--format", "csv", "--axis-d", "1,2,3,4"), "--axis-d does not contain 0"),
         (("--format", "csv", "--axis-d", "-1:1:2", "--axis-q", "-1:1:2", "--grid", 5), "drop one pair"),
-        (("--format", "vesc", "--bandwidth", -1), "--bandwidth"),
+        (("--format", "vesc", "--bandwidth", -1, "--output", "out.xml"), "--bandwidth"),
+        (("--format", "simscape"), "out.csv ends in .csv, and --format simscape writes .mat files: name it out.mat."),
+        (("--format", "plecs", "--output", "out"), "out has no ending"),
     ],
 )
 def test_export_refuses_in_one_sentence(run, drive, tmp_path, options, said):
-    code, out, err = run("export", drive, "--output", "out", *options)
+    code, out, err = run("export", drive, "--output", "out.csv", *options)
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert said in err
-    assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob("out*"))
 
 
 def test_export_of_what_is_no_result(run, tmp_path):
-    code, _, err = run("export", tmp_path, "--format", "csv", "--output", "out")
+    code, _, err = run("export", tmp_path, "--format", "csv", "--output", "out.csv")
     assert (code, "is not a result folder" in err) == (1, True)
     assert run("export", tmp_path, "--output", "out")[0] == 2
 

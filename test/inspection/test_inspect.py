@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
 from column_files import write_csv, write_mdf, write_parquet
 from foreign_rows import write_rows
+from scipy.io import savemat
 
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.writer import Topics, write_recording
+from drive_id.fitting.simulated import run_experiment
 from drive_id.inspection.inspect import inspect_log
 from drive_id.inspection.names import name_groups, suggests
 from drive_id.types import Samples
 
 POLE_PAIRS = 4
+CHECKS = Path(__file__).parents[2] / "docs" / "checks.md"
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +53,30 @@ def swapped(x):
     return x[:, [0, 2, 1]]
 
 
+def every(samples, n):
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    return {name: getattr(samples, name)[::n] for name in names} | {"sample_period": n * samples.sample_period}
+
+
+def drifting(samples):
+    """The machine accelerates by a fifth, and currents and voltages turn with it."""
+    share = 1 + 0.2 * np.arange(len(samples)) / len(samples)
+    angle = np.cumsum(samples.speed * share) * samples.sample_period
+    turned = {name: frames.to_abc(frames.to_dq(x, samples.angle), angle) for name, x in
+              (("i_abc", samples.i_abc), ("u_abc", samples.u_abc))}  # fmt: skip
+    return turned | {"speed": samples.speed * share, "angle": angle}
+
+
+def narrow(samples):
+    """Samples with currents of the first quadrant, at their times."""
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    kept = (i_dq[:, 0] < 0) & (i_dq[:, 1] > 0)
+    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
+    starts = np.flatnonzero(np.diff(np.flatnonzero(kept), prepend=-9) > 1)
+    return {name: getattr(samples, name)[kept] for name in names} | {"run_starts": starts}
+
+
+RNG = np.random.default_rng(5)
 WRONG = {
     "duty cycles": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 400 + 0.5}),
     "duty cycles around zero": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 200}),
@@ -62,13 +94,51 @@ WRONG = {
     "no voltage": ("no_voltage", lambda s: {"u_abc": 0 * s.u_abc}),
     "jump": ("angle_jump", lambda s: {"angle": s.angle + 2 * (np.arange(len(s)) > 5000)}),
     "slow clock": ("sample_period", lambda s: {"stamp": s.stamp * 1000, "sample_period": 0.1}),
+    "voltages of another time": ("time_shift", lambda s: {"u_abc": np.roll(s.u_abc, 25, axis=0)}),
+    "voltages of another drive": ("unexplained", lambda s: {"u_abc": s.u_abc[::-1] * [1.0, -0.4, 0.2]}),
+    "every tenth sample": ("decimated", lambda s: every(s, 10)),
+    "a loss of voltage": ("outlier", lambda s: {"u_abc": s.u_abc * (np.abs(np.arange(len(s)) - 21_575) > 25)[:, None]}),
+    "a flipped bit": ("single_sample", lambda s: {"angle": s.angle + 0.02 * (np.arange(len(s)) == 7000)}),
+    "standstill": ("standstill", lambda s: {"angle": 0.3 + 0 * s.angle, "speed": 0 * s.speed}),
+    "every fourtieth sample": ("coarse_sampling", lambda s: every(s, 40)),
+    "slow angle": ("held_angle", lambda s: {"angle": np.repeat(s.angle[::8], 8)[: len(s)]}),
+    "drifting speed": ("speed_drift", drifting),
+    "constant references": ("held_references", lambda s: {"i_dq_reference": 0 * s.i_dq_reference + [-20.0, 30.0]}),
+    "noise only": ("no_trajectory", lambda s: {"i_dq_reference": None, "i_abc": 1e-3 * RNG.normal(size=s.i_abc.shape)}),
+    "current spike": (
+        "current_spike",
+        lambda s: {"i_abc": s.i_abc + 1e4 * (np.arange(len(s)) == 900)[:, None] * [1, 0, -1]},
+    ),
+    "unequal gains": ("zero_sequence", lambda s: {"i_abc": s.i_abc * [1.1, 1.0, 1.0]}),
+    "current offset": ("current_offset", lambda s: {"i_abc": s.i_abc + np.array([20.0, -10.0, -10.0])}),
+    "voltage offset": ("voltage_offset", lambda s: {"u_abc": s.u_abc + np.array([8.0, -4.0, -4.0])}),
+    "saturated current": ("current_clipped", lambda s: {"i_abc": np.clip(s.i_abc, -150.0, 150.0)}),
+    "saturated voltage": ("voltage_clipped", lambda s: {"u_abc": np.clip(s.u_abc, -25.0, 25.0)}),
+    "stuck phase": (
+        "phase_stuck",
+        lambda s: {"i_abc": np.where((np.arange(len(s)) // 400 == 9)[:, None] * [False, True, False], 1.5, s.i_abc)},
+    ),
+    "coarse converter": ("phase_quantized", lambda s: {"i_abc": np.round(s.i_abc / 10) * 10}),
+    "one corner": ("coverage", narrow),
+    "jitter": ("stamp_jitter", lambda s: {"stamp": s.stamp + RNG.integers(-30_000, 30_000, len(s))}),
     "gaps": ("gaps", lambda s: {"stamp": s.stamp + 1_000_000 * (np.arange(len(s)) > 5000)}),
 }
 
 
+LONG = ("a loss of voltage", "drifting speed", "current offset")
+"""What shows against several passes of a trajectory."""
+
+
+@pytest.fixture(scope="module")
+def long():
+    settings = SimulationSettings(current_noise=1e-3)
+    return replace(run_experiment(machine_map("ipm"), settings, seconds=5.0).samples, truth=None)
+
+
 @pytest.mark.parametrize("name", WRONG)
-def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples):
+def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
     code, change = WRONG[name]
+    samples = long if name in LONG else samples
     changed = {"run_starts": np.array([0, 5001])} if name == "gaps" else {}
     if name in ("generator sign", "offset", "swapped currents"):
         changed["i_dq_reference"] = None  # would be wrong, too
@@ -91,6 +161,14 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples):
     told = json.loads(json.dumps(found.tree(), allow_nan=False))["findings"]
     entry = next(entry for entry in told if entry["code"] == code)
     assert set(entry) >= {"code", "message", "value"}
+
+
+def test_every_finding_of_the_documented_table_is_tried():
+    """Each row of docs/checks.md, but for those on files and drafts, has a case above."""
+    documented = set(re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", CHECKS.read_text(encoding="utf-8"), re.MULTILINE))
+    codes = {code for cell in documented for code in re.findall(r"\w+", cell)}
+    assert len(codes) > 35
+    assert codes - {code for code, _ in WRONG.values()} == {"memory", "draft_unsure", "no_draft"}
 
 
 def test_stamps_of_another_unit_are_named(tmp_path, samples):
@@ -336,3 +414,102 @@ def test_angles_and_counts():
     assert is_count(np.delete(k, [5, 6, 900]))
     assert not is_count(2 * k)
     assert (4096, 3) in likely_counts(30.0, 40_960.0)
+
+
+def csv_text(table, separator=",", decimal="."):
+    rows = np.column_stack(list(table.values()))
+    return "".join(separator.join(repr(float(x)).replace(".", decimal) for x in row) + "\n" for row in rows)
+
+
+def clocked(table, form, separator, decimal):
+    """Return rows whose first cell is the time as a text."""
+    start = datetime(2024, 3, 1, 12, 59, 58)  # noqa: DTZ001
+    rows = csv_text({name: x for name, x in table.items() if name != "time_s"}, separator, decimal).splitlines()
+    times = [start + timedelta(microseconds=round(1e6 * t)) for t in table["time_s"]]
+    return "".join(f"{time.strftime(form)}{separator}{row}\n" for time, row in zip(times, rows, strict=True))
+
+
+SCOPE = "Model,MSO58\nSample Interval,1e-4\nRecord Length,6000\nZero Index,0\nVertical Units,A,A,A,V,V,V,rad\n\n"
+
+
+@pytest.mark.parametrize("name", ["oscilloscope", "clock", "German date", "UTF-16", "white space", "numbered rows"])
+def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
+    table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)
+    names, own = ",".join(table), ",".join(list(table)[1:])
+    text, encoding = {
+        "oscilloscope": (SCOPE + f"Labels{',' * 7}\n" + names + "\n" + csv_text(table), "utf-8"),
+        "clock": (f"time,{own}\n" + clocked(table, "%H:%M:%S.%f", ",", "."), "utf-8"),
+        "German date": (
+            f"Zeit,{own}\n".replace(",", ";") + clocked(table, "%d.%m.%Y %H:%M:%S,%f", ";", ","),
+            "utf-8-sig",
+        ),
+        "UTF-16": (names + "\n" + csv_text(table), "utf-16"),
+        "white space": (names.replace(",", "  ") + "\n" + csv_text(table, "  "), "utf-8"),
+        "numbered rows": (
+            f",{names}\n" + "".join(f"{k},{row}\n" for k, row in enumerate(csv_text(table).splitlines())),
+            "utf-8",
+        ),
+    }[name]
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    assert read.sample_period == pytest.approx(1e-4)
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
+    np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
+
+
+def struct_array(records):
+    kinds = [(field, object) for field in records[0]]
+    found = np.zeros(len(records), kinds)
+    for k, record in enumerate(records):
+        found[k] = tuple(record.values())
+    return found
+
+
+@pytest.mark.parametrize("name", ["ControlDesk", "structure with time", "array"])
+def test_drafts_for_structs_of_measurement_tools(name, tmp_path, samples):
+    table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)
+    time, traces = table["time_s"], {key: x for key, x in table.items() if key != "time_s"}
+    content = {
+        "ControlDesk": {
+            "rec1": {
+                "X": struct_array([{"Name": "", "Data": time[None, :]}]),
+                "Y": struct_array([{"Name": f"Model Root/{key}", "Data": x[None, :]} for key, x in traces.items()]),
+            }
+        },
+        "structure with time": {
+            "scope": {
+                "time": time[:, None],
+                "signals": struct_array([{"values": x[:, None], "label": key} for key, x in traces.items()]),
+            }
+        },
+        "array": {"ans": np.vstack([time, *traces.values()])},
+    }[name]
+    path = tmp_path / "log.mat"
+    savemat(path, content)
+    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    assert read.sample_period == pytest.approx(1e-4)
+    np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
+    np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
+
+
+def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, samples):
+    u_a, u_b, u_c = (samples.u_abc - samples.u_abc.mean(axis=1, keepdims=True)).T
+    table = columns(samples, time_s=None, ua=None, ub=None, uc=None, id_ref=None, iq_ref=None, omega=None)
+    table |= {"u_AB": u_a - u_b, "u_BC": u_b - u_c, "u_CA": u_c - u_a}
+    table |= {name: 1e3 * table[name] for name in ("ia", "ib", "ic")}
+    path = write_parquet(tmp_path / "log.parquet", table)
+    draft = inspect_log(path).draft
+    assert sum("No column is the time" in text or "taken for mA" in text for text in draft.unsure) == 2
+    read = read_recording(path, parse_signals(draft.text, "draft")).samples
+    np.testing.assert_allclose(read.i_abc, samples.i_abc, rtol=1e-12)
+    np.testing.assert_allclose(read.u_abc, np.column_stack([u_a, u_b, u_c]), atol=1e-9)
+
+
+def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, samples):
+    table = columns(samples)
+    table["ia"] = np.where(np.arange(len(samples)) % 4000 == 7, np.nan, table["ia"])
+    found = inspect_log(write_parquet(tmp_path / "log.parquet", table))
+    assert "fields: [ia, ib, ic]" in found.draft.text
+    assert "equally_spaced" not in found.draft.text
+    assert "non_finite" in [finding.code for finding in found.findings]

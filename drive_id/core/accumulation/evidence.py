@@ -30,7 +30,9 @@ _SHAPING = (
     "harmonic_orders", "grid_points",
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
-_SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square")
+_NEW_IN_FORMAT = ("_angle_square", "reached")
+"""What older files of the same format lack."""
+_SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square", "_angle_square")
 
 
 class Evidence:
@@ -68,6 +70,7 @@ class Evidence:
         self._difference_square = 0.0  # of fourth differences of i_dq, per component
         self._differences = 0
         self._turn_square = 0.0
+        self._angle_square = 0.0  # of the error of interpolated angles
 
     @classmethod
     def within(cls, settings: FitSettings, i_max: float) -> Evidence:
@@ -101,6 +104,7 @@ class Evidence:
         a, b, c = samples.i_abc[new].T
         self._zero_sequence_square += float(np.sum((a + b + c) ** 2))
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
+        self._angle_square += (len(samples) - continues) * samples.angle_error**2
         for run in samples.runs():
             self._difference_square += difference_square(i_dq[run])
             self._differences += 2 * max(run.stop - run.start - 4, 0)
@@ -215,9 +219,10 @@ class Evidence:
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
-        for name in (*_COUNTS, *_SUMS, "_quiet"):
-            setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
-        self.reached = exactly(state.get("reached", np.array(0.0)), np.array(0.0)).item()  # older files lack it
+        for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
+            own = np.array(getattr(self, name))
+            saved = state.get(name, own) if name in _NEW_IN_FORMAT else state[name]
+            setattr(self, name, exactly(saved, own).item())
         self.findings = tuple(Finding(**found) for found in json.loads(str(state.get("findings", "[]"))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
@@ -251,6 +256,11 @@ class Evidence:
     def noise_variance(self) -> float:
         """Variance of white noise in i_d and i_q each, from fourth differences, A^2."""
         return self._difference_square / max(self._differences, 1) / 70
+
+    @property
+    def angle_variance(self) -> float:
+        """Mean square error of interpolated angles, rad^2; 0 for angles recorded with each sample."""
+        return self._angle_square / max(self.samples, 1)
 
     @property
     def noise_share(self) -> float:

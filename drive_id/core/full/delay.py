@@ -60,8 +60,9 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     """Estimate the voltage delay, corrected for current noise.
 
     The controller responds to noise with voltage, later, which biases the estimate. The standard error includes the
-    correction, the bias that may remain where the data hardly determine a delay, and the effect of smoothing. A delay
-    of more than two samples is accepted only if it explains a substantial part of the residuals.
+    correction, the bias that may remain where the data hardly determine a delay, the effect of smoothing, and the error
+    of an interpolated angle, which resembles a delay. A delay of more than two samples is accepted only if it explains
+    a substantial part of the residuals.
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]
@@ -69,6 +70,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     by_noise = solver.delay(solver.solve(solution.spec, products))[0] - found
     left = _NOISE_SHARE * sigma**2 * solution.rows
     bounds = [sigma, _BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
+    if noise.angle_variance:
+        bounds.append(np.sqrt(noise.angle_variance) / noise.turn)  # the angle turned by a delay that it resembles
     if abs(found) > _USUAL and squares > _MOST_LEFT * solution.sum_of_squares:
         bounds.append(MOST_DELAY)
     return Delay(float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(bounds)))

@@ -227,7 +227,13 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
 
 @one_blas_thread(with_scipy=True)
 def fit_full(
-    sums: WindowSums, settings: FitSettings, turn: float, variance: float, earlier: EarlierFit | None = None
+    sums: WindowSums,
+    settings: FitSettings,
+    turn: float,
+    variance: float,
+    earlier: EarlierFit | None = None,
+    *,
+    angle_variance: float = 0.0,
 ) -> FullFit:
     """Select a model and fit it.
 
@@ -242,12 +248,14 @@ def fit_full(
         Of white noise in i_d and i_q each, A^2.
     earlier : EarlierFit, optional
         Fit of most of these samples, whose selection is reused, see :func:`fit_again`.
+    angle_variance : float
+        Mean square error of interpolated angles, rad^2.
     """
-    noise = CurrentNoise.met(variance, sums.kept())
+    noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     if earlier is not None and not settings.passive_maps:
         return fit_again(sums, earlier, noise)
     sums, selection = select(sums, settings, turn, noise)
-    noise = CurrentNoise.met(variance, sums.kept())
+    noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
     while True:
         solution, bias_bound = correct_attenuation(solver, uncertain, noise)

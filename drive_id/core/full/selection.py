@@ -92,7 +92,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     between = between_crossings(sums, solver, start, noise)
     if between and not _offset_shows(between, noise):
         sums, crossings = between.sums, between.excess
-        noise = CurrentNoise.met(noise.variance, sums.kept())
+        noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
         start = _compensated(solver, _first_spec(sums, settings, turn))
     start = _with_early_steps(solver, start)

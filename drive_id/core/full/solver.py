@@ -352,20 +352,29 @@ class CurrentNoise:
         Of i_d and i_q each, A^2.
     windows : Windows
         A subset, evenly over time, whose ends give the currents.
+    angle_variance : float
+        Mean square error of an interpolated angle, rad^2.
     """
 
     variance: float
     windows: Windows
+    angle_variance: float = 0.0
 
     @property
     def period(self) -> float:
         """Mean sample period, s."""
         return float(self.windows.period.mean())
 
+    @property
+    def turn(self) -> float:
+        """Electrical angle per sample, rms, rad."""
+        turn = self.windows.speed.mean(axis=1) * self.windows.period
+        return max(float(np.sqrt(np.mean(turn**2))), _TINY)
+
     @classmethod
-    def met(cls, variance: float, kept: Sequence[Windows]) -> CurrentNoise:
+    def met(cls, variance: float, kept: Sequence[Windows], angle_variance: float = 0.0) -> CurrentNoise:
         """Thin out the windows to some 2000: enough for a mean."""
-        return cls(variance, Windows.joined(list(kept)).thinned(_THINNED))
+        return cls(variance, Windows.joined(list(kept)).thinned(_THINNED), angle_variance)
 
 
 def squared_inductances(model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:

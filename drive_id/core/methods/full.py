@@ -78,7 +78,14 @@ class FullMethod:
                 f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
                 "longer, or choose method joint."
             )
-        fit = fit_full(information, evidence.settings, evidence.turn, evidence.noise_variance, earlier)
+        fit = fit_full(
+            information,
+            evidence.settings,
+            evidence.turn,
+            evidence.noise_variance,
+            earlier,
+            angle_variance=evidence.angle_variance,
+        )
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)

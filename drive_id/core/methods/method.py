@@ -63,6 +63,10 @@ class Gathered(Protocol):
         """Variance of white noise in i_d and i_q each, A^2."""
 
     @property
+    def angle_variance(self) -> float:
+        """Mean square error of interpolated angles, rad^2."""
+
+    @property
     def noise_share(self) -> float:
         """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
 

@@ -51,6 +51,8 @@ class Piece:
 
 def joined(pieces: Sequence[Piece]) -> Samples:
     """Put consecutive pieces, at least one, together; the first begins a recording whatever it continues."""
+    if len(pieces) == 1:
+        return pieces[0].samples
     continues = [piece.continues and number > 0 for number, piece in enumerate(pieces)]
     return Samples.joined([piece.samples for piece in pieces], continues)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from drive_id.errors import CoverageError
+from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.axes import default_axis
 from drive_id.exchange.exports.formats import export_format
 from drive_id.exchange.exports.options import ExportOptions
@@ -114,10 +114,15 @@ def export_map(
     Raises
     ------
     OutputError
-        When the file exists and ``force`` is not given, or cannot be written.
+        When the file's name has another ending than the format, the file exists and ``force`` is not given, or it
+        cannot be written.
     ConfigurationError, CoverageError
         See :func:`content_of`.
     """
+    usual = export_format(name).suffix
+    if path.suffix.lower() != usual:
+        said = f"ends in {path.suffix}" if path.suffix else "has no ending"
+        raise OutputError(f"{path} {said}, and --format {name} writes {usual} files: name it {path.stem}{usual}.")
     if not force:
         check_absent(path)
     content, exported = content_of(result, name, choice, options)

@@ -13,6 +13,8 @@ from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows, shar
 
 _MOST_COLUMNS = 64
 _NUMBERS = "iufb"
+_NAMED_DATA = (("Name", "Data"), ("label", "values"))
+"""Fields with name and values in structs of measurement tools."""
 
 
 class MatLog:
@@ -34,10 +36,13 @@ class MatLog:
 
     def _take(self, name: str, value: Any) -> None:
         if hasattr(value, "_fieldnames"):
-            for field in value._fieldnames:  # noqa: SLF001  # its documented interface
-                self._take(f"{name}.{field}", getattr(value, field))
+            self._take_struct(name, value)
             return
         array = np.asarray(value)
+        if array.dtype.kind == "O":
+            for k, entry in enumerate(array.ravel()[:_MOST_COLUMNS]):
+                self._take_struct(f"{name}[{k}]", entry, name)
+            return
         if array.dtype.kind not in _NUMBERS or array.ndim not in (1, 2):
             return
         if array.ndim == 1:
@@ -46,6 +51,22 @@ class MatLog:
         rows = array if array.shape[0] >= array.shape[1] else array.T
         for k in range(min(rows.shape[1], _MOST_COLUMNS)):
             self._arrays[f"{name}[{k}]"] = rows[:, k]
+
+    def _take_struct(self, name: str, value: Any, array: str = "") -> None:
+        """Take the fields of a struct, an element of the array of structs ``array`` if it is given.
+
+        Elements that name their data, as those of ControlDesk and of Simulink's scopes do, are columns of that name
+        beside the array.
+        """
+        fields = {field: getattr(value, field) for field in getattr(value, "_fieldnames", ())}
+        for said, data in _NAMED_DATA if array else ():
+            label = str(fields.get(said, "")).rpartition("/")[2].strip()
+            if label and data in fields:
+                own = f"{array.rpartition('.')[0] or array}.{label}"
+                self._take(own if own not in self._arrays else f"{name}.{label}", fields[data])
+                return
+        for field, entry in fields.items():
+            self._take(f"{name}.{field}", entry)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
         """Yield the wanted columns part by part."""

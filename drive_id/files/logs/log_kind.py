@@ -15,6 +15,8 @@ _MAGIC = {
     b"MATLAB 7.3 MAT-file": "mat73",
     b"\x89HDF\r\n\x1a\n": "hdf5",
 }
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+"""Byte order marks of Unicode text as MATLAB and Excel may write it."""
 _TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc")
 
 
@@ -30,5 +32,6 @@ def log_kind(path: Path) -> str:
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
             return kind
-    text = path.suffix.lower() in _TEXT_ENDINGS and head and b"\0" not in head and not head.startswith(_BAGS)
+    plain = b"\0" not in head or head.startswith(UTF_16)
+    text = path.suffix.lower() in _TEXT_ENDINGS and head and plain and not head.startswith(_BAGS)
     return "csv" if text else ""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,17 @@ from numpy.typing import NDArray
 
 from drive_id.errors import MessageTypeError
 from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows
+from drive_id.files.logs.log_kind import UTF_16
 
+WHITE = r"\s+"
+_DELIMITERS = ("\t", ";", ",", "|", WHITE)
+_CLOCK = re.compile(r"\s*\d{1,3}:\d\d(:\d\d)?([.,]\d+)?\s*")
+_DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S")
 _HEAD = 1 << 16
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
+_LAST = 50
+"""Lines by which the number of columns is told."""
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
 
 
@@ -29,11 +37,13 @@ class CsvDialect:
     Parameters
     ----------
     delimiter, decimal : str
+        The delimiter is ``WHITE`` for any white space.
     header : int
         Line of the names, from 0.
     skipped : tuple of int
         Lines below it that hold no numbers, such as units.
     names : tuple of str
+    encoding : str
     """
 
     delimiter: str
@@ -41,6 +51,7 @@ class CsvDialect:
     header: int
     skipped: tuple[int, ...]
     names: tuple[str, ...]
+    encoding: str = "utf-8-sig"
 
 
 class CsvLog:
@@ -69,7 +80,7 @@ class CsvLog:
                 usecols=numbers,
                 chunksize=rows,
                 skipinitialspace=True,
-                encoding="utf-8-sig",
+                encoding=dialect.encoding,
                 encoding_errors="replace",
                 index_col=False,
                 **_EXACT,
@@ -134,9 +145,16 @@ def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
     numbers = pd.to_numeric(found, errors="coerce")
     if numbers.notna().mean() > 0.5:
         return np.asarray(numbers, np.float64)
-    dates = pd.to_datetime(found, errors="coerce", utc=True, format="ISO8601")
-    if dates.notna().all():
-        return np.asarray(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64))
+    texts = found.astype(str).str.strip()
+    if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
+        spans = pd.to_timedelta(
+            texts.str.replace(",", ".").map(lambda text: text if text.count(":") > 1 else f"0:{text}")
+        )
+        return np.asarray(spans.astype("timedelta64[ns]").astype(np.int64))
+    for form in _DATES:
+        dates = pd.to_datetime(texts.str.replace(",", "."), errors="coerce", utc=True, format=form)
+        if dates.notna().all():
+            return np.asarray(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64))
     raise MessageTypeError(
         f"Column '{name}' of {path} holds no numbers, such as '{found.iloc[0]!s:.40}': name another."
     )
@@ -151,17 +169,24 @@ def csv_dialect(path: Path) -> CsvDialect:
         When there is no table with names above.
     """
     with path.open("rb") as stream:
-        text = stream.read(_HEAD).decode("utf-8-sig", errors="replace")
+        head = stream.read(_HEAD)
+    encoding = "utf-16" if head.startswith(UTF_16) else "utf-8-sig"
+    text = head.decode(encoding, errors="replace")
     lines = text.splitlines()[:200]
-    lines = lines[:-1] if len(text) >= _HEAD and len(lines) < 200 else lines
-    for delimiter in ("\t", ";", ",", "|"):
-        rows = [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), []) for line in lines]
-        found = _table(rows, delimiter)
+    lines = lines[:-1] if len(head) >= _HEAD and len(lines) < 200 else lines
+    for delimiter in _DELIMITERS:
+        found = _table([_cells(line, delimiter) for line in lines], delimiter)
         if found is not None:
-            return found
+            return replace(found, encoding=encoding)
     raise MessageTypeError(
         f"{path} is no table of numbers with the names of its columns above: write these into a line of their own."
     )
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == WHITE:
+        return line.split()
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
 
 
 def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
@@ -169,12 +194,13 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     widths = [len(row) for row in rows if any(cell.strip() for cell in row)]
     if not widths or max(widths) < 2:
         return None
-    numeric = [_is_numeric(row) and len(row) > 1 for row in rows]
+    usual = Counter(widths[-_LAST:]).most_common(1)[0][0]  # settings above may be names and numbers, too
+    numeric = [_is_numeric(row) and len(row) == max(usual, 2) for row in rows]
     first = next((k for k, good in enumerate(numeric) if good and all(numeric[k : k + 3])), None)
     if first is None or not first:
         return None
     width = len(rows[first])
-    above = [k for k in range(first) if len(rows[k]) == width and all(cell.strip() for cell in rows[k][:-1])]
+    above = [k for k in range(first) if len(rows[k]) == width and all(cell.strip() for cell in rows[k][1:-1])]
     if not above:
         return None
     header = above[0] if len(above) > 1 and first - above[0] <= len(above) else above[-1]

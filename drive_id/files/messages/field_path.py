@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,21 @@ class FieldPathError(ValueError):
     """A message has no such field; the text names those it has."""
 
 
+@dataclass
+class _Known:
+    """How the value is taken from messages of a type in which it has been found: they all have the same fields."""
+
+    kind: type | None = None
+    take: Callable[[Any], Any] | None = None
+
+
 @dataclass(frozen=True)
 class FieldPath:
     """A parsed path: field names, indices and slices, applied from left to right; after a slice, to each element."""
 
     text: str
     steps: tuple[str | int | slice, ...]
+    _known: _Known = field(default_factory=_Known, compare=False, repr=False)
 
     def values(self, message: object) -> FloatArray:
         """Return the numbers at the path as (n,) float.
@@ -38,6 +48,10 @@ class FieldPath:
             When the message has no such field, or no numbers there.
         """
         found = self.find(message)
+        if type(found) is float or type(found) is int:
+            return np.array((found,), np.float64)
+        if type(found) is np.ndarray and found.ndim == 1 and found.dtype.kind in "iuf":
+            return found.astype(np.float64)
         if isinstance(found, (str, bytes, dict)) or dataclasses.is_dataclass(found):
             raise FieldPathError(f"'{self.text}' is not a number")
         try:
@@ -50,7 +64,16 @@ class FieldPath:
 
     def find(self, message: object) -> Any:
         """Return the value at the path; FieldPathError when there is none."""
-        return _follow(message, self.steps, self.text)
+        known = self._known
+        if known.take is not None and type(message) is known.kind:
+            try:
+                return known.take(message)
+            except IndexError:  # of a shorter array, which is told below
+                known.take = None
+        found = _follow(message, self.steps, self.text)
+        if known.kind is not type(message) and dataclasses.is_dataclass(message):
+            known.kind, known.take = type(message), _getter(message, self.steps)
+        return found
 
 
 def parse_field_path(text: str, where: str) -> FieldPath:
@@ -82,6 +105,29 @@ def parse_field_path(text: str, where: str) -> FieldPath:
     if not steps or position < len(text) or name_may_follow:
         raise ConfigurationError(f"{where} is '{text}': write a field path like state.current[0] or data[0::3].")
     return FieldPath(text, tuple(steps))
+
+
+def _getter(message: Any, steps: Sequence[str | int | slice]) -> Callable[[Any], Any] | None:
+    """Return a fast way along steps that lead to a value in a message; None if they cut arrays or enter mappings."""
+    getters: list[Callable[[Any], Any]] = []
+    value = message
+    for step in steps:
+        if isinstance(step, slice) or isinstance(value, dict):
+            return None
+        name = step
+        if isinstance(name, str) and not hasattr(value, name):
+            name = f"{name}_"
+        getters.append(attrgetter(name) if isinstance(name, str) else itemgetter(name))
+        value = getters[-1](value)
+    if len(getters) == 1:
+        return getters[0]
+
+    def take(message: Any) -> Any:
+        for getter in getters:
+            message = getter(message)
+        return message
+
+    return take
 
 
 def _follow(value: Any, steps: Sequence[str | int | slice], text: str) -> Any:

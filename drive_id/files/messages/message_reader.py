@@ -158,8 +158,9 @@ def _field_reader(decode: Callable[[bytes | memoryview], object], source: TimeSo
         if len(message.data) > _LARGEST_MESSAGE:
             raise ValueError(f"it has {len(message.data)} bytes")
         decoded = decode(message.data)
-        columns = tuple(path.values(decoded) for path in values)
-        if any(len(column) != len(columns[0]) for column in columns):
+        columns = tuple([path.values(decoded) for path in values])
+        sizes = {len(column) for column in columns}
+        if len(sizes) > 1:
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
         stamp = message.log_time if by_log else _time(stamp_path, decoded, source.tick)
         if not isinstance(stamp, int) and len(stamp) != len(columns[0]):

@@ -21,6 +21,7 @@ from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder, SignalPart, spacing_remarks
+from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.container import TopicInfo
 
 
@@ -106,9 +107,12 @@ class ColumnStream:
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals."""
         pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        guard = MemoryGuard(self._log.path)
         for rows in self._log.parts(self._wanted):
             for name, piece in self._pieces(rows):
                 pieces[name].append(piece)
+                if name == "currents":
+                    guard.add(len(piece.columns[0]), rows.progress)
         self._refuse_empty(pieces)
         return self._built(pieces)
 

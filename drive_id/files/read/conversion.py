@@ -31,7 +31,7 @@ def _conversion(source: PhaseSource) -> ToPhases | None:
     return to_phases
 
 
-def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, list[str]]:
+def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, float, list[str]]:
     """Return the resolver's signal, with a speed recorded apart, at the times of the currents if it is interpolated.
 
     Parameters
@@ -43,6 +43,8 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
     Returns
     -------
     signal : Signal
+    error : float
+        Root mean square error of an interpolated angle, rad; 0 for one that is not.
     warnings : list of str
 
     Raises
@@ -65,14 +67,13 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
         )
         remarks = [said]
     if not signals.resolver.interpolate:
-        return rotor, remarks
+        return rotor, 0.0, remarks
     moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))
     said = (
-        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated: every second of its "
-        f"samples is found from the others within {moved.error * 1e3:.2g} mrad rms, which bounds the error. It counts "
-        "as an error of the angle, which the standard errors do not include."
+        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated with an error of "
+        f"about {moved.error * 1e3:.2g} mrad rms, as left-out samples show; the standard errors include it."
     )
-    return moved.signal, [*remarks, said]
+    return moved.signal, moved.error, [*remarks, said]
 
 
 def undecimated(samples: Samples, signals: SignalMap) -> Samples:

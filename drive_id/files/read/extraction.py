@@ -36,6 +36,7 @@ from drive_id.files.messages.message_reader import (
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.si_units import in_si_units, is_plain
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
+from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
@@ -148,8 +149,11 @@ class SignalStream:
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals; see :func:`extract_signals`."""
         pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        guard = MemoryGuard(self._bag.path)
         for section, piece in self._pieces():
             pieces[section].append(piece)
+            if section == "currents":
+                guard.add(len(piece.columns[0]), self._progress())
         self._refuse_empty(section for section in self._sources if section not in pieces)
         return self._built({section: pieces[section] for section in self._sources if section in pieces})
 

@@ -241,7 +241,7 @@ def _opened(
 def _joined_at_once(path: Path, stream: SignalStream | ColumnStream, signals: SignalMap) -> JoinResult:
     found = stream.whole()
     with _naming(path):
-        resolver, said = rotor_at_currents(found, signals)
+        resolver, angle_error, said = rotor_at_currents(found, signals)
         result = join(
             found["currents"],
             found["voltages"],
@@ -252,7 +252,7 @@ def _joined_at_once(path: Path, stream: SignalStream | ColumnStream, signals: Si
             to_phases=conversions(signals),
         )
     report = replace(result.report, warnings=(*result.report.warnings, *stream.remarks(), *said))
-    return JoinResult(undecimated(result.samples, signals), report)
+    return JoinResult(undecimated(replace(result.samples, angle_error=angle_error), signals), report)
 
 
 @contextmanager

@@ -112,6 +112,21 @@ def test_a_restored_state_goes_on_as_if_nothing_had_been(recordings):
     np.testing.assert_allclose(restored.information.blocks, straight.information.blocks, atol=1e-12 * total)
 
 
+def test_errors_of_interpolated_angles_are_averaged_over_recordings(recordings):
+    first, second = replace(recordings[0], angle_error=3e-3), recordings[1]
+    expected = 9e-6 * len(first) / (len(first) + len(second))
+    both = evidence(first).merged(evidence(second))
+    assert both.angle_variance == pytest.approx(expected)
+    assert evidence(first, second).angle_variance == pytest.approx(expected)
+    assert Samples.joined([first, replace(second, stamp=second.stamp + 10**12)]).angle_error ** 2 == pytest.approx(
+        expected
+    )
+    older = {name: values for name, values in both.state().items() if name != "_angle_square"}
+    restored = evidence(first)
+    restored.restore(older)
+    assert restored.samples == both.samples
+
+
 def test_a_state_of_another_model_is_refused(recordings):
     state = evidence(recordings[0]).state()
     for settings in (

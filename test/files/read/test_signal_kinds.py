@@ -189,7 +189,8 @@ def test_an_angle_of_another_rate_and_a_speed_of_a_third(tmp_path, truth):
         )
         np.testing.assert_allclose(found.speed, 200.0, rtol=1e-6)
         assert len(found) == N
-        assert any("was interpolated: every second" in text for text in recording.warnings)
+        assert any("was interpolated with an error of about" in text for text in recording.warnings)
+        assert 0 < found.angle_error < 1e-6
 
 
 def test_a_decimated_log_is_read_as_means_over_its_samples(tmp_path):

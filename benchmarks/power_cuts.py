@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -271,10 +271,3 @@ def _agrees(bag: Path, samples: Samples) -> bool:
 
 def _tree(folder: Path) -> dict[str, bytes]:
     return {str(each.relative_to(folder)): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
-
-
-def section(count: int, seed: int, names: list[str]) -> Iterator[tuple[str, Tally]]:
-    """Yield the tally of each kind of recording."""
-    for name in names:
-        with tempfile.TemporaryDirectory(prefix="drive_id_power_") as folder:
-            yield name, states(name, count, seed, Path(folder))

@@ -37,6 +37,8 @@ ALLOWANCE = 1.0
 LEAD = 0.3
 """Default of ``lead_time``, s."""
 I_MAX = 100.0
+_IN_FLIGHT = 20
+"""Last messages of a killed node, of which only some listeners may have got all."""
 _REST = 0.02 * I_MAX
 """Current of a drive at rest, A: noise."""
 
@@ -245,7 +247,8 @@ class Rounds:
         lost = 0.0
         for topic, heard in self._heard.items():
             during = [(when, data) for when, data in heard if recording.begin < when < recording.end]
-            for run in _runs(during):
+            runs = _runs(during)
+            for run in [*(run[:-_IN_FLIGHT] for run in runs[:-1]), runs[-1]]:
                 there = [k for k, (_, data) in enumerate(run) if (topic, data) in found]
                 missing = [when for when, data in run[there[0] if there else len(run) :] if (topic, data) not in found]
                 lost = max(lost, recording.end - min(missing, default=recording.end))

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 PATIENCE = 90.0
 """Longest wait for anything, s: the machine may be busy."""
 
+_DISCOVERY = 2.0
+"""Time in which nodes of the same domain are discovered, s."""
+
 
 def resident(pid: int | None = None) -> float:
     """Return the memory that a process, by default this one, holds, MB."""
@@ -89,9 +92,17 @@ class NodeProcess:
 
 
 class Graph:
-    """A client in a ROS context of its own, and the nodes that it has started."""
+    """A client in a ROS context of its own, and the nodes that it has started.
 
-    def __init__(self, folder: Path) -> None:
+    Parameters
+    ----------
+    folder : Path
+        For logs.
+    alone : bool
+        Refuse a domain in which there are other nodes: their answers would be taken for ours, and ours for theirs.
+    """
+
+    def __init__(self, folder: Path, *, alone: bool = True) -> None:
         self.folder = folder
         self.started: list[NodeProcess] = []
         os.environ["ROS_LOG_DIR"] = str(folder / "ros_log")
@@ -102,6 +113,11 @@ class Graph:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
+        self.spin(_DISCOVERY if alone else 0.0)
+        others = set(self.node.get_node_names()) - {self.node.get_name()}
+        if alone and others:
+            domain = os.environ["ROS_DOMAIN_ID"]
+            raise SystemExit(f"Other nodes are in domain {domain} ({', '.join(sorted(others))}): set ROS_DOMAIN_ID.")
 
     def start(self, name: str, parameters: dict[str, Any] | None = None) -> NodeProcess:
         """Start a node of the package and wait until it is ready."""

@@ -125,7 +125,7 @@ def stream(folder: Path) -> Iterator[tuple[str, bytes, int]]:
 
 def publish(folder: Path, hours: float, factor: float) -> None:
     """Be the process that publishes; prints the samples of all topics at the end."""
-    with Graph(folder) as graph:
+    with Graph(folder, alone=False) as graph:
         kinds = {name: getattr(msg, kind.rpartition("/")[2]) for name, kind in TYPES.items()}
         publishers = {name: graph.node.create_publisher(kind, name, STREAM) for name, kind in kinds.items()}
         source = stream(folder)

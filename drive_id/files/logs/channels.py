@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -81,6 +82,9 @@ class TdmsLog:
 
     def __init__(self, path: Path) -> None:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
+        from nptdms.log import log_manager  # noqa: PLC0415
+
+        log_manager.set_level(logging.CRITICAL)  # it warns of truncated files; what is missing, the reader says itself
 
         self.path = path
         self._stream = path.open("rb")

@@ -122,6 +122,14 @@ def test_damaged_files_are_refused_in_one_sentence(name, tmp_path, columns):
     gc.collect()  # what asammdf leaves behind
 
 
+def test_truncated_channels_are_told_by_us_alone(tmp_path, columns, capfd):
+    path = write_tdms(tmp_path / "log.tdms", columns)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with pytest.raises(DriveIdError, match=r"cannot be read \(its columns have .* rows\)"):
+        read_recording(path, signals())
+    assert capfd.readouterr().err == ""
+
+
 def test_a_missing_library_is_named_with_its_remedy(tmp_path, columns, monkeypatch):
     path = write_tdms(tmp_path / "log.tdms", columns)
     true = builtins.__import__

@@ -43,7 +43,7 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     result = run(options.hours, options.minutes, folder / "soak", options.method)
     _row("stream", "in", "samples", "lost", "live fits answered", *result.memory, head=True)
     memory = [
-        f"{values[0]:.0f} to {values[-1]:.0f} MB, {result.growth(name):+.1f} MB/h"
+        f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
         for name, values in result.memory.items()
     ]
     hours, minutes = f"{result.hours:.2f} h", f"{result.wall / 60:.1f} min"

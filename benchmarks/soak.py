@@ -73,8 +73,9 @@ class Soak:
             self.memory.setdefault(name, []).append(value)
 
     def growth(self, name: str) -> float:
-        """Return by how much the memory grew, MB per hour of stream."""
-        return slope(self.times, self.memory[name])
+        """Return by how much the memory grew in the later two thirds, MB: along a line, for fits come and go."""
+        span = self.times[-1] - self.times[len(self.times) // 3]
+        return span * slope(self.times, self.memory[name])
 
 
 class Files:

@@ -130,6 +130,15 @@ def test_truncated_channels_are_told_by_us_alone(tmp_path, columns, capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("stamp", [np.inf, 1e300])
+def test_damaged_stamps_of_channels_are_out_of_range(tmp_path, columns, stamp):
+    times = columns["time_s"].copy()
+    times[7] = stamp
+    path = write_mdf(tmp_path / "log.mf4", {**columns, "time_s": times})
+    with pytest.raises(DriveIdError, match="out of range"):
+        read_recording(path, signals(stamp=""))
+
+
 def test_a_missing_library_is_named_with_its_remedy(tmp_path, columns, monkeypatch):
     path = write_tdms(tmp_path / "log.tdms", columns)
     true = builtins.__import__

@@ -32,7 +32,7 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench fuzz lint ament docs coverage mutation package colcon clean
+.PHONY: help setup demo test bench fuzz endure lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -54,6 +54,9 @@ bench: setup ## run the benchmarks
 
 fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300", ARGS=--bombs
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)
+
+endure: setup ## try power cuts, a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
+	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
 lint: setup ## check style, types and the direction of imports
 	@$(RUN) ruff check

@@ -26,22 +26,28 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from fuzz_inputs import BOMBS, KINDS, Case, make_corpus
+from fuzz_inputs import BOMBS, SECONDS, TRAJECTORY, Case, make_corpus
+from fuzz_inputs import KINDS as BAG_KINDS
+from fuzz_logs import LOG_KINDS, load_readers, make_logs
 from scipy.interpolate import RegularGridInterpolator
 
+import drive_id
 from drive_id.cli import app
 from drive_id.live.memory import return_free_memory
 
 PROCESSOR, WALL, MEMORY = 10.0, 90.0, 300e6
 """Budget of one input: s of processor time, s until it is taken for a hang, bytes over those of the good inputs."""
 SIGMAS, SHARE = 4.0, 0.01
+KINDS = BAG_KINDS | LOG_KINDS
+_MAKING = ("fit", "import", "convert", "simulate", "recover")
+"""Commands of which nothing may be left under the output's name when they fail."""
 OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one sentence", "left behind", "wrong map")
 
 
@@ -138,7 +144,7 @@ def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, 
         "over time": ran.processor > PROCESSOR,
         "over memory": ran.memory > MEMORY,
         "not one sentence": ran.code == 1 and not sentence,
-        "left behind": ran.code == 1 and case.arguments[0] == "fit" and (folder / "out").exists(),
+        "left behind": ran.code == 1 and case.arguments[0] in _MAKING and (folder / "out").exists(),
         "wrong map": bool(wrong),
     }
     found = next((outcome for outcome, holds in checks.items() if holds), "")
@@ -174,24 +180,23 @@ def _differs(found: Path, good: Path) -> str:
 class Worker:
     """Tries inputs one after the other, each in a fork of this process, which has loaded everything before."""
 
-    def __init__(self, corpus: Path) -> None:
+    def __init__(self, corpus: Path, kinds: Collection[str]) -> None:
         self._corpus = corpus
+        self._kinds = set(kinds)
         self._scratch = Path(tempfile.mkdtemp(prefix="fuzz-", dir=corpus.parent))
         os.environ["TMPDIR"] = str(self._scratch)
         tempfile.tempdir = None
 
     def warm_up(self) -> None:
         """Use everything once in this process, which compiles and loads it; the forks then have it."""
-        import drive_id  # noqa: PLC0415  # the environment is set by now
-
         self._good("nocrc.mcap", "joint")
         drive_id.load(self._corpus / "result")
         drive_id.simulate(self._corpus / "machine.npz", 0.05)
+        if self._kinds & set(LOG_KINDS):
+            load_readers(self._corpus)
 
     def _good(self, name: str, method: str) -> Path:
         """Return the result of a good input."""
-        import drive_id  # noqa: PLC0415  # as above
-
         if name in ("packed.mcap.zstd", "sqlite.db3"):  # the same samples without a truth
             name = "nocrc.mcap"
         target = self._scratch / f"{name.replace('/', '_')}_{method}"
@@ -225,14 +230,14 @@ class Worker:
         return Finding(outcome, kind, number, case.damage[:300], case.arguments, said, repeat)
 
 
-def _work(corpus: Path, first: int, step: int, end: float, results: Any) -> None:
+def _work(corpus: Path, kinds: Collection[str], first: int, step: int, end: float, results: Any) -> None:
     """Try inputs of all kinds in turn until the time is over."""
     with patch("drive_id.fitting.result.pictures", return_value={}):  # drawing takes longer than all else
-        worker = Worker(corpus)
+        worker = Worker(corpus, kinds)
         try:
             worker.warm_up()
             for number in range(first, 1 << 40, step):
-                for kind in KINDS:
+                for kind in kinds:
                     if time.time() > end:
                         return
                     results.put((kind, worker.attempt(kind, number)))
@@ -241,12 +246,16 @@ def _work(corpus: Path, first: int, step: int, end: float, results: Any) -> None
             results.put(None)
 
 
-def fuzz(corpus: Path, seconds: float, seed: int, jobs: int) -> Iterator[tuple[str, Finding | None]]:
+def fuzz(
+    corpus: Path, kinds: Collection[str], seconds: float, seed: int, jobs: int
+) -> Iterator[tuple[str, Finding | None]]:
     """Yield kind and finding of each input that was tried.
 
     Parameters
     ----------
     corpus : Path
+    kinds : collection of str
+        Keys of :data:`KINDS`.
     seconds : float
         Without warming up.
     seed : int
@@ -257,7 +266,7 @@ def fuzz(corpus: Path, seconds: float, seed: int, jobs: int) -> Iterator[tuple[s
     context = multiprocessing.get_context("spawn")
     results: Any = context.Queue()
     end = time.time() + seconds
-    workers = [context.Process(target=_work, args=(corpus, seed + k, jobs, end, results)) for k in range(jobs)]
+    workers = [context.Process(target=_work, args=(corpus, kinds, seed + k, jobs, end, results)) for k in range(jobs)]
     for worker in workers:
         worker.start()
     left = jobs
@@ -279,6 +288,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to try random inputs")
     parser.add_argument("--seed", type=int, default=None, help="first number; default: another one each time")
+    parser.add_argument("--kinds", default="", help="names of kinds, with commas; default: all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--replay", metavar="KIND:NUMBER", help="try one input again")
     parser.add_argument(
@@ -294,9 +304,12 @@ def main() -> None:
         if not (corpus / "machine.npz").exists():
             corpus.mkdir(parents=True)
             make_corpus(corpus)
+        kinds = options.kinds.split(",") if options.kinds else list(KINDS)
+        if set(kinds) & set(LOG_KINDS) and not (corpus / "slow.csv").exists():
+            make_logs(corpus, drive_id.simulate("ipm", SECONDS, seed=7, noise=1e-3, trajectory=TRAJECTORY))
         findings: list[Finding] = []
         tried: Counter[str] = Counter()
-        for kind, finding in _attempts(corpus, options):
+        for kind, finding in _attempts(corpus, kinds, options):
             tried[kind] += 1
             if finding is not None:
                 findings.append(finding)
@@ -307,7 +320,7 @@ def main() -> None:
         raise SystemExit(1)
 
 
-def _attempts(corpus: Path, options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
+def _attempts(corpus: Path, kinds: list[str], options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
     """Yield kind and finding of each input that the options ask for."""
     if options.replay:
         kind, _, number = options.replay.partition(":")
@@ -318,15 +331,15 @@ def _attempts(corpus: Path, options: argparse.Namespace) -> Iterator[tuple[str, 
     seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
     print(f"Numbers from {seed}", flush=True)
     if options.count:
-        chosen += [(kind, seed + k) for k in range(options.count) for kind in KINDS]
+        chosen += [(kind, seed + k) for k in range(options.count) for kind in kinds]
         return _singly(corpus, chosen, show=False)
-    return fuzz(corpus, options.seconds, seed, options.jobs)
+    return fuzz(corpus, kinds, options.seconds, seed, options.jobs)
 
 
 def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Iterator[tuple[str, Finding | None]]:
     """Try inputs one after the other."""
     with patch("drive_id.fitting.result.pictures", return_value={}):
-        worker = Worker(corpus)
+        worker = Worker(corpus, {kind for kind, _ in chosen})
         try:
             worker.warm_up()
             for kind, number in chosen:
@@ -338,13 +351,13 @@ def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Itera
 def report(findings: list[Finding], tried: Counter[str]) -> None:
     """Print inputs and findings by kind."""
     outcomes = Counter((finding.kind, finding.outcome) for finding in findings)
-    print(f"| {'kind':14} | inputs | " + " | ".join(OUTCOMES) + " |")
+    print(f"| {'kind':19} | inputs | " + " | ".join(OUTCOMES) + " |")
     print("|---" * (2 + len(OUTCOMES)) + "|")
     for kind in tried:
         counts = " | ".join(str(outcomes[kind, outcome]) for outcome in OUTCOMES)
-        print(f"| {kind:14} | {tried[kind]} | {counts} |")
+        print(f"| {kind:19} | {tried[kind]} | {counts} |")
     totals = " | ".join(str(sum(finding.outcome == outcome for finding in findings)) for outcome in OUTCOMES)
-    print(f"| {'all':14} | {sum(tried.values())} | {totals} |")
+    print(f"| {'all':19} | {sum(tried.values())} | {totals} |")
 
 
 if __name__ == "__main__":

@@ -161,7 +161,7 @@ def damaged(data: bytes, rng: random.Random) -> tuple[bytes, str]:
     return bytes(out), ", ".join(said)
 
 
-def _damaged_text(text: str, rng: random.Random) -> tuple[str, str]:
+def damaged_text(text: str, rng: random.Random) -> tuple[str, str]:
     """Return a text with tokens replaced, lines moved, or pieces of YAML that have a meaning."""
     lines, said = text.splitlines(), []
     for _ in range(rng.choice((1, 1, 2, 4))):
@@ -219,7 +219,7 @@ def _flipped_sqlite(folder: Path, source: Path, rng: random.Random) -> str:
     return f"bit {bit} of byte {at} in message {key} flipped"
 
 
-def _changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[bytes, str]:
+def changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[bytes, str]:
     """Return an npz with a changed array or header; ``signed`` renews the digest of an information file."""
     with np.load(path, allow_pickle=False) as file:
         arrays: dict[str, Any] = dict(file.items())
@@ -257,6 +257,23 @@ def _changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[by
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue(), said
+
+
+def damage_result(result: Path, rng: random.Random) -> str:
+    """Damage one file of a result folder, or change an entry of its JSON; return what was done."""
+    file = result / rng.choice(("identification.json", "flux_map.npz"))
+    if file.suffix == ".npz" and rng.random() < 0.7:
+        data, said = changed_arrays(file, rng, signed=False)
+    elif rng.random() < 0.5:
+        data, said = damaged(file.read_bytes(), rng)
+    else:
+        tree = json.loads((result / "identification.json").read_text())
+        file = result / "identification.json"
+        key = rng.choice(sorted(tree))
+        tree[key] = rng.choice((None, -1, "x", [], {}, 1e308, [None], "9" * 4000, {"a": 1}, True))
+        data, said = json.dumps(tree).encode(), f"{key} is {str(tree[key])[:40]!r}"
+    file.write_bytes(data)
+    return said
 
 
 # -- kinds -------------------------------------------------------------------------------------------------------------
@@ -309,7 +326,7 @@ def _metadata(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tupl
     if rng.random() < 0.5:
         data, said = damaged(text.encode(), rng)
     else:
-        changed, said = _damaged_text(text, rng)
+        changed, said = damaged_text(text, rng)
         data = changed.encode("utf-8", "surrogatepass")
     file.write_bytes(data)
     arguments = _command(rng, "ours", full=False)
@@ -322,7 +339,7 @@ def _information(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, t
         data, said = damaged(source.read_bytes(), rng)
     else:
         signed = rng.random() < 0.7
-        data, said = _changed_arrays(source, rng, signed=signed)
+        data, said = changed_arrays(source, rng, signed=signed)
         said += ", signed" if signed else ""
     (folder / "ours.info").write_bytes(data)
     if rng.random() < 0.3:
@@ -332,30 +349,18 @@ def _information(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, t
 
 def _machine(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
     source = corpus / "machine.npz"
-    data, said = damaged(source.read_bytes(), rng) if rng.random() < 0.3 else _changed_arrays(source, rng, signed=False)
+    data, said = damaged(source.read_bytes(), rng) if rng.random() < 0.3 else changed_arrays(source, rng, signed=False)
     (folder / "machine.npz").write_bytes(data)
     return said, ("simulate", "--machine", "machine.npz", "--output", "bag", "--seconds", "0.05"), ""
 
 
 def _result(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
     shutil.copytree(corpus / "result", folder / "result")
-    file = folder / "result" / rng.choice(("identification.json", "flux_map.npz"))
-    if file.suffix == ".npz" and rng.random() < 0.7:
-        data, said = _changed_arrays(file, rng, signed=False)
-    elif rng.random() < 0.5:
-        data, said = damaged(file.read_bytes(), rng)
-    else:
-        tree = json.loads((folder / "result" / "identification.json").read_text())
-        file = folder / "result" / "identification.json"
-        key = rng.choice(sorted(tree))
-        tree[key] = rng.choice((None, -1, "x", [], {}, 1e308, [None], "9" * 4000, {"a": 1}, True))
-        data, said = json.dumps(tree).encode(), f"{key} is {str(tree[key])[:40]!r}"
-    file.write_bytes(data)
-    return said, ("info", "result"), ""
+    return damage_result(folder / "result", rng), ("info", "result"), ""
 
 
 def _signals(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    changed, said = _damaged_text((corpus / "signals.yaml").read_text(), rng)
+    changed, said = damaged_text((corpus / "signals.yaml").read_text(), rng)
     (folder / "signals.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
     link = folder / "ours"
     link.symlink_to(corpus / "ours")
@@ -363,7 +368,7 @@ def _signals(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple
 
 
 def _config(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    changed, said = _damaged_text((corpus / "config.yaml").read_text(), rng)
+    changed, said = damaged_text((corpus / "config.yaml").read_text(), rng)
     (folder / "config.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
     (folder / "ours").symlink_to(corpus / "ours")
     return said, ("fit", "ours", "--config", "config.yaml", "--output", "out"), ""
@@ -379,7 +384,7 @@ def _schema(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[
             kind = str(info.msgtype)
             text = schema_text(kind)
             if kind in BLOCK_FIELDS and rng.random() < 0.6:
-                text, what = _damaged_text(text, rng)
+                text, what = damaged_text(text, rng)
                 said.append(f"{name}: {what}")
             data = text.encode("utf-8", "replace")
             keys[name] = writer.register_channel(name, "cdr", writer.register_schema(kind, "ros2msg", data))

@@ -66,10 +66,10 @@ def _repeat(source: Path, target: Path, times: int, before: int = 0) -> None:
         for number in range(before, before + times):
             shift = number * samples * (1_000_000_000 // RATE)
             for topic, log_time, data in messages:
-                writer.write(topic, _moved(data, shift, number * samples), log_time + shift)
+                writer.write(topic, moved(data, shift, number * samples), log_time + shift)
 
 
-def _moved(data: bytes, shift: int, count: int) -> bytes:
+def moved(data: bytes, shift: int, count: int) -> bytes:
     """Return a message whose samples were taken ``shift`` ns later and count on from ``count``."""
     seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
     (first,) = _COUNT.unpack_from(data, _COUNT_AT)

@@ -20,6 +20,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+_LARGEST = 1e39
+"""Of no sample, just beyond float32: powers and sums of larger values overflow."""
+_LARGEST_SQUARE = 1e100
+"""Sum of squares that no number of samples below :data:`_LARGEST` reaches."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples:
@@ -99,17 +104,18 @@ class Samples:
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= n:
             raise DataError("run_starts must begin with 0 and increase strictly within the samples.")
         for name, values in scalars.items():
-            if np.isinf(values).any():
+            if (np.abs(values) > _LARGEST).any():
                 raise NonFiniteError(f"{name} holds infinite values: use NaN where it is unknown.")
         for name in ("i_abc", "u_abc", "angle", "speed"):
             values = getattr(self, name)
             with np.errstate(over="ignore", invalid="ignore"):
-                total = values.sum()  # of finite values it is finite, unless they are absurd
-            if not (np.isfinite(total) or np.isfinite(values).all()):
-                finite = np.isfinite(values).reshape(n, -1).all(axis=1)
-                k = int(np.argmin(finite))
+                square = np.vdot(values, values)
+            if not square < _LARGEST_SQUARE:
+                usable = (np.abs(values) < _LARGEST).reshape(n, -1).all(axis=1)
+                k = int(np.argmin(usable))
+                what = "NaN or infinite" if not np.isfinite(values).all() else f"larger than {_LARGEST:g}"
                 raise NonFiniteError(
-                    f"{name} holds {n - int(finite.sum())} samples that are NaN or infinite, the first at "
+                    f"{name} holds {n - int(usable.sum())} samples that are {what}, the first at "
                     f"{(self.stamp[k] - self.stamp[0]) * 1e-9:.6f} s: repair or cut the recording there."
                 )
 

@@ -99,3 +99,15 @@ def test_parts_out_of_order_are_refused():
     whole = numbered(6)
     with pytest.raises(DataError, match="do not increase strictly"):
         Samples.joined([whole.part(3, 6), whole.part(0, 3)])
+
+
+@pytest.mark.parametrize("name", ["i_abc", "u_abc", "angle", "speed"])
+@pytest.mark.parametrize(("value", "said"), [(1e160, "larger than 1e\\+39"), (-1e60, "larger"), (np.inf, "infinite")])
+def test_values_whose_squares_overflow_are_refused(name, value, said):
+    whole = numbered(6)
+    array = getattr(whole, name).copy()
+    array[3] = value
+    with pytest.raises(NonFiniteError, match=rf"{name} holds 1 samples that are .*{said}"):
+        replace(whole, **{name: array})
+    array[3] = np.finfo(np.float32).max  # what a message can hold is judged by the checks of a fit
+    replace(whole, **{name: array})

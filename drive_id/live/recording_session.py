@@ -281,10 +281,10 @@ class RecordingSession:
             for _ in range(len(self._queue)):
                 self._write(self._queue.popleft())
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
+                flushed = time.monotonic()  # what comes while the disk works waits for the next one
                 self._writer.flush(sync=True)
                 if self._is_gone():
                     return
-                flushed = time.monotonic()
 
     def _write(self, message: _Waiting) -> None:
         if message is _SPLIT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -63,7 +64,8 @@ class MdfLog:
         number, count = self._numbers[column.group], at.stop - at.start
         if column.name == OWN_TIME:
             seconds = self._file.get_master(number, record_offset=at.start, record_count=count)
-            return np.rint(np.asarray(seconds, np.longdouble) * 1_000_000_000).astype(np.int64)
+            with np.errstate(invalid="ignore", over="ignore"):  # of damaged stamps, which become ones out of range
+                return np.rint(np.asarray(seconds, np.longdouble) * 1_000_000_000).astype(np.int64)
         signal = self._file.get(group=number, index=self._channels[column], record_offset=at.start, record_count=count)
         return np.asarray(signal.samples)
 
@@ -81,6 +83,9 @@ class TdmsLog:
 
     def __init__(self, path: Path) -> None:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
+        from nptdms.log import log_manager  # noqa: PLC0415
+
+        log_manager.set_level(logging.CRITICAL)  # it warns of truncated files; what is missing, the reader says itself
 
         self.path = path
         self._stream = path.open("rb")
@@ -106,7 +111,8 @@ class TdmsLog:
             channel = next(item for item in group.channels() if "wf_increment" in item.properties)
             start = float(channel.properties.get("wf_start_offset", 0.0))
             step = float(channel.properties["wf_increment"])
-            return np.rint((start + np.arange(at.start, at.stop) * step) * 1e9).astype(np.int64)
+            with np.errstate(invalid="ignore", over="ignore"):  # likewise
+                return np.rint((start + np.arange(at.start, at.stop) * step) * 1e9).astype(np.int64)
         found = np.asarray(group[column.name][at.start : at.stop])
         return found.astype("datetime64[ns]").astype(np.int64) if found.dtype.kind == "M" else found
 

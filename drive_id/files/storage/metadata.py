@@ -14,6 +14,7 @@ from drive_id.errors import NotABagError
 from drive_id.files.inputs.input_file import check_input, read_text_input, reason
 from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.container import full_type
+from drive_id.files.storage.durable import sync_folder, write_synced
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _LARGEST = 1 << 23
@@ -204,11 +205,12 @@ def _by_number(offered_qos: Any) -> bool:
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, all of it or nothing; OSError when it cannot be written."""
+    """Write ``metadata.yaml`` to the disk, all of it or nothing; OSError when it cannot be written."""
     tree = yaml.safe_dump({"rosbag2_bagfile_information": dict(information)}, sort_keys=False)
     partial = folder / "metadata.yaml.partial"
-    partial.write_text(tree, encoding="utf-8")
+    write_synced(partial, tree.encode())
     partial.replace(folder / "metadata.yaml")
+    sync_folder(folder)
 
 
 def _times(first: int | None, last: int, count: int) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from drive_id.errors import EmptyTopicError, NotABagError
 from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.bag import present_files
-from drive_id.files.storage.container import MCAP_MAGIC, read_magic, unpack_file
+from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magic, unpack_file
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
@@ -81,8 +81,12 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
     for file in files:
         with ExitStack() as stack:
             plain, _ = unpack_file(file, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drive_id_"))))
-            if not read_magic(plain, file).startswith(MCAP_MAGIC):
-                raise NotABagError(f"{file} is no MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'.")
+            magic = read_magic(plain, file)
+            if not magic.startswith(MCAP_MAGIC):
+                if magic.startswith(SQLITE_MAGIC) or len(files) == 1:
+                    raise NotABagError(f"{file} is no MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'.")
+                damage.append(f"{file}: its beginning never reached the disk; it is left out.")
+                continue
             copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
             stack.callback(copy.release)
             copy.run()

@@ -26,6 +26,7 @@ from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import reason
 from drive_id.files.messages.messages import DEFINITIONS, schema_text, type_hash
 from drive_id.files.storage.container import MCAP_MAGIC
+from drive_id.files.storage.durable import make_folder, sync_folder
 from drive_id.files.storage.mcap import RECORDER_LIBRARY, McapStorage
 from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_information, write_metadata
 
@@ -246,7 +247,7 @@ class Rosbag2McapWriter:
         self._earlier: list[_CompleteFile] = []
         self._closed = False
         try:
-            path.mkdir(parents=True)
+            self._unsynced = make_folder(path) | {path}
         except FileExistsError as error:
             raise OutputError(f"{path} exists already: choose another name, or remove it.") from error
         except OSError as error:
@@ -339,12 +340,15 @@ class Rosbag2McapWriter:
         """
         with self._refusal():
             self._file.flush(sync=sync)
+            if sync:
+                self._sync_names()
 
     def split(self) -> None:
         """Complete the file being written and continue in a new one."""
         with self._refusal():
             self._finish_file(None)
             file = self._open_file(len(self._earlier) + 1)
+        self._unsynced.add(self.path)
         self._earlier.append(_CompleteFile(self._file.path, self._file.entry, self._file.size))
         self._file = file
 
@@ -361,6 +365,7 @@ class Rosbag2McapWriter:
         self._free_reserve()
         with self._refusal():
             self._finish_file(custom)
+            self._sync_names()
         self.describe(custom)
         self._closed = True
 
@@ -378,6 +383,7 @@ class Rosbag2McapWriter:
             with self._refusal():
                 if not self._file.finished:
                     self._file.end_early()
+                self._sync_names()
         finally:
             self._file.release()
 
@@ -424,6 +430,12 @@ class Rosbag2McapWriter:
         own = {"drive_id": dict(custom)} if custom else {}
         self._file.finish({**own, "rosbag2": {"serialized_metadata": dumped}})
 
+    def _sync_names(self) -> None:
+        """Wait until the names of folder and files are on the disk: syncing a file keeps its content only."""
+        for folder in tuple(self._unsynced):
+            sync_folder(folder)
+            self._unsynced.discard(folder)
+
     def _information(self, files: list[FileEntry], custom: Mapping[str, str] | None) -> dict[str, Any]:
         return bag_information(list(self._topics.values()), files, self._distro, custom)
 
@@ -443,6 +455,8 @@ class Rosbag2McapWriter:
 def whole_or_nothing(path: Path) -> Iterator[Path]:
     """Yield the path of a folder to make, which becomes ``path`` when the block ends without an error.
 
+    A writer has synced what is in the folder by then, so that ``path`` is also whole after a power cut.
+
     Raises
     ------
     OutputError
@@ -451,13 +465,15 @@ def whole_or_nothing(path: Path) -> Iterator[Path]:
     if path.exists() or path.is_symlink():
         raise OutputError(f"{path} exists already: choose another name, or remove it.")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        unsynced = make_folder(path.parent, exist_ok=True) | {path.parent}
         around = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     except OSError as error:
         raise _refused(path, error) from error
     try:
         yield around / path.name
         (around / path.name).rename(path)
+        for folder in unsynced:
+            sync_folder(folder)
     except OSError as error:
         raise _refused(path, error) from error
     finally:

@@ -122,6 +122,23 @@ def test_damaged_files_are_refused_in_one_sentence(name, tmp_path, columns):
     gc.collect()  # what asammdf leaves behind
 
 
+def test_truncated_channels_are_told_by_us_alone(tmp_path, columns, capfd):
+    path = write_tdms(tmp_path / "log.tdms", columns)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with pytest.raises(DriveIdError, match=r"cannot be read \(its columns have .* rows\)"):
+        read_recording(path, signals())
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("stamp", [np.inf, 1e300])
+def test_damaged_stamps_of_channels_are_out_of_range(tmp_path, columns, stamp):
+    times = columns["time_s"].copy()
+    times[7] = stamp
+    path = write_mdf(tmp_path / "log.mf4", {**columns, "time_s": times})
+    with pytest.raises(DriveIdError, match="out of range"):
+        read_recording(path, signals(stamp=""))
+
+
 def test_a_missing_library_is_named_with_its_remedy(tmp_path, columns, monkeypatch):
     path = write_tdms(tmp_path / "log.tdms", columns)
     true = builtins.__import__

@@ -1,0 +1,133 @@
+"""What lasts: power cuts, hours of stream, many requests, nodes killed in any order. Prints the rows of the docs.
+
+    python benchmarks/endurance.py                               everything, in a few minutes
+    python benchmarks/endurance.py --only crash --states 120     states of the disk per kind of recording
+    python benchmarks/endurance.py --only soak --hours 8 --minutes 15
+    python benchmarks/endurance.py --only requests --requests 1000
+    python benchmarks/endurance.py --only kills --rounds 30
+
+A seed decides about states, requests and kills; what the threads and processes of the machine make of them differs from
+run to run. The exit code is 1 if there is a finding. Modules: power_cuts, soak, node_requests, node_kills.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
+
+import power_cuts
+from reporting import machine
+
+
+def crash(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Print what power cuts leave of recordings; yield findings."""
+    _row("recording", "states", *power_cuts.OUTCOMES, f"longest loss (flush period {power_cuts.FLUSH:g} s)", head=True)
+    names = [name for name in power_cuts.RECORDINGS if options.recordings in name]
+    for name in names:
+        tally = power_cuts.states(name, options.states, options.seed, folder / f"crash_{names.index(name)}")
+        counts = [str(tally.outcomes[outcome]) for outcome in power_cuts.OUTCOMES]
+        _row(name, str(tally.states), *counts, f"{tally.longest:.2f} s" if tally.longest else "")
+        yield from tally.findings
+
+
+def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Print what became of hours of stream; yield findings."""
+    import soak as soaking  # noqa: PLC0415  # needs ROS 2, as the parts below
+
+    run = soaking.in_process if options.in_process else soaking.over_dds
+    result = run(options.hours, options.minutes, folder / "soak", options.method)
+    _row("stream", "in", "samples", "lost", "live fits answered", *result.memory, head=True)
+    memory = [
+        f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
+        for name, values in result.memory.items()
+    ]
+    hours, minutes = f"{result.hours:.2f} h", f"{result.wall / 60:.1f} min"
+    answered = f"{result.replies} of {result.asked}"
+    _row(hours, minutes, str(result.published), str(result.published - result.written), answered, *memory)
+    yield from result.findings
+
+
+def requests(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Print what became of the requests; yield findings."""
+    from node_requests import many_requests  # noqa: PLC0415
+
+    result = many_requests(options.requests, options.seed, folder / "requests")
+    _row("requests", "answered", "codes", "slowest", "memory", "growth per 1000 requests", head=True)
+    codes = ", ".join(f"{count} `{code}`" for code, count in result.codes.most_common())
+    memory = f"{min(result.memory, default=0):.0f} to {max(result.memory, default=0):.0f} MB"
+    _row(
+        str(result.sent), str(result.answered), codes, f"{result.slowest:.1f} s", memory, f"{result.growth:+.0f} MB"
+    )  # fmt: skip
+    yield from result.findings
+
+
+def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Print what became of the rounds of kills; yield findings."""
+    from node_kills import kills as run  # noqa: PLC0415
+
+    result = run(options.rounds, options.seed, folder / "kills")
+    _row("rounds", "actions", "recordings", "messages", "longest loss", "findings", head=True)
+    actions = ", ".join(f"{count} × {action}" for action, count in result.actions.most_common())
+    found = str(len(result.findings))
+    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), f"{result.longest:.2f} s", found)
+    yield from result.findings
+
+
+PARTS: dict[str, Callable[[argparse.Namespace, Path], Iterator[str]]] = {
+    "crash": crash,
+    "soak": soak,
+    "requests": requests,
+    "kills": kills,
+}
+
+
+def _row(*cells: str, head: bool = False) -> None:
+    print(f"| {' | '.join(cells)} |", flush=True)
+    if head:
+        print("|---" * len(cells) + "|", flush=True)
+
+
+def main() -> None:
+    """Run the parts that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--only", default=",".join(PARTS), help="names of parts, with commas: crash,soak,requests,kills"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--states", type=int, default=10, help="states of the disk per kind of recording")
+    parser.add_argument(
+        "--recordings", default="", metavar="WORD", help="only kinds of recording with this in the name"
+    )
+    parser.add_argument("--hours", type=float, default=0.1, help="of stream, at 10 kHz on four topics")
+    parser.add_argument("--minutes", type=float, default=1.0, help="in which the stream passes")
+    parser.add_argument(
+        "--in-process", action="store_true", help="stream through the classes of the nodes, without DDS"
+    )
+    parser.add_argument("--method", default="full", help="of the live identification of the stream")
+    parser.add_argument("--requests", type=int, default=50)
+    parser.add_argument("--rounds", type=int, default=3, help="of kills")
+    options = parser.parse_args()
+    wanted = options.only.split(",")
+    if unknown := [name for name in wanted if name not in PARTS]:
+        parser.error(f"{', '.join(unknown)}: the parts are {', '.join(PARTS)}")
+    print(*machine(), sep="\n")
+    findings = []
+    with tempfile.TemporaryDirectory(prefix="drive_id_endurance_") as folder:
+        for name in wanted:
+            part = Path(folder) / name
+            part.mkdir()
+            print(f"\n{name}\n", flush=True)
+            for finding in PARTS[name](options, part):
+                print(f"FINDING: {finding}", flush=True)
+                findings.append(finding)
+    print(f"\n{len(findings)} findings")
+    raise SystemExit(bool(findings))
+
+
+if __name__ == "__main__":
+    main()

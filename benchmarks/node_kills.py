@@ -1,0 +1,286 @@
+"""Nodes killed and started again in any order during experiments, by a script that a seed decides."""
+
+from __future__ import annotations
+
+import random
+import signal
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from drive_id_msgs import msg
+from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+from node_processes import Graph, NodeProcess
+from rosbags.rosbag2 import Reader
+from std_srvs.srv import Trigger
+
+from drive_id.errors import DriveIdError, EmptyTopicError
+from drive_id.files.messages.block_codec import decode_block, read_head
+from drive_id.files.read.reader import read_recording
+from drive_id.files.write.recover import recover_bag
+from drive_id.nodes.qos import STREAM
+
+NODES = ("bench_simulator", "trajectory_publisher", "recorder", "identification")
+TOPICS = {
+    "/phase_currents": msg.PhaseCurrents,
+    "/phase_voltages": msg.PhaseVoltages,
+    "/resolver": msg.Resolver,
+    "/current_reference": msg.CurrentReference,
+}
+FLUSH = 1.0
+"""Default of ``flush_period``, s."""
+ALLOWANCE = 1.0
+"""Time that a busy machine may keep messages from the recorder, s."""
+LEAD = 0.3
+"""Default of ``lead_time``, s."""
+I_MAX = 100.0
+_IN_FLIGHT = 20
+"""Last messages of a killed node, of which only some listeners may have got all."""
+_REST = 0.02 * I_MAX
+"""Current of a drive at rest, A: noise."""
+
+
+@dataclass
+class Recorded:
+    """A recording that was begun: when it began and ended, s of the steady clock, and whether it was stopped."""
+
+    path: Path
+    begin: float
+    end: float = 0.0
+    stopped: bool = False
+
+
+@dataclass
+class Killed:
+    """What the rounds came to."""
+
+    rounds: int = 0
+    actions: Counter[str] = field(default_factory=Counter)
+    recordings: int = 0
+    messages: int = 0
+    longest: float = 0.0
+    findings: list[str] = field(default_factory=list)
+
+
+class Rounds:
+    """Kills, ends and starts nodes, runs experiments, and checks what must hold whatever happens.
+
+    Parameters
+    ----------
+    graph : Graph
+    rng : random.Random
+    """
+
+    def __init__(self, graph: Graph, rng: random.Random) -> None:
+        self.graph, self.rng, self.result = graph, rng, Killed()
+        self._data = graph.folder / "data"
+        self._nodes: dict[str, NodeProcess] = {}
+        self._heard: dict[str, list[tuple[float, bytes]]] = {name: [] for name in TOPICS}
+        self._recording: Recorded | None = None
+        self._ended: list[Recorded] = []
+        self._quiet_from = 0.0  # until the next start of an experiment, no reference may differ from zero
+        for name, kind in TOPICS.items():
+            graph.node.create_subscription(kind, name, self._listener(name), STREAM, raw=True)
+        for name in NODES:
+            self._start(name)
+
+    def _listener(self, name: str) -> Any:
+        def listen(data: bytes) -> None:
+            self._heard[name].append((time.monotonic(), data))
+            if name == "/current_reference" and self._quiet_from and time.monotonic() > self._quiet_from:
+                self._check_zero(data)
+
+        return listen
+
+    def _check_zero(self, data: bytes) -> None:
+        if max(float(np.abs(values).max(initial=0.0)) for values in decode_block(data, 2).values) > 0.0:
+            self.result.findings.append("a reference that is not zero, though no experiment was started")
+            self._quiet_from = 0.0
+
+    # -- actions -------------------------------------------------------------------------------------------------------
+
+    def round(self) -> None:
+        """Begin an experiment, do something about nodes, start what is gone, and check."""
+        before = len(self.result.findings)
+        said = []
+        self._begin()
+        for _ in range(self.rng.randint(1, 4)):
+            self.graph.spin(self.rng.uniform(0.1, 1.5))
+            name = self.rng.choice(NODES)
+            action = self.rng.choice(("kill", "kill", "terminate", "interrupt", "restart"))
+            said.append(f"{action} {name}")
+            self._act(action, name)
+        for name in self.rng.sample(NODES, len(NODES)):
+            if name not in self._nodes:
+                said.append(f"start {name}")
+                self._start(name)
+        self._check_services()
+        self._check_recordings()
+        self._check_rest()
+        self.result.findings[before:] = [
+            f"round {self.result.rounds} ({', '.join(said)}): {finding}" for finding in self.result.findings[before:]
+        ]
+        self.result.rounds += 1
+        for messages in self._heard.values():
+            messages.clear()
+
+    def _begin(self) -> None:
+        """Start recording and trajectory, in any order."""
+        for name in self.rng.sample(("recorder", "trajectory_publisher"), 2):
+            if name == "recorder":
+                reply = self.graph.call(StartRecording, "/recorder/start", name="")
+                self._expect("recorder/start", reply is not None and reply.success, reply)
+                if reply is not None and reply.success:
+                    self._recording = Recorded(Path(reply.uri), time.monotonic())
+            else:
+                self._quiet_from = 0.0
+                reply = None
+                for _ in range(20):  # it refuses until the drive's messages have arrived
+                    reply = self.graph.call(Trigger, "/trajectory_publisher/start")
+                    if reply is None or reply.success:
+                        break
+                    self.graph.spin(0.5)
+                self._expect("trajectory_publisher/start", reply is not None and reply.success, reply)
+
+    def _act(self, action: str, name: str) -> None:
+        self.result.actions[action] += 1
+        if name in self._nodes:
+            number = {"terminate": signal.SIGTERM, "interrupt": signal.SIGINT}.get(action, signal.SIGKILL)
+            self._end(name, number)
+        else:
+            self._start(name)
+        if action == "restart" and name not in self._nodes:
+            self._start(name)
+
+    def _end(self, name: str, number: int) -> None:
+        moment = time.monotonic()
+        trouble = self._nodes.pop(name).end(number)
+        self.graph.forget(name)
+        if trouble:
+            self.result.findings.append(trouble)
+        if name == "trajectory_publisher":
+            self._quiet_from = time.monotonic() + LEAD
+        if name == "recorder" and self._recording is not None:
+            self._recording.end = moment
+            self._recording.stopped = number != signal.SIGKILL
+            self._ended.append(self._recording)
+            self._recording = None
+
+    def _start(self, name: str) -> None:
+        settings: dict[str, dict[str, Any]] = {
+            "bench_simulator": {"current_noise": 1e-3},
+            "trajectory_publisher": {"i_max": I_MAX, "duration": 30.0},
+            "recorder": {"data_directory": self._data},
+            "identification": {
+                "data_directory": self._data, "output_directory": self.graph.folder / "results", "i_max": I_MAX,
+                "method": "joint",
+            },
+        }  # fmt: skip
+        self._nodes[name] = self.graph.start(name, settings[name])
+
+    # -- what must hold ------------------------------------------------------------------------------------------------
+
+    def _expect(self, what: str, holds: bool, reply: Any) -> None:
+        if not holds:
+            self.result.findings.append(f"{what}: {'no answer' if reply is None else reply.message}")
+
+    def _check_services(self) -> None:
+        """Check that every node answers, whatever happened to it."""
+        reply = self.graph.call(Trigger, "/trajectory_publisher/stop")
+        self._expect("trajectory_publisher/stop", reply is not None and reply.success, reply)
+        self._quiet_from = time.monotonic() + 2 * LEAD
+        reply = self.graph.call(StopRecording, "/recorder/stop")
+        if self._recording is not None:
+            self._expect("recorder/stop", reply is not None and reply.success, reply)
+            self._recording.end, self._recording.stopped = time.monotonic(), True
+            self._ended.append(self._recording)
+            self._recording = None
+        self._expect("recorder/stop", reply is not None, reply)
+        reply = self.graph.call(Identify, "/identification/identify", bags=[], method="joint")
+        self._expect("identification/identify", reply is not None and reply.code != "internal", reply)
+        self.result.findings += self.graph.troubles()
+
+    def _check_rest(self) -> None:
+        """Check that the drive is at rest, and stays there."""
+        self._heard["/phase_currents"].clear()
+        quiet = self.graph.wait(lambda: self._amplitude() < _REST, 10.0)
+        self.graph.spin(0.5)
+        if not quiet or self._amplitude() > _REST:
+            self.result.findings.append(f"the drive is not at rest: {self._amplitude():.1f} A")
+
+    def _amplitude(self) -> float:
+        """Return the largest current of the last message, A."""
+        heard = self._heard["/phase_currents"]
+        if not heard:
+            return float("inf")
+        return max(float(np.abs(values).max()) for values in decode_block(heard[-1][1], 3).values)
+
+    def _check_recordings(self) -> None:
+        for recording in self._ended:
+            self._check_recording(recording)
+        self._ended.clear()
+
+    def _check_recording(self, recording: Recorded) -> None:
+        """Check that what was heard here is in it, but for what was not flushed when the recorder was killed."""
+        self.result.recordings += 1
+        title = f"{recording.path.name} ({'stopped' if recording.stopped else 'killed'})"
+        try:
+            read_recording(recording.path)
+        except EmptyTopicError:
+            pass  # the drive had been killed before
+        except DriveIdError as error:
+            self.result.findings.append(f"{title} cannot be read: {error}")
+        path = recording.path
+        if not recording.stopped:
+            try:
+                path = recover_bag(path).output
+            except EmptyTopicError as error:
+                if recording.end - recording.begin > FLUSH + ALLOWANCE:
+                    self.result.findings.append(f"{title}: {error}")
+                return
+        with Reader(path) as reader:
+            found = {(each.topic, bytes(data)) for each, _, data in reader.messages()}
+        self.result.messages += len(found)
+        lost = 0.0
+        for topic, heard in self._heard.items():
+            during = [(when, data) for when, data in heard if recording.begin < when < recording.end]
+            runs = _runs(during)
+            for run in [*(run[:-_IN_FLIGHT] for run in runs[:-1]), runs[-1]]:
+                there = [k for k, (_, data) in enumerate(run) if (topic, data) in found]
+                missing = [when for when, data in run[there[0] if there else len(run) :] if (topic, data) not in found]
+                lost = max(lost, recording.end - min(missing, default=recording.end))
+        self.result.longest = max(self.result.longest, lost)
+        if lost > (0.0 if recording.stopped else FLUSH) + ALLOWANCE:
+            self.result.findings.append(f"{title}: what was heard {lost:.2f} s before its end is missing")
+
+
+def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:
+    """Divide what was heard where its node was started again: a listener may discover it too late for its beginning."""
+    runs: list[list[tuple[float, bytes]]] = [[]]
+    last = -1
+    for when, data in heard:
+        first = read_head(data).first_sample
+        if first <= last:
+            runs.append([])
+        runs[-1].append((when, data))
+        last = first
+    return runs
+
+
+def kills(rounds: int, seed: int, folder: Path) -> Killed:
+    """Run so many rounds.
+
+    Parameters
+    ----------
+    rounds, seed : int
+    folder : Path
+        Scratch space.
+    """
+    with Graph(folder) as graph:
+        running = Rounds(graph, random.Random(seed))
+        for _ in range(rounds):
+            running.round()
+        return running.result

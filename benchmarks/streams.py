@@ -132,7 +132,10 @@ _ARRAYS = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
 
 
 def _in_real_time(settings: FitSettings) -> Row:
-    """Play 100 kHz as a drive does, with fits in the background as the node makes them."""
+    """Play 100 kHz as a drive does, with fits in the background as the node makes them.
+
+    On a busy machine it takes longer than the samples: receiving is related to their time, the fits to the elapsed one.
+    """
     messages = list(_messages(experiment(4.0, _FAST), _FAST_BLOCK, round(_PLAYED / 4.0)))
     identifier = Identifier(IdentificationSettings(), settings)
     worker: Worker[Refit | None] = Worker()
@@ -151,10 +154,12 @@ def _in_real_time(settings: FitSettings) -> Row:
                 worker.start(job, found.append)
     duration, spent = time.monotonic() - begin, time.process_time() - cpu
     worker.stop(_PATIENCE)
+    alone = 100 * receiving / _PLAYED
+    share = alone + 100 * (spent - receiving) / duration
     return Row(
         f"`{settings.method}`: receiving 100 kHz in real time, fits in the background included",
-        f"{100 * receiving / duration:.1f} % of a core without the fits", f"{duration:.0f} s",
-        f"{100 * spent / duration:.1f} % of a core", f"{100 * spent / duration:.1f} %", "≤ 30 %",
+        f"{alone:.1f} % of a core without the fits", f"{duration:.0f} s",
+        f"{share:.1f} % of a core", f"{share:.1f} %", "≤ 30 %",
     )  # fmt: skip
 
 

@@ -223,6 +223,7 @@ class Identifier:
         further : sequence of Observation
             Of the node.
         """
+        self.live.advance()  # samples that wait for a batch are not lost
         report = self.live.join.report()
         evidence = self.live.evidence
         values = {

@@ -16,6 +16,9 @@ from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
 
+_WAIT = 0.2
+"""Time of samples that are accumulated at once, s: a call costs a millisecond, however few they are."""
+
 
 @dataclass(eq=False)
 class Gathered:
@@ -39,7 +42,7 @@ class Gathered:
     def add(self, piece: Piece) -> None:
         """Take a further piece."""
         moving = len(piece.samples) - piece.continues + self.evidence.idle
-        self.evidence.add(piece.samples, continues=piece.continues)
+        self.evidence.add(piece.samples, continues=piece.continues, prompt=True)
         self.prescan.add(piece.samples, continues=piece.continues)
         before, self.resting = self.resting, self.evidence.idle == moving
         if not self.resting:
@@ -124,7 +127,7 @@ class LiveEvidence:
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.join = StreamJoin(self._names)
+        self.join = StreamJoin(self._names, wait=_WAIT)
         self._gathered: Gathered | None = None
         if self.settings.i_max is not None:
             evidence = Evidence.within(self.settings, self.settings.i_max)
@@ -145,9 +148,16 @@ class LiveEvidence:
 
     def add(self, section: int, piece: Signal) -> None:
         """Take a further part of a signal, see :meth:`StreamJoin.add`."""
-        for found in self.join.add(section, piece):
-            if self._gathered is not None:
-                self._gathered.add(found)
+        self._gather(self.join.add(section, piece))
+
+    def advance(self) -> None:
+        """Take what can be joined by now, however little it is."""
+        self._gather(self.join.advance())
+
+    def _gather(self, pieces: list[Piece]) -> None:
+        if self._gathered is not None:
+            for piece in pieces:
+                self._gathered.add(piece)
 
     def add_scalar(self, name: str, piece: Signal) -> None:
         """Take a further part of an optional signal, see :meth:`StreamJoin.add_scalar`."""

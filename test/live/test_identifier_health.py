@@ -42,7 +42,7 @@ def told(identifier):
 def test_nothing_is_wrong(identifier):
     play(identifier, 30)
     health, said = told(identifier)
-    assert (health.level, health.message) == (Level.OK, "Waiting. 2800 live samples.")  # the rest waits for a batch
+    assert (health.level, health.message) == (Level.OK, "Waiting. 3000 live samples.")
     assert len(said) == 1
 
 
@@ -57,9 +57,9 @@ def test_nan_samples_are_named_and_not_said_to_have_no_partners(identifier):
     play(identifier, 30, spoiled)
     health, said = told(identifier)
     assert health.level == Level.WARN
-    assert health.values["/phase_currents: samples NaN or infinite"] == "560"
+    assert health.values["/phase_currents: samples NaN or infinite"] == "600"
     assert health.values["/resolver: samples NaN or infinite"] == "1"
-    assert any("560 samples of /phase_currents are NaN or infinite" in sentence for sentence in said)
+    assert any("600 samples of /phase_currents are NaN or infinite" in sentence for sentence in said)
     assert not any("partners" in sentence for sentence in said)
     reply = identifier.job((), "")(lambda *_: None)
     assert reply.code == "non_finite"  # as the sentence says

@@ -171,7 +171,7 @@ def test_a_selection_is_renewed_before_it_is_too_old_for_a_request(samples, refi
     clock.now += 1000.0
     feed(live, samples, 20_000, 21_000)
     assert refits.job(live) is None, "little is new, and nobody wants provisional maps"
-    feed(live, samples, 21_000, 23_000)
+    feed(live, samples, 21_000, 24_000)
     renewed = refits.job(live)(silent)
     assert renewed.selected
     assert renewed.samples < MOST_GROWTH * 20_000

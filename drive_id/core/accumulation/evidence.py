@@ -78,7 +78,14 @@ class Evidence:
         edge = DOMAIN_MARGIN * i_max
         return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
 
-    def add(self, samples: Samples, done: Callable[[int], None] | None = None, *, continues: bool = False) -> None:
+    def add(
+        self,
+        samples: Samples,
+        done: Callable[[int], None] | None = None,
+        *,
+        continues: bool = False,
+        prompt: bool = False,
+    ) -> None:
         """Accumulate further samples.
 
         Parameters
@@ -88,6 +95,8 @@ class Evidence:
             Told after each part how many of them are done.
         continues : bool
             They continue the previous piece and begin with its last sample, which counts once.
+        prompt : bool
+            Leave no work for the fit, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
         rotation = np.cos(samples.angle), np.sin(samples.angle)
@@ -96,7 +105,7 @@ class Evidence:
         self.idle += int(idle[new].sum())
         self.information.add(samples, done, idle, rotation)
         if self.windows is not None:
-            self.windows.add(samples, idle, continues=continues)
+            self.windows.add(samples, idle, continues=continues, prompt=prompt)
         self.visits.add(i_dq[new])
         self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
         self.samples += len(samples) - continues

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drive_id.core.experiment.limits import approach, follow, inside_disc
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.trajectories import Trajectory
-from drive_id.core.maps.coverage import Visits, disc_coverage
+from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.types import FloatArray
 
 NANOSECONDS = 1_000_000_000
@@ -100,6 +100,7 @@ class Experiment:
         self._total = None if math.isinf(total) else round(total)
         axis = np.linspace(-settings.i_max, settings.i_max, _COVERAGE_NODES)
         self._visits = Visits(axis, axis)
+        self._disc = disc_points(axis, axis, settings.i_max)
 
     @property
     def active(self) -> bool:
@@ -109,8 +110,8 @@ class Experiment:
     @property
     def coverage(self) -> float:
         """Share (0 to 1) of the disc close to the set-points of the last experiment that have come due."""
-        visits = self._visits
-        return disc_coverage(visits.i_d, visits.i_q, visits.count > 0, self.settings.i_max)
+        near, total = self._disc
+        return float(near[self._visits.count > 0].sum() / total)
 
     def state(self, now: int) -> ExperimentState:
         """Return the state of the set-point that is due now."""

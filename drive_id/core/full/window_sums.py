@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,10 +26,11 @@ SEGMENT = 0.25
 MOST_KEPT = 24_000
 """Number of stored windows, in whole segments evenly over time, for the analysis of residuals."""
 
-_CHUNK = 128
-"""Windows per product: fewer windows have fewer nonzero columns."""
-_DUE = 4 * FOLDS
-"""Segments that are collected before the products of several folds are formed in parallel threads."""
+_GROUP = 512
+"""Most windows per product: fewer have fewer nonzero columns, but cost more calls."""
+_DUE = 16 * FOLDS
+"""Segments that are collected before their products are formed: among more windows there are closer neighbours, and
+several folds are formed in parallel threads."""
 
 
 class WindowSums:
@@ -72,16 +73,21 @@ class WindowSums:
         for windows in self._cutter.finish():
             self._take(windows)
         self._flush()
-        self._form_products()
         self._recording += self.windows > 0
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self._cutter.set_conditions(heating, drop_scale)
 
-    def add(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> None:
-        """Accumulate further samples, see :meth:`WindowCutter.cut`."""
+    def add(
+        self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False, prompt: bool = False
+    ) -> None:
+        """Accumulate further samples, see :meth:`WindowCutter.cut`.
+
+        With ``prompt``, all products are formed at once, so that :meth:`finished` takes no longer after many samples.
+        """
         for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
-        self._form_products()
+        if prompt:
+            self._form_products()
 
     def finished(self) -> WindowSums:
         """Return a copy that includes the samples not yet in a window; the original can still be extended."""
@@ -230,6 +236,7 @@ class WindowSums:
 
     def state(self) -> SavedSums:
         """Return the state as arrays: only the windows, as long as all of them are kept."""
+        self._form_products()  # not again in each copy
         done = self.finished()
         out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
@@ -358,14 +365,12 @@ class WindowSums:
         model = self.model
 
         def add(number: int) -> None:
-            for windows in by_fold[number]:
-                for start in range(0, len(windows), _CHUNK):
-                    few = windows.part(slice(start, start + _CHUNK))
-                    rows, columns = model.met(few)
-                    rows = rows.reshape(-1, len(columns))
-                    add_triangle(rows.T @ rows, columns, triangles[number])
-                    if model.reciprocal:
-                        self._squares[number] += model.map_squares(few)
+            for few in _neighbours(Windows.joined(by_fold.pop(number))):
+                rows, columns = model.met(few)
+                rows = rows.reshape(-1, len(columns))
+                add_triangle(rows.T @ rows, columns, triangles[number])
+                if model.reciprocal:
+                    self._squares[number] += model.map_squares(few)
 
         with one_blas_thread(with_scipy=False):
             in_threads(add, sorted(by_fold))
@@ -383,6 +388,20 @@ class WindowSums:
         while len(self._kept) > 1 and sum(int((~windows.short).sum()) for windows in self._kept.values()) > MOST_KEPT:
             self._every *= 2
             self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
+
+
+def _neighbours(windows: Windows) -> Iterator[Windows]:
+    """Yield all windows in groups that are close in the currents at both ends: they share most nonzero columns."""
+    ends = windows.i_dq.reshape(len(windows), -1)
+    groups = [np.arange(len(windows))]
+    while groups:
+        group = groups.pop()
+        if len(group) <= _GROUP:
+            yield windows.part(np.sort(group))
+            continue
+        widest, half = int(np.argmax(np.ptp(ends[group], axis=0))), len(group) // 2
+        order = np.argpartition(ends[group, widest], half)
+        groups += [group[order[half:]], group[order[:half]]]
 
 
 @dataclass(frozen=True, eq=False)

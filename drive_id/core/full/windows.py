@@ -11,6 +11,7 @@ about 60 degrees electrical, never by a whole period, over which a constant flux
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
@@ -21,7 +22,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
-from drive_id.core.numerics.scans import first_order
+from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)
@@ -42,6 +43,8 @@ _REACH = 4
 _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""
+_LINE = (_PAST - _PAST.mean()) / np.sum((_PAST - _PAST.mean()) ** 2)
+"""Weights of these samples in the slope of the line, per sample."""
 _BESIDE, _CUBIC = np.array([-2, -1, 1, 2]), np.array([-1, 4, 4, -1]) / 6
 """Offsets of the samples next to the end of a window, and the weights of the cubic through them."""
 _ROUNDING = 1e-9  # s
@@ -52,6 +55,8 @@ _FINEST = 1e-4
 _SOME = 4
 _SPEED_SPAN = 5e-3
 _GOLDEN = 0.6180339887498949
+_THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
+_AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +85,7 @@ class Windows:
         Integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by which
         a drive compensates the drop, s.
     crossing : (N,) complex
-        Sum over the zero crossings of the phase currents, see :func:`crossings`, s.
+        Sum over the zero crossings of the phase currents, see :func:`_integrate`, s.
     heating, magnet_heating : (N,) float
         Temperature of winding and magnet above the reference temperature of resistance and flux map, K. The winding:
         as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
@@ -187,10 +192,12 @@ MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _A
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Samples without a gap."""
+    """Samples without a gap, and what is computed for each of them once."""
 
     i_abc: FloatArray
-    u_abc: FloatArray
+    i_s: ComplexArray
+    u_s: ComplexArray
+    i_dq: ComplexArray
     angle: FloatArray
     speed: FloatArray
     idle: BoolArray
@@ -285,48 +292,43 @@ class WindowCutter:
             stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
             begin = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
             if len(begin):
-                yield (
-                    run.start + int(begin[0]),
-                    self._windows(stretch, begin, begin + length, np.zeros(len(begin), np.bool_)),
-                )
+                sums, short = _Sums.over(stretch, self._period), np.zeros(len(begin), np.bool_)
+                yield run.start + int(begin[0]), self._windows(stretch, sums, begin, begin + length, short)
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with the quantities integrated over them."""
-        angle, turned = samples.angle[run], 0.0
+        i_abc, count = samples.i_abc[run], run.stop - run.start
+        i_s, u_s, i_dq = (np.empty((count, 2)) for _ in range(3))
+        integrals, lagged = np.empty((count, 2)), np.empty((count, len(LAGS), 2))
+        integrals[0] = self._turned if continues else 0.0, self._heat
+        weights = np.stack(_lag_weights(samples.sample_period))
         if continues:
-            turned = self._turned
-        turn = np.angle(np.exp(1j * np.diff(angle)))
-        i_abc = samples.i_abc[run]
-        power = 2 / 3 * np.sum(np.square(i_abc[1:]), axis=1) * samples.sample_period
-        turns, heat = (np.cumsum(np.append(first, steps)) for first, steps in ((turned, turn), (self._heat, power)))
-        self._turned, self._heat = float(turns[-1]), float(heat[-1])
-        new = slice(run.start + continues, run.stop)
-        i_dq = frames.space_vector(i_abc) * np.exp(-1j * angle)
-        if not continues:
-            self._lagged = np.full(len(LAGS), i_dq[0])
-        decay, before, now = _lag_weights(samples.sample_period)
-        lagged = np.stack(
-            [
-                first_order(i_dq, start, d, a, b)
-                for d, a, b, start in zip(decay, before, now, self._lagged, strict=True)
-            ],
-            axis=1,
+            lagged[0] = self._lagged.view(np.float64).reshape(-1, 2)
+        _follow(
+            i_abc, samples.u_abc[run], samples.angle[run], samples.sample_period, weights, not continues,
+            i_s, u_s, i_dq, integrals, lagged,
+        )  # fmt: skip
+        lags = _complex(lagged)
+        self._turned, self._heat, self._lagged = float(integrals[-1, 0]), float(integrals[-1, 1]), lags[-1].copy()
+        new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
+        link, winding, magnet = (
+            np.full(new.stop - new.start, np.nan) if values is None else values[new]
+            for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
         )
-        lagged = np.concatenate([self._lagged[None], lagged])
-        self._lagged = lagged[-1]
         return _Stretch(
-            i_abc[continues:],
-            samples.u_abc[new],
-            samples.angle[new],
-            samples.speed[new],
-            idle[new],
-            turns[continues:],
-            heat[continues:],
-            lagged[continues:],
-            *(
-                np.full(new.stop - new.start, np.nan) if values is None else values[new]
-                for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
-            ),
+            i_abc=i_abc[later],
+            i_s=_complex(i_s)[later],
+            u_s=_complex(u_s)[later],
+            i_dq=_complex(i_dq)[later],
+            angle=samples.angle[new],
+            speed=samples.speed[new],
+            idle=idle[new],
+            turned=integrals[later, 0],
+            heat=integrals[later, 1],
+            lagged=lags[later],
+            link=link,
+            winding=winding,
+            magnet=magnet,
         )
 
     def finish(self) -> Iterator[Windows]:
@@ -346,10 +348,10 @@ class WindowCutter:
         moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
         if moving.any():
             begin_used, end_used = begin_used[moving], end_used[moving]
-            whole = len(begin_used)
+            whole, sums = len(begin_used), _Sums.over(stretch, self._period)
             if self._short:
-                begin_used, end_used = self._with_short(stretch, begin_used, end_used)
-            yield self._windows(stretch, begin_used, end_used, np.arange(len(begin_used)) >= whole)
+                begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used)
+            yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
         grain = _grain(self._period)
         past = max(0, int(begin[count]) - grain * -(_PAST[0] // grain)) if count < len(begin) else 0
@@ -376,52 +378,41 @@ class WindowCutter:
         length = np.clip(np.rint(WINDOW_ANGLE / np.maximum(turn, WINDOW_ANGLE / longest)), 2, longest)
         return begin, grain * length.astype(np.int64)
 
-    def _with_short(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
+    def _with_short(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
         """Append the places of the short windows."""
         grain = _grain(self._period)
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
-        current = np.abs(frames.space_vector(stretch.i_abc))
-        current = np.maximum(current[begin], current[sooner])
+        current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
         scales = self._shapes.scales
-        useful = (_clearance(stretch.i_abc, begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
+        useful = (sums.clearance(begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
         useful |= (self._origin + begin) // grain % _SOME == 0
         return np.append(begin, begin[useful]), np.append(end, sooner[useful])
 
-    def _windows(self, stretch: _Stretch, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
+    def _windows(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
         period, grain = self._period, _grain(self._period)
-        i_s, u_s = frames.space_vector(stretch.i_abc), frames.space_vector(stretch.u_abc)
-        voltage: ComplexArray = period * np.cumsum(np.append(0j, u_s[:-1]), dtype=np.complex128)
-        current: ComplexArray = period / 2 * np.cumsum(np.append(0j, i_s[1:] + i_s[:-1]), dtype=np.complex128)
+        u_s, turned = stretch.u_s, stretch.i_dq
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
-        lag = self._lag(i_s, stretch.angle)
-        crossing = np.cumsum(crossings(stretch.i_abc, period))
         ends = np.stack([begin, end], axis=1)
-        turned = i_s * np.exp(-1j * stretch.angle)
         i_dq = turned[ends]
-        lines = np.linalg.pinv(np.stack([np.ones(len(_PAST)), period * _PAST], axis=1))
-        slope = turned[ends[..., None] + _PAST] @ lines[1]
+        slope = turned[ends[..., None] + _PAST] @ (_LINE / period)
         now = turned[ends[..., None] + _BESIDE] @ _CUBIC
         decay, by_last, by_now = _lag_weights(period)
         lagged = decay * stretch.lagged[ends - 1] + by_last * turned[ends - 1, None] + by_now * now[..., None]
         speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
         winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
         heating = np.where(np.isnan(winding), self._heating, winding)
-        unknown = np.cumsum(np.append(0, np.isnan(stretch.link[:-1])))
-        link: ComplexArray = period * np.cumsum(
-            np.append(0j, (u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
-        )
         return Windows(
             time=self._time + period * begin.astype(np.float64),
             i_dq=np.stack([i_dq.real, i_dq.imag], axis=-1),
             angle=stretch.angle[ends],
-            voltage=voltage[end] - voltage[begin],
-            current=current[end] - current[begin],
+            voltage=sums.voltage[end] - sums.voltage[begin],
+            current=sums.current[end] - sums.current[begin],
             duration=period * (end - begin).astype(np.float64),
             shifted=np.stack([period * (u_s[end + shift] - u_s[begin + shift]) for shift in SHIFTS], axis=1),
             shape=shape[end // grain] - shape[begin // grain],
-            lag=lag[end // grain] - lag[begin // grain],
-            crossing=crossing[end] - crossing[begin],
+            lag=self._lag(stretch, begin // grain, end // grain),
+            crossing=sums.crossing[end] - sums.crossing[begin],
             heating=heating,
             magnet_heating=np.where(np.isnan(magnet), heating, magnet),
             drop_scale=np.full(len(begin), self._drop_scale),
@@ -432,45 +423,177 @@ class WindowCutter:
             speed=speed,
             turned=stretch.turned[ends],
             heat=stretch.heat[begin],
-            link=np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan),
+            link=_link(stretch, period, begin, end),
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
-            clearance=_clearance(stretch.i_abc, begin, end),
+            clearance=sums.clearance(begin, end),
             short=short,
         )
 
-    def _lag(self, i_s: ComplexArray, angle: FloatArray) -> ComplexArray:
-        """Return the integrals (G, L) from the first sample on, see :class:`Windows`."""
+    def _lag(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> ComplexArray:
+        """Return the integrals (N, L), see :class:`Windows`, between ends given in grains."""
         grain, shapes = _grain(self._period), self._shapes.coarse
-        turn = np.diff(angle, prepend=angle[0])
-        before = np.concatenate([i_s[:1], i_s[:-1]]) * np.exp(1j * turn)
-        now, then = (shapes.integrals(frames.phases(x[::grain]), self._period * grain) for x in (i_s, before))
-        excess = now - then
-        return np.stack([frames.space_vector(excess[:, number]) for number in range(len(shapes.scales))], axis=1)
+        i_s, angle = stretch.i_s, stretch.angle
+        places = np.arange(0, len(angle), grain)
+        earlier = np.maximum(places - 1, 0)
+        before = i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
+        now, then = (shapes.integrals(_phases(x), self._period * grain) for x in (i_s[places], before))
+        a, b, c = np.moveaxis((now[end] - now[begin]) - (then[end] - then[begin]), -1, 0)
+        return np.asarray((2 * a - b - c) / 3 + 1j / np.sqrt(3) * (b - c))
 
 
-def crossings(i_abc: FloatArray, period: float) -> ComplexArray:
-    """Return the vectors (N,) of the zero crossings in the sample before each, positive for rising currents, s.
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Integrals (N,) over a stretch from its first sample on, and how far its phase currents are from zero.
+
+    ``least`` is the smallest absolute phase current of a sample, A, ``until`` the same up to the next sample: 0 where a
+    phase crosses zero.
+    """
+
+    voltage: ComplexArray
+    current: ComplexArray
+    crossing: ComplexArray
+    least: FloatArray
+    until: FloatArray
+
+    @classmethod
+    def over(cls, stretch: _Stretch, period: float) -> _Sums:
+        voltage, current, crossing = np.zeros((3, len(stretch), 2))
+        least, until = np.empty(len(stretch)), np.empty(len(stretch))
+        i_s, u_s, axes = (x.view(np.float64).reshape(-1, 2) for x in (stretch.i_s, stretch.u_s, _AXES))
+        _integrate(stretch.i_abc, i_s, u_s, period, axes, voltage, current, crossing, least, until)
+        return cls(_complex(voltage), _complex(current), _complex(crossing), least, until)
+
+    def clearance(self, begin: IntArray, end: IntArray) -> FloatArray:
+        """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses."""
+        within = np.minimum.reduceat(self.until, np.stack([begin, end], axis=1).ravel())[::2]
+        return np.asarray(np.minimum(within, self.least[end]))
+
+
+@compiled(
+    "const f8[:, ::1], const f8[:, ::1], const f8[::1], f8, const f8[:, ::1], b1, f8[:, ::1], f8[:, ::1], f8[:, ::1], "
+    "f8[:, ::1], f8[:, :, ::1]"
+)
+def _follow(
+    i_abc: FloatArray,
+    u_abc: FloatArray,
+    angle: FloatArray,
+    period: float,
+    weights: FloatArray,
+    first: bool,
+    i_s: FloatArray,
+    u_s: FloatArray,
+    i_dq: FloatArray,
+    integrals: FloatArray,
+    lagged: FloatArray,
+) -> None:
+    """Compute what each sample of a run needs, in one pass.
+
+    Parameters
+    ----------
+    i_abc, u_abc : (N, 3) float
+        A, V.
+    angle : (N,) float
+        rad.
+    period : float
+        s.
+    weights : (3, L) float
+        Of the last lagging, the last and the present current, see :func:`_lag_weights`.
+    first : bool
+        A run begins, and the lagging currents at the first sample are the current itself; else they are given.
+    i_s, u_s, i_dq : (N, 2) float
+        Output: current and voltage in the stator frame, current in the rotor frame.
+    integrals : (N, 2) float
+        Angle turned, rad, and heat, A^2 s, given at the first sample.
+    lagged : (N, L, 2) float
+        Output: i_dq after the lags.
+    """
+    turn = 2.0 * np.pi
+    for k in range(len(angle)):
+        a, b, c = i_abc[k, 0], i_abc[k, 1], i_abc[k, 2]
+        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        cosine, sine = math.cos(angle[k]), math.sin(angle[k])
+        i_dq[k, 0] = i_s[k, 0] * cosine + i_s[k, 1] * sine
+        i_dq[k, 1] = i_s[k, 1] * cosine - i_s[k, 0] * sine
+        if k > 0:
+            step = angle[k] - angle[k - 1]
+            integrals[k, 0] = integrals[k - 1, 0] + (step - turn * np.rint(step / turn))
+            integrals[k, 1] = integrals[k - 1, 1] + 2.0 * _THIRD * (a * a + b * b + c * c) * period
+        a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
+        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+    for lag in range(weights.shape[1]):
+        decay, before, now = weights[0, lag], weights[1, lag], weights[2, lag]
+        for axis in range(2):
+            if first:
+                lagged[0, lag, axis] = i_dq[0, axis]
+            for k in range(1, len(angle)):
+                driven = now * i_dq[k, axis] + before * i_dq[k - 1, axis]
+                lagged[k, lag, axis] = driven + decay * lagged[k - 1, lag, axis]
+
+
+@compiled(
+    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], "
+    "f8[::1], f8[::1]"
+)
+def _integrate(
+    i_abc: FloatArray,
+    i_s: FloatArray,
+    u_s: FloatArray,
+    period: float,
+    axes: FloatArray,
+    voltage: FloatArray,
+    current: FloatArray,
+    crossing: FloatArray,
+    least: FloatArray,
+    until: FloatArray,
+) -> None:
+    """Integrate over a stretch, see :class:`_Sums`; the first rows of the integrals (N, 2) are given.
 
     If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
     predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
-    so t is a few hundredths and about the same at all crossings.
+    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase (``axes``, (3, 2)),
+    positive for a rising current, times 2/3 of the sample period.
     """
-    out = np.zeros(len(i_abc), np.complex128)
-    for phase, shift in enumerate(frames.PHASE_SHIFTS):
-        i = i_abc[:, phase]
-        at = np.flatnonzero(i[:-1] * i[1:] < 0)
-        out[at + 1] += 2 / 3 * period * np.sign(i[at + 1]) * np.exp(1j * shift)
-    return out
+    for k in range(len(i_abc)):
+        least[k] = min(abs(i_abc[k, 0]), abs(i_abc[k, 1]), abs(i_abc[k, 2]))
+    until[len(i_abc) - 1] = least[len(i_abc) - 1]
+    for k in range(1, len(i_abc)):
+        until[k - 1] = least[k - 1]
+        for axis in range(2):
+            voltage[k, axis] = voltage[k - 1, axis] + period * u_s[k - 1, axis]
+            current[k, axis] = current[k - 1, axis] + 0.5 * period * (i_s[k - 1, axis] + i_s[k, axis])
+            crossing[k, axis] = crossing[k - 1, axis]
+        for phase in range(3):
+            before, now = i_abc[k - 1, phase], i_abc[k, phase]
+            if (before < 0.0) != (now < 0.0):
+                until[k - 1] = 0.0
+            if before * now < 0.0:
+                share = math.copysign(2.0 * _THIRD * period, now)
+                crossing[k, 0] += share * axes[phase, 0]
+                crossing[k, 1] += share * axes[phase, 1]
 
 
-def _clearance(i_abc: FloatArray, begin: IntArray, end: IntArray) -> FloatArray:
-    """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if it crosses zero, A."""
-    least = np.min(np.abs(i_abc), axis=1)
-    until = least.copy()
-    until[:-1][np.any((i_abc[:-1] < 0) != (i_abc[1:] < 0), axis=1)] = 0.0
-    within = np.minimum.reduceat(until, np.stack([begin, end], axis=1).ravel())[::2]
-    return np.asarray(np.minimum(within, least[end]))
+def _complex(pairs: FloatArray) -> ComplexArray:
+    """Return real and imaginary parts (..., 2) as complex numbers (...), without a copy."""
+    return pairs.view(np.complex128)[..., 0]
+
+
+def _phases(x_s: ComplexArray) -> FloatArray:
+    """Return the phase quantities (N, 3) of space vectors (N,)."""
+    x, y = -0.5 * x_s.real, 0.5 * np.sqrt(3) * x_s.imag
+    return np.stack([x_s.real, x + y, x - y], axis=1)
+
+
+def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:
+    """Return int u_s u_dc (N,), V^2 s, NaN where the DC-link voltage is not known."""
+    missing = np.isnan(stretch.link)
+    if missing.all():
+        return np.full(len(begin), np.nan, np.complex128)
+    unknown = np.cumsum(np.append(0, missing[:-1]))
+    link: ComplexArray = period * np.cumsum(
+        np.append(0j, (stretch.u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
+    )
+    return np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan)
 
 
 def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:

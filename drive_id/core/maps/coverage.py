@@ -105,13 +105,19 @@ def _cells(x: FloatArray, edges: FloatArray) -> tuple[IntArray, BoolArray]:
 
 def disc_coverage(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> float:
     """Return the share (0 to 1) of the disc of radius ``i_max``, A, that the mask (D, Q) covers."""
+    near, total = disc_points(i_d, i_q, i_max)
+    return float(near[inside].sum() / total)
+
+
+def disc_points(i_d: FloatArray, i_q: FloatArray, i_max: float) -> tuple[IntArray, int]:
+    """Return how many of equally spaced points of the disc lie nearest to each node (D, Q), and how many there are."""
     fine = np.linspace(-i_max, i_max, 201)
     node_d = np.rint(np.interp(fine, i_d, np.arange(len(i_d)), left=-1, right=-1)).astype(np.int64)
     node_q = np.rint(np.interp(fine, i_q, np.arange(len(i_q)), left=-1, right=-1)).astype(np.int64)
     disc = fine[:, None] ** 2 + fine**2 <= i_max**2
-    on_grid = (node_d >= 0)[:, None] & (node_q >= 0)
-    covered = inside[np.ix_(np.maximum(node_d, 0), np.maximum(node_q, 0))] & on_grid
-    return float(covered[disc].mean())
+    counted = disc & (node_d >= 0)[:, None] & (node_q >= 0)
+    cell = (node_d[:, None] * len(i_q) + node_q)[counted]
+    return np.bincount(cell, minlength=len(i_d) * len(i_q)).reshape(len(i_d), len(i_q)), int(disc.sum())
 
 
 def smoothed(values: FloatArray, mask: BoolArray, reach: int = 5) -> FloatArray:

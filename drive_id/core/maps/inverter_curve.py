@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.core.numerics.compiled import compiled
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
+
+_FLAT = 1e-5
+"""Steps of the current, relative to the scale of a curve, over which its mean is that in the middle."""
+_SERIES_BELOW = 0.02
 
 
 @dataclass(frozen=True)
@@ -94,13 +100,47 @@ class CapacitiveShapes:
             Integrals from the first sample on, s.
         """
         out = np.zeros((len(i_abc), len(self.scales), 3))
-        step = np.diff(i_abc, axis=0)
-        for number, scale in enumerate(self.scales):
-            x = np.abs(i_abc) / scale
-            beyond = np.maximum(x, 1.0)
-            primitive = scale * (np.minimum(x, 1.0) ** 2 / 4 + (beyond - 1) - 0.5 * np.log(beyond))
-            flat = np.abs(step) < 1e-5 * scale  # where the difference quotient cancels
-            middle = CapacitiveShapes(self.scales[number : number + 1])(i_abc[:-1] + step / 2)[..., 0]
-            mean = np.where(flat, middle, np.diff(primitive, axis=0) / np.where(flat, 1.0, step))
-            np.cumsum(period * mean, axis=0, out=out[1:, number])
+        _integrate(np.ascontiguousarray(i_abc), np.ascontiguousarray(self.scales), period, out)
         return out
+
+
+@compiled("const f8[:, ::1], const f8[::1], f8, f8[:, :, ::1]")
+def _integrate(i_abc: FloatArray, scales: FloatArray, period: float, out: FloatArray) -> None:
+    """Integrate the curves, see :meth:`CapacitiveShapes.integrals`; the first of ``out`` (N, S, 3) are given."""
+    inverse = 1.0 / scales  # divisions are slow
+    for k in range(1, len(i_abc)):
+        for phase in range(3):
+            a, b = i_abc[k - 1, phase], i_abc[k, phase]
+            step, start, end = b - a, abs(a), abs(b)
+            low, high = min(start, end), max(start, end)
+            sign = 0.0 if a * b <= 0.0 else math.copysign(1.0, b)
+            falling = _mean_reciprocal(low, high) if sign and high > scales[0] else 0.0
+            for number in range(len(scales)):
+                scale = scales[number]
+                if high <= scale:
+                    mean = 0.25 * (a + b) * inverse[number]
+                elif sign and low >= scale:
+                    mean = sign * (1.0 - 0.5 * scale * falling)
+                elif abs(step) < _FLAT * scale:  # where the difference quotient cancels
+                    x = 0.5 * (a + b) * inverse[number]
+                    mean = 0.5 * x if abs(x) < 1.0 else math.copysign(1.0 - 0.5 / abs(x), x)
+                else:
+                    mean = scale * (_primitive(end * inverse[number]) - _primitive(start * inverse[number])) / step
+                out[k, number, phase] = out[k - 1, number, phase] + period * mean
+
+
+@compiled("f8")
+def _primitive(x: float) -> float:
+    """Return the integral of the curve of scale 1 from 0 to x >= 0."""
+    return 0.25 * x * x if x < 1.0 else x - 0.75 - 0.5 * math.log(x)
+
+
+@compiled("f8, f8")
+def _mean_reciprocal(low: float, high: float) -> float:
+    """Return the mean of 1 / x between two positive numbers."""
+    total = low + high
+    u = (high - low) / total
+    if u > _SERIES_BELOW:
+        return math.log(high / low) / (high - low)
+    x = u * u
+    return 2.0 * (1.0 + x * (1 / 3 + x * (1 / 5 + x * (1 / 7 + x * (1 / 9))))) / total

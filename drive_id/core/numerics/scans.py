@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -77,28 +76,3 @@ def difference_square(i_dq: FloatArray) -> float:
             difference = outer - 4.0 * inner + 6.0 * i_dq[k - 2, axis]
             total += difference * difference
     return total
-
-
-def first_order(
-    x: NDArray[np.complex128], start: complex, decay: float, before: float, now: float
-) -> NDArray[np.complex128]:
-    """Return the output (N - 1,) of the filter y[k] = now x[k] + before x[k - 1] + decay y[k - 1], k = 1 ... N - 1.
-
-    Parameters
-    ----------
-    x : (N,) complex
-    start : complex
-        y[0].
-    decay, before, now : float
-    """
-    y: NDArray[np.complex128] = np.empty(len(x), np.complex128)
-    y[0] = start
-    _first_order(np.ascontiguousarray(x).view(np.float64), decay, before, now, y.view(np.float64))
-    return y[1:]
-
-
-@compiled("const f8[::1], f8, f8, f8, f8[::1]")
-def _first_order(x: FloatArray, decay: float, before: float, now: float, y: FloatArray) -> None:
-    """Filter real and imaginary parts, which alternate."""
-    for k in range(2, len(x)):
-        y[k] = now * x[k] + (before * x[k - 2] + decay * y[k - 2])

@@ -180,6 +180,8 @@ class StreamJoin:
         Topics of currents, voltages and resolver, for messages.
     batch : int
         Samples to wait for before joining them: fewer cost more, more come later.
+    wait : float
+        Time of data to wait for, s, where that is more than ``batch`` samples, up to half of ``capacity``.
     capacity : int
         Most samples of a signal to keep while others lag behind; what is older goes without partners. No more joined
         samples wait for optional signals, either.
@@ -209,6 +211,7 @@ class StreamJoin:
         names: tuple[str, str, str] = SECTIONS,
         *,
         batch: int = 1000,
+        wait: float = 0.0,
         capacity: int = 50_000,
         locking: int = _LOCKING_PAIRS,
         recorded: bool = False,
@@ -219,6 +222,7 @@ class StreamJoin:
     ) -> None:
         self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
         self.batch = batch
+        self.wait = wait
         self.locking = locking
         self._reference = reference
         self._recorded = recorded
@@ -264,7 +268,13 @@ class StreamJoin:
         if self._given_up_to is not None and len(piece.stamp):
             self._late |= int(piece.stamp.min()) <= self._given_up_to + self._step
         track.add(piece)
-        return self._advance(final=False) if track.fresh >= self.batch else []
+        return self._advance(final=False) if track.fresh >= self._enough(track) else []
+
+    def _enough(self, track: SignalTrack) -> int:
+        """Return the fresh samples of a signal at which to join."""
+        if not self.wait or not track.period:
+            return self.batch
+        return max(self.batch, int(min(self.wait / track.period, self.capacity / 2)))
 
     def add_scalar(self, name: str, piece: Signal) -> None:
         """Take a further part of an optional signal.

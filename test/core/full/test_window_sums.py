@@ -183,6 +183,8 @@ def test_effects_beside_the_folds_are_as_good_as_within(model, samples):
 
 def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
     monkeypatch.setattr(window_sums, "MOST_KEPT", 700)
+    monkeypatch.setattr(window_sums, "_DUE", 5)  # reached by three passes, as in any long recording
+    monkeypatch.setattr(window_sums, "_GROUP", 128)
 
     def peak(passes):
         sums = WindowSums(dataclasses.replace(free, reciprocal=True))
@@ -195,6 +197,32 @@ def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
         return found
 
     assert peak(9) < 1.05 * peak(3)
+
+
+@pytest.mark.parametrize("most", [7, 64, 5000])
+def test_groups_of_neighbours_are_all_windows_once(model, samples, monkeypatch, most):
+    """And they share columns: that is what they are for."""
+    monkeypatch.setattr(window_sums, "_GROUP", most)
+    cutter = WindowCutter(model.shapes)
+    windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
+    groups = list(window_sums._neighbours(windows))
+    assert max(map(len, groups)) <= most
+    np.testing.assert_array_equal(np.sort(np.concatenate([group.time for group in groups])), windows.time)
+    if most == 64:
+        in_order = [windows.part(slice(start, start + 64)) for start in range(0, len(windows), 64)]
+        met, before = (np.mean([len(model.met(part)[1]) for part in parts]) for parts in (groups, in_order))
+        assert met < before
+
+
+def test_prompt_products_leave_nothing_to_a_snapshot(free, samples):
+    later, prompt = WindowSums(free), WindowSums(free)
+    for start in range(0, len(samples) - 1, 3001):
+        piece = between(samples, max(start - 1, 0), start + 3001)
+        later.add(piece, continues=start > 0)
+        prompt.add(piece, continues=start > 0, prompt=True)
+    assert later._due
+    assert not prompt._due
+    np.testing.assert_allclose(prompt.finished().folds, later.finished().folds, rtol=1e-9, atol=1e-9)
 
 
 def test_pieces_make_no_difference(model, samples):

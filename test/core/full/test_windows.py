@@ -6,10 +6,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
 from synthetic import record
 
 from drive_id.core import frames
-from drive_id.core.full.windows import LONGEST_WINDOW, MEASURED, SHIFTS, STRIDE, WINDOW_ANGLE, WindowCutter, Windows
+from drive_id.core.full.windows import (
+    LAGS,
+    LONGEST_WINDOW,
+    MEASURED,
+    SHIFTS,
+    STRIDE,
+    WINDOW_ANGLE,
+    WindowCutter,
+    Windows,
+)
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import Samples
 
@@ -62,6 +72,48 @@ def test_a_window_holds_the_sums_between_its_ends(samples):
             then, now = period * np.trapezoid(SHAPES(lines)[..., :8:2], dx=1 / 400, axis=0).sum(axis=1)
             expected = [frames.space_vector(x[None])[0] for x in (now - then).T]
             np.testing.assert_allclose(windows.lag[n], expected, atol=1e-4 * period)
+
+
+@pytest.mark.parametrize("continues", [False, True])
+def test_one_pass_follows_the_samples(continues):
+    """Against scipy's filter and numpy's unwrap, from the beginning of a run and from the middle of it."""
+    part = record(duration=0.1, noise=0.5)
+    part = dataclasses.replace(part, angle=np.angle(np.exp(1j * part.angle)))
+    cutter = WindowCutter(SHAPES)
+    first, idle = 300 if continues else 0, np.zeros(len(part), np.bool_)
+    if continues:
+        cutter._stretch(part, idle, slice(0, first + 1), continues=False)
+    stretch = cutter._stretch(part, idle, slice(first, len(part)), continues=continues)
+    i_s, new, period = frames.space_vector(part.i_abc), slice(first + continues, None), part.sample_period
+    i_dq = i_s * np.exp(-1j * part.angle)
+    np.testing.assert_allclose(stretch.i_s, i_s[new], atol=1e-11)
+    np.testing.assert_allclose(stretch.u_s, frames.space_vector(part.u_abc)[new], atol=1e-11)
+    np.testing.assert_allclose(stretch.i_dq, i_dq[new], atol=1e-11)
+    turned = np.unwrap(part.angle)
+    np.testing.assert_allclose(stretch.turned, (turned - turned[0])[new], atol=1e-11)
+    heat = 2 / 3 * period * np.cumsum(np.sum(part.i_abc**2, axis=1) * (np.arange(len(part)) > 0))
+    np.testing.assert_allclose(stretch.heat, heat[new], rtol=1e-12)
+    for k, lag in enumerate(LAGS):  # a first-order lag of a current that is linear between the samples
+        decay = np.exp(-period / lag)
+        now = 1 - (1 - decay) * lag / period
+        state = signal.lfiltic([now, 1 - decay - now], [1, -decay], [i_dq[0]], [i_dq[0]])
+        expected = np.append(i_dq[0], signal.lfilter([now, 1 - decay - now], [1, -decay], i_dq[1:], zi=state)[0])
+        np.testing.assert_allclose(stretch.lagged[:, k], expected[new], rtol=1e-10)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 0.3, 40.0])
+def test_integrals_of_the_shapes_are_those_of_linear_currents(noise):
+    """By quadrature between the samples; steps from far below to far above the scales, corners and zero crossings."""
+    t, random = np.linspace(0.0, 0.1, 120)[:, None], np.random.default_rng(3)
+    i_abc = 250 * np.sin(80 * t + [0.0, 2.1, 4.2]) * np.sin(20 * t) + noise * random.standard_normal((120, 3))
+    i_abc[:4] = [[0.0, 5.0, -5.0], [0.0, 5.0, 5.0], [SHAPES.scales[3], 5.0, -5.0], [SHAPES.scales[3], -1e-9, 300.0]]
+    found = SHAPES.integrals(i_abc, 1e-4)
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    share = (np.arange(400)[:, None] + (nodes + 1) / 2).ravel()[:, None, None] / 400
+    lines = i_abc[:-1] + share * np.diff(i_abc, axis=0)
+    expected = 1e-4 / 400 * np.tensordot(np.tile(weights / 2, 400), SHAPES(lines), axes=1).transpose(0, 2, 1)
+    np.testing.assert_allclose(np.diff(found, axis=0), expected, rtol=0, atol=1e-10)
+    assert not found[0].any()
 
 
 @pytest.mark.parametrize("size", [37, 700, 9000])

@@ -124,3 +124,16 @@ def test_the_mask_holds_the_visited_nodes_and_moves_with_them(seed, shift):
         masks.append(visits.inside(5.0, 7.0))
         assert masks[-1][visits.count > 0].all()
     np.testing.assert_array_equal(np.roll(masks[0], (shift, shift), (0, 1)), masks[1])
+
+
+def test_the_covered_share_counts_points_by_their_nearest_node():
+    """Point by point, with axes that do not reach the rim on one side."""
+    i_d, i_q = np.linspace(-8.0, 6.1, 15), np.linspace(-9.0, 9.0, 13)
+    inside = np.random.default_rng(4).random((15, 13)) < 0.6
+    fine, covered, total = np.linspace(-7.7, 7.7, 201), 0, 0
+    for x in fine:
+        for y in fine[x * x + fine**2 <= 7.7**2]:
+            total += 1
+            on_grid = i_d[0] <= x <= i_d[-1] and i_q[0] <= y <= i_q[-1]
+            covered += bool(on_grid and inside[np.argmin(abs(i_d - x)), np.argmin(abs(i_q - y))])
+    assert disc_coverage(i_d, i_q, inside, 7.7) == pytest.approx(covered / total, abs=1e-4)

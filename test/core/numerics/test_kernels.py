@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy_oracles as oracles
 import pytest
-from scipy import signal, sparse
+from scipy import sparse
 
 from drive_id.core.full import model as full_model
 from drive_id.core.maps import flux_models
@@ -140,10 +140,3 @@ def test_a_triangle_is_unpacked_to_the_symmetric_matrix(size):
     half = np.random.default_rng(size).standard_normal((size, size))
     matrix = half + half.T
     np.testing.assert_array_equal(normal_equations.unpacked(normal_equations.triangle_of(matrix), size), matrix)
-
-
-@pytest.mark.parametrize("count", [1, 2, 1000])
-def test_a_filter_of_first_order(count):
-    x = np.random.default_rng(9).normal(size=(count, 2)) @ [1, 1j]
-    expected = signal.lfilter([0.3, 0.5], [1, -0.2], x[1:], zi=[0.2 * (4 - 2j) + 0.5 * x[0]])[0]
-    np.testing.assert_array_equal(scans.first_order(x, 4 - 2j, 0.2, 0.5, 0.3), expected)

@@ -179,6 +179,20 @@ def test_whole_signals_without_a_bound_are_the_offline_join(data):
     assert found.report.time_lost == pytest.approx(expected.report.time_lost, abs=1e-9)
 
 
+@pytest.mark.parametrize(("wait", "least"), [(0.0, 50), (0.03, 300), (10.0, 1000)])
+def test_waiting_for_some_time_of_samples(wait, least):
+    """Never for more than half of what may wait for partners."""
+    signals, sizes = plain(4000), []
+    joined = StreamJoin(NAMES, batch=50, wait=wait, capacity=2000, locking=40)
+    for at in range(0, 4000, 10):
+        for k in range(3):
+            sizes += [len(piece.samples) for piece in joined.add(k, take(signals[k], slice(at, at + 10)))]
+    assert least <= max(sizes) <= 1.2 * least
+    end, rest = joined.finished()
+    assert sum(sizes) + sum(len(piece.samples) for piece in rest) >= 4000
+    assert not any(track.given_up for track in end.tracks)
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.data())
 def test_live_evidence_is_the_evidence_of_the_whole(data):

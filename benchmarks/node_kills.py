@@ -21,7 +21,7 @@ from drive_id.errors import DriveIdError, EmptyTopicError
 from drive_id.files.messages.block_codec import decode_block, read_head
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.recover import recover_bag
-from drive_id.nodes.qos import STREAM
+from drive_id.nodes.support.qos import STREAM
 
 NODES = ("bench_simulator", "trajectory_publisher", "recorder", "identification")
 TOPICS = {

@@ -22,7 +22,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from drive_id.nodes.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import without_type_lookup
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -19,7 +19,7 @@ from rclpy.action import ActionClient
 
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
-from drive_id.nodes.qos import STREAM
+from drive_id.nodes.support.qos import STREAM
 
 TOPICS = {"/phase_currents": PhaseCurrents, "/phase_voltages": PhaseVoltages, "/resolver": Resolver}
 SECONDS, LONGER = 2.0, 5.0

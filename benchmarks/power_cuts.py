@@ -25,8 +25,8 @@ from drive_id.files.read.reader import read_recording
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.writer import write_recording
-from drive_id.live.recording_session import RecordedTopic, RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.types import Samples
 
 FLUSH = 0.2

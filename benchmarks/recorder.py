@@ -45,7 +45,7 @@ from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
-from drive_id.nodes.qos import STREAM
+from drive_id.nodes.support.qos import STREAM
 
 TOPICS = {
     "/phase_currents": msg.PhaseCurrents,

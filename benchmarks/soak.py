@@ -22,13 +22,13 @@ from drive_id.files.messages.block_codec import read_head
 from drive_id.files.messages.messages import CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
-from drive_id.live.recording_session import RecordedTopic, RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
-from drive_id.live.refits import Refit
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
+from drive_id.live.identification.refits import Refit
+from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.live.worker import Worker
-from drive_id.nodes.qos import STREAM
+from drive_id.nodes.support.qos import STREAM
 
 TYPES = {
     "/phase_currents": PHASE_CURRENTS,

@@ -30,10 +30,10 @@ from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.read.reader import bag_pieces
 from drive_id.files.storage.bag import open_bag
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
-from drive_id.live.live_evidence import LiveEvidence
-from drive_id.live.refits import Refit, of_snapshot
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
+from drive_id.live.identification.live_evidence import LiveEvidence
+from drive_id.live.identification.refits import Refit, of_snapshot
 from drive_id.live.worker import Worker
 from drive_id.types import Samples
 

@@ -17,8 +17,8 @@ from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag
-from drive_id.live.recording_session import RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_session import RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 

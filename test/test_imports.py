@@ -67,6 +67,7 @@ FILES = {
 EVERY_CORE = below("core", *CORE)
 EVERY_FILE = below("files", *FILES)
 LIBRARY = EVERY_CORE | EVERY_FILE | {"drive_id.bench"}
+LIVE = {"drive_id.live", "drive_id.live.recording", "drive_id.live.identification"}
 STORED = {"numpy", "scipy", "yaml", "rosbags", "mcap", "zstandard", "lz4", "typing_extensions"}
 CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 
@@ -108,12 +109,17 @@ ROOMS = {
         | {"drive_id", "drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
-    "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.report"}, {"numpy", "yaml"}),
-    "drive_id.nodes": Room.of(
-        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.live"}, {"numpy", "yaml", *ROS}
+    "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy"}),
+    "drive_id.live.recording": Room.of(NOUNS | LIBRARY | {"drive_id.live"}, {"numpy"}),
+    "drive_id.live.identification": Room.of(
+        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.live", "drive_id.report"}, {"numpy", "yaml"}
     ),
+    "drive_id.nodes": Room.of(
+        NOUNS | LIBRARY | {"drive_id", "drive_id.fitting", "drive_id.nodes.support"} | LIVE, {"numpy", "yaml", *ROS}
+    ),
+    "drive_id.nodes.support": Room.of(NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.fitting"} | LIVE, {"numpy", *ROS}),
     "drive_id.ros": Room.of(
-        NOUNS | below("core", "validation") | below("files", "machines") | {"drive_id.fitting", "drive_id.nodes"},
+        NOUNS | below("core", "validation") | below("files", "machines") | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
         {"numpy", "rich", *ROS},
     ),
     "drive_id.cli": Room.of(
@@ -229,7 +235,7 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.core.result.identify", "from drive_id import fitting"),
         ("drive_id.bench.drive", "from drive_id.report.plots import to_png"),
         ("drive_id.bench.drive", "import numba"),
-        ("drive_id.report.plots", "from drive_id.live.identifier import Identifier"),
+        ("drive_id.report.plots", "from drive_id.live.identification.identifier import Identifier"),
         ("drive_id.fitting.streaming", "def f():\n    from drive_id.report.plots import to_png"),
         ("drive_id.core.numerics.bspline", "from drive_id.core.maps.coverage import Visits"),
         ("drive_id.core.maps.coenergy", "from drive_id.core import full"),
@@ -246,6 +252,8 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.report.reproduction", "import typer"),
         ("drive_id.nodes.recorder", "import drive_id.cli.app"),
         ("drive_id.nodes.recorder", "from drive_id import cli"),
+        ("drive_id.nodes.support.qos", "from drive_id.nodes.recorder import main"),
+        ("drive_id.live.recording.recording_session", "from drive_id.live.identification.identifier import Identifier"),
         ("drive_id.cli.app", "from drive_id.nodes.recorder import main"),
         ("drive_id.cli.app", "import rclpy"),
     ],

@@ -16,7 +16,7 @@ import pytest
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
-from drive_id.live.identifier import PROVISIONAL
+from drive_id.live.identification.identifier import PROVISIONAL
 
 DEFINITIONS = Path(__file__).parent.parent / "msg_defs"
 
@@ -224,7 +224,7 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
     from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from drive_id.nodes.middleware import without_type_lookup
+    from drive_id.nodes.support.middleware import without_type_lookup
 
     domain = 1 + os.getpid() % 101
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -21,10 +21,10 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
 from drive_id.health import Health
-from drive_id.nodes.diagnostics import Diagnostics
-from drive_id.nodes.parameters import declare_settings, on_change
-from drive_id.nodes.qos import STREAM
-from drive_id.nodes.runtime import run
+from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.qos import STREAM
+from drive_id.nodes.support.runtime import run
 
 _SHORTEST_TICK = 2e-3  # s
 _LONGEST_TICK = 2e-2

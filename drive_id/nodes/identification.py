@@ -21,25 +21,25 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier, Job, Reply, again
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier, Job, Reply, again
+from drive_id.live.identification.refits import Refit
+from drive_id.live.identification.requests import Request, Requests
+from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.memory import return_free_memory, share_arenas
-from drive_id.live.refits import Refit
-from drive_id.live.requests import Request, Requests
 from drive_id.live.translator import Translator
-from drive_id.live.warm_up import warm_up
 from drive_id.live.worker import Worker
-from drive_id.nodes.deferred_service import DeferredService, in_executor
-from drive_id.nodes.deferred_service import Reply as Answer
-from drive_id.nodes.diagnostics import Diagnostics
-from drive_id.nodes.displays import flux_map_points, operating_point_message
-from drive_id.nodes.foreign_topics import ForeignTopics
-from drive_id.nodes.identify_action import IdentifyAction
-from drive_id.nodes.matched_subscription import MatchedSubscription
-from drive_id.nodes.parameters import declare_settings, on_change
-from drive_id.nodes.qos import LATCHED, STREAM
-from drive_id.nodes.replies import fill, flux_map_message
-from drive_id.nodes.runtime import run
+from drive_id.nodes.support.deferred_service import DeferredService, in_executor
+from drive_id.nodes.support.deferred_service import Reply as Answer
+from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.displays import flux_map_points, operating_point_message
+from drive_id.nodes.support.foreign_topics import ForeignTopics
+from drive_id.nodes.support.identify_action import IdentifyAction
+from drive_id.nodes.support.matched_subscription import MatchedSubscription
+from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.qos import LATCHED, STREAM
+from drive_id.nodes.support.replies import fill, flux_map_message
+from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS, Progress
 
 TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}

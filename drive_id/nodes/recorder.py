@@ -18,16 +18,16 @@ from std_srvs.srv import Trigger
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import type_hash
 from drive_id.health import Health, Level
-from drive_id.live.clock_watch import ClockWatch
 from drive_id.live.data_directory import new_recording
-from drive_id.live.recorder_health import TopicState, recorder_health
-from drive_id.live.recording_session import RecordedTopic, RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
-from drive_id.nodes.diagnostics import Diagnostics
-from drive_id.nodes.extra_topics import ExtraTopics
-from drive_id.nodes.matched_subscription import MatchedSubscription
-from drive_id.nodes.parameters import declare_settings, on_change
-from drive_id.nodes.runtime import run
+from drive_id.live.recording.clock_watch import ClockWatch
+from drive_id.live.recording.recorder_health import TopicState, recorder_health
+from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.extra_topics import ExtraTopics
+from drive_id.nodes.support.matched_subscription import MatchedSubscription
+from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS
 
 TOPICS = {

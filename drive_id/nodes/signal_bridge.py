@@ -16,11 +16,11 @@ from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health, Level
 from drive_id.live.bridge_settings import BridgeSettings
 from drive_id.live.translator import SignalBlock, Translator
-from drive_id.nodes.diagnostics import Diagnostics
-from drive_id.nodes.foreign_topics import ForeignTopics
-from drive_id.nodes.parameters import declare_settings
-from drive_id.nodes.qos import STREAM
-from drive_id.nodes.runtime import run
+from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.foreign_topics import ForeignTopics
+from drive_id.nodes.support.parameters import declare_settings
+from drive_id.nodes.support.qos import STREAM
+from drive_id.nodes.support.runtime import run
 
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _NAMES = {"phase_currents": ("a", "b", "c"), "phase_voltages": ("a", "b", "c"), "resolver": ("angle", "speed")}

@@ -22,11 +22,11 @@ from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlo
 from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
-from drive_id.nodes.diagnostics import Diagnostics
-from drive_id.nodes.managed import guard_transitions
-from drive_id.nodes.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT, deaf_subscribers
-from drive_id.nodes.runtime import run
+from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.managed import guard_transitions
+from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
+from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, deaf_subscribers
+from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
 """Time for the last blocks to be acknowledged before the publisher is gone."""

@@ -21,8 +21,8 @@ from std_srvs.srv import Trigger
 
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
-from drive_id.nodes.arguments import ros_arguments
-from drive_id.nodes.middleware import without_type_lookup
+from drive_id.nodes.support.arguments import ros_arguments
+from drive_id.nodes.support.middleware import without_type_lookup
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
 MEASURED = ("phase_currents", "phase_voltages", "resolver")

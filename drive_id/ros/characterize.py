@@ -31,7 +31,7 @@ from rich.progress import Progress as Bar
 
 from drive_id.errors import DriveIdError, ExperimentError
 from drive_id.files.machines.ground_truth import decode_truth
-from drive_id.nodes.arguments import ros_arguments
+from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.ros.bench import Bench, Identified, Progress
 from drive_id.ros.comparison import comparison
 from drive_id.types import GroundTruth

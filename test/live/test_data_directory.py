@@ -11,8 +11,8 @@ import pytest
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import NotABagError
 from drive_id.live.data_directory import existing_recording
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
 
 
 @pytest.fixture

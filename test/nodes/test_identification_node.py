@@ -65,7 +65,7 @@ class Player:
     def __init__(self, ros, *, reliable=True, namespace=""):
         from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver
 
-        from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+        from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
 
         self.ros = ros
         qos = STREAM if reliable else STREAM_BEST_EFFORT
@@ -327,7 +327,7 @@ def test_a_late_joiner_gets_the_map_and_its_points(ros):
     from drive_id_msgs.msg import FluxMap
     from sensor_msgs.msg import PointCloud2
 
-    from drive_id.nodes.qos import LATCHED
+    from drive_id.nodes.support.qos import LATCHED
 
     reply = identify(ros, "bag")
     got, clouds = [], []
@@ -365,7 +365,7 @@ def test_a_late_joiner_gets_the_map_and_its_points(ros):
 def test_operating_points_are_those_of_the_samples(ros, player, bag, simulation):
     from drive_id_msgs.msg import OperatingPoint
 
-    from drive_id.nodes.qos import STREAM
+    from drive_id.nodes.support.qos import STREAM
 
     got = []
     subscription = ros.node.create_subscription(OperatingPoint, "/operating_point", got.append, STREAM)
@@ -479,7 +479,7 @@ def test_a_weak_map_is_marked_on_the_topic_as_it_is_in_the_reply(ros):
     """A trajectory within 0.3 of the radius: hardly anything of the map is data."""
     from drive_id_msgs.msg import FluxMap
 
-    from drive_id.nodes.qos import LATCHED
+    from drive_id.nodes.support.qos import LATCHED
 
     settings = SimulationSettings(current_noise=1e-3, i_max=0.3 * I_MAX)
     samples = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds=2.0).samples

@@ -198,7 +198,7 @@ def test_a_client_that_vanishes_leaves_nothing_behind(ros, node, monkeypatch):
 def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
     from drive_id_msgs.msg import FluxMap
 
-    from drive_id.nodes.qos import LATCHED
+    from drive_id.nodes.support.qos import LATCHED
 
     replies = [identify(ros, "bag", method=method) for method in ("psm", "joint", "psm", "joint")]
     assert len(folders(ros)) == 3

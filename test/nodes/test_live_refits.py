@@ -36,7 +36,7 @@ def play(ros, namespace, bag, diagnosis):
 def test_the_map_is_there_before_anybody_asks_and_stops_with_the_samples(ros, bag):
     from drive_id_msgs.msg import FluxMap
 
-    from drive_id.nodes.qos import LATCHED
+    from drive_id.nodes.support.qos import LATCHED
 
     node = "/early/identification"
     process = start(ros, "/early", refit_share=1.0, provisional_map_period=0.1)

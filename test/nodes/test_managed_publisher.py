@@ -32,7 +32,7 @@ class Managed:
     def __init__(self, ros, **parameters):
         from drive_id_msgs.msg import CurrentReference
 
-        from drive_id.nodes.qos import STREAM
+        from drive_id.nodes.support.qos import STREAM
 
         self.ros = ros
         self.blocks = []
@@ -174,7 +174,7 @@ def test_a_subscription_that_receives_nothing_is_told(ros):
 def test_a_subscription_of_another_type_is_told():
     """By a graph of its own: a process cannot have one topic with two types in DDS."""
     require_ros()
-    from drive_id.nodes.qos import STREAM, deaf_subscribers
+    from drive_id.nodes.support.qos import STREAM, deaf_subscribers
 
     def info(namespace, name, kind):
         return SimpleNamespace(node_namespace=namespace, node_name=name, topic_type=kind, qos_profile=STREAM)

@@ -36,7 +36,7 @@ def make(tmp_path, monkeypatch):
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from drive_id.nodes.parameters import declare_settings
+    from drive_id.nodes.support.parameters import declare_settings
 
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
@@ -88,7 +88,7 @@ def test_a_parameter_file(make, tmp_path):
 
 
 def test_parameters_that_do_not_exist_are_told(make, capfd):
-    from drive_id.nodes.arguments import warn_of_unknown_parameters
+    from drive_id.nodes.support.arguments import warn_of_unknown_parameters
 
     given = [f"{name}:=3" for name in ("count", "coumt", "zzzzzz", "qos_overrides./parameter_events.publisher.depth")]
     node, settings = make(*(word for text in given for word in ("-p", text)))
@@ -108,7 +108,7 @@ def test_wrong_ros_arguments_are_told_in_one_sentence(given):
     require_ros()
     from rclpy.context import Context
 
-    from drive_id.nodes.arguments import ros_arguments
+    from drive_id.nodes.support.arguments import ros_arguments
 
     with (
         pytest.raises(
@@ -124,7 +124,7 @@ def test_wrong_ros_arguments_are_told_in_one_sentence(given):
 def test_a_name_that_is_none_is_told_and_a_mistake_of_ours_is_not(make):
     from rclpy.node import Node
 
-    from drive_id.nodes.arguments import ros_arguments
+    from drive_id.nodes.support.arguments import ros_arguments
 
     node, _ = make()
     with pytest.raises(ConfigurationError, match="ROS refuses the arguments \\(Invalid namespace"), ros_arguments():
@@ -145,7 +145,7 @@ def test_a_wrong_start(make):
 
 
 def test_changes_are_checked_together_and_told(make):
-    from drive_id.nodes.parameters import on_change
+    from drive_id.nodes.support.parameters import on_change
 
     node, _ = make()
     told = []

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Reader
 
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.recover import recover_bag
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_settings import RecordingSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config" / "recorder.yaml"
 MODULE = "drive_id.nodes.recorder"
@@ -41,7 +41,7 @@ class Bench:
     def __init__(self, ros, *, namespace="", best_effort=()):
         from drive_id_msgs import msg
 
-        from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+        from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
 
         self.ros = ros
         self.next = 0
@@ -226,7 +226,7 @@ def stranger(ros, monkeypatch):
 def test_publishers_that_do_not_fit_are_named(ros, stranger):
     from std_msgs.msg import String
 
-    from drive_id.nodes.qos import STREAM
+    from drive_id.nodes.support.qos import STREAM
 
     wrong = stranger.create_publisher(String, "/current_reference", STREAM)
     bench = Bench(ros, best_effort={"/resolver"})
@@ -262,7 +262,7 @@ def test_an_optional_signal_that_joins_a_running_recording(ros):
     """Whoever publishes it comes late; the other three are not missed. Its block is one that rclpy has serialized."""
     from drive_id_msgs.msg import ScalarSamples
 
-    from drive_id.nodes.qos import STREAM
+    from drive_id.nodes.support.qos import STREAM
 
     recorder, bench = Recorder(ros), Bench(ros)
     bench.wait_for_listeners()
@@ -360,7 +360,7 @@ def test_further_topics_of_any_type_with_their_definitions(ros):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     from sensor_msgs.msg import Temperature
 
-    from drive_id.nodes.qos import LATCHED, STREAM
+    from drive_id.nodes.support.qos import LATCHED, STREAM
 
     mount = ros.node.create_publisher(TransformStamped, "/mount", LATCHED)
     transform = TransformStamped(child_frame_id="motor")

@@ -13,7 +13,7 @@ import pytest
 from live_drive import BENCH, PUBLISHER
 from ros_bench import DEADLINE, ros_bench
 
-from drive_id.nodes.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import without_type_lookup
 
 CLIENT = "drive_id.ros.characterize"
 VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"

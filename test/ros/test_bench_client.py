@@ -27,7 +27,7 @@ class Nodes:
         from rclpy.parameter import Parameter
         from std_srvs.srv import Trigger
 
-        from drive_id.nodes.middleware import without_type_lookup
+        from drive_id.nodes.support.middleware import without_type_lookup
 
         self.begin()
         self.context = Context()

@@ -11,7 +11,7 @@ import numpy as np
 
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
-from drive_id.live.recording_session import RecordedTopic
+from drive_id.live.recording.recording_session import RecordedTopic
 
 START = 1_700_000_000_000_000_000
 PERIOD = 1e-4

@@ -102,7 +102,7 @@ class RosBench:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        from drive_id.nodes.middleware import without_type_lookup
+        from drive_id.nodes.support.middleware import without_type_lookup
 
         self.folder = Path(folder)
         self.environment = dict(os.environ)

@@ -7,7 +7,7 @@ import sys
 import time
 from collections import defaultdict
 
-from drive_id.nodes.runtime import run
+from drive_id.nodes.support.runtime import run
 from drive_id.nodes.trajectory_publisher import TrajectoryPublisher
 
 SPENT = defaultdict(list)

@@ -28,8 +28,8 @@ from drive_id.files.read.reader import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
-from drive_id.live.recording_session import RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_session import RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 
 QOS_OF_HUMBLE = """\
 - history: 3

@@ -16,8 +16,8 @@ from drive_id.files.storage import durable
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
-from drive_id.live.recording_session import RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_session import RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 

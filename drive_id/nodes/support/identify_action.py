@@ -12,9 +12,9 @@ from drive_id_msgs.action import Identify
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.node import Node
 
-from drive_id.live.identifier import CANCELLED, VANISHED, Job, Reply
-from drive_id.live.requests import Request, Requests, Stage
-from drive_id.nodes.deferred_service import in_executor
+from drive_id.live.identification.identifier import CANCELLED, VANISHED, Job, Reply
+from drive_id.live.identification.requests import Request, Requests, Stage
+from drive_id.nodes.support.deferred_service import in_executor
 
 _KEPT = 60  # s for which a result can be asked for
 _GONE = 2.0  # s without a client after which it is gone

@@ -27,8 +27,8 @@ from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.live.data_directory import new_recording
-from drive_id.live.recording_session import RecordedTopic, RecordingSession
-from drive_id.live.recording_settings import RecordingSettings
+from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.types import SCALARS
 
 NO_DISK = os.strerror(errno.ENOSPC)
@@ -347,8 +347,8 @@ def test_a_limit_of_the_system(tmp_path):
         import resource, sys, time
         from pathlib import Path
         from recorder_blocks import TOPICS, feed
-        from drive_id.live.recording_session import RecordedTopic, RecordingSession
-        from drive_id.live.recording_settings import RecordingSettings
+        from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+        from drive_id.live.recording.recording_settings import RecordingSettings
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
         session = RecordingSession(Path(sys.argv[1]), TOPICS, RecordingSettings(chunk_size=8192))
         for number in range(10_000):
@@ -360,7 +360,7 @@ def test_a_limit_of_the_system(tmp_path):
         print(session.report().samples, session.error)
     """
     path = tmp_path / "bag"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "support")}
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script), str(path)],
         env=environment, capture_output=True, text=True, timeout=120, check=True,

@@ -27,12 +27,12 @@ from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.live_evidence import LiveEvidence, Snapshot
-from drive_id.live.operating_points import OperatingPoints
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.identification.operating_points import OperatingPoints
+from drive_id.live.identification.refits import Refit, RefitJob, Refits, moving, of_snapshot
+from drive_id.live.identification.result_folders import LastMap, ResultFolders, new_folder
 from drive_id.live.publishers import Publisher, publisher_findings
-from drive_id.live.refits import Refit, RefitJob, Refits, moving, of_snapshot
-from drive_id.live.result_folders import LastMap, ResultFolders, new_folder
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.types import SCALARS, Progress

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.signals.signal import Signal
-from drive_id.live.operating_points import OperatingPoints
+from drive_id.live.identification.operating_points import OperatingPoints
 
 PERIOD = 1e-4
 SPEED = 700.0  # rad/s

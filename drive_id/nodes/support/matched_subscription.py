@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from drive_id.files.storage.metadata import Qos
 from drive_id.live.publishers import Publisher, of_type, reliable_wanted
-from drive_id.nodes.qos import STREAM, STREAM_BEST_EFFORT
+from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
 
 
 class MatchedSubscription:

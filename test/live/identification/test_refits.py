@@ -11,11 +11,11 @@ from synthetic import record
 from test_live_evidence import feed
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.live import refits as refits_module
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
-from drive_id.live.live_evidence import LiveEvidence, Snapshot
-from drive_id.live.refits import MOST_GROWTH, Refits, of_snapshot
+from drive_id.live.identification import refits as refits_module
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
+from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.identification.refits import MOST_GROWTH, Refits, of_snapshot
 from drive_id.live.worker import Cancelled, Worker
 from drive_id.types import silent
 

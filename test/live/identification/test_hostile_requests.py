@@ -11,8 +11,8 @@ import pytest
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
 from drive_id.live.worker import Worker
 
 

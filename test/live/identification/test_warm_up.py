@@ -12,9 +12,9 @@ from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.block_codec import encode_block
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
-from drive_id.live.warm_up import warm_up
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
+from drive_id.live.identification.warm_up import warm_up
 
 I_MAX = 100.0
 SECONDS = 2.0

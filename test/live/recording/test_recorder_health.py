@@ -8,8 +8,8 @@ import pytest
 
 from drive_id.health import Level
 from drive_id.live.publishers import Publisher, reliable_wanted
-from drive_id.live.recorder_health import TopicState, recorder_health
-from drive_id.live.recording_report import RecordingReport, TopicReport
+from drive_id.live.recording.recorder_health import TopicState, recorder_health
+from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 
 KIND = "drive_id_msgs/msg/Resolver"
 BENCH = Publisher("/bench", KIND)

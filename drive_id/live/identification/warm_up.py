@@ -12,7 +12,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.signal import Signal
-from drive_id.live.live_evidence import LiveEvidence
+from drive_id.live.identification.live_evidence import LiveEvidence
 
 _COUNT = 2000
 _PERIOD = 1e-3

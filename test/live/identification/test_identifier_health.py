@@ -10,8 +10,8 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.health import Level
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
 from drive_id.live.publishers import Publisher
 
 NAMES = tuple(topic.name for topic in TOPICS[:3])

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from rclpy.time import Time
 
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.live.identifier import Reply
+from drive_id.live.identification.identifier import Reply
 
 
 def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:

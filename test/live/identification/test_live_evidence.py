@@ -24,11 +24,11 @@ from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
-from drive_id.live import live_evidence
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.identifier import Identifier
-from drive_id.live.live_evidence import LiveEvidence
-from drive_id.live.warm_up import warm_up
+from drive_id.live.identification import live_evidence
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.identifier import Identifier
+from drive_id.live.identification.live_evidence import LiveEvidence
+from drive_id.live.identification.warm_up import warm_up
 from drive_id.report import plots
 from drive_id.types import silent
 

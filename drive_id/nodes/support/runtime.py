@@ -20,8 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from drive_id.errors import DriveIdError
-from drive_id.nodes.arguments import ros_arguments, warn_of_unknown_parameters
-from drive_id.nodes.middleware import without_type_lookup
+from drive_id.nodes.support.arguments import ros_arguments, warn_of_unknown_parameters
+from drive_id.nodes.support.middleware import without_type_lookup
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _POINT = ". A DOUBLE is written with a decimal point, as in 300.0."

@@ -8,8 +8,8 @@ import shutil
 
 import pytest
 
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.result_folders import ResultFolders, new_folder
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.result_folders import ResultFolders, new_folder
 
 NODE = "/left/identification"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drive_id.health import Health, Level, Observation
 from drive_id.live.publishers import Publisher, of_type, publisher_findings
-from drive_id.live.recording_report import RecordingReport, TopicReport
+from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from drive_id_msgs.msg import FluxMap, OperatingPoint
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
 
-from drive_id.live.operating_points import Point
+from drive_id.live.identification.operating_points import Point
 
 FIELDS = ("x", "y", "z", "i_d", "i_q", "psi_d", "psi_q", "sigma", "coverage")
 """Of each point, float32; see :func:`flux_map_points`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drive_id.health import Level
-from drive_id.live.clock_watch import ClockWatch
+from drive_id.live.recording.clock_watch import ClockWatch
 
 SECOND = 10**9
 

@@ -14,7 +14,7 @@ from drive_id.errors import DriveIdError
 from drive_id.files.results.folder import is_result, replace_file
 from drive_id.fitting.result import Identification, load
 from drive_id.health import Level, Observation
-from drive_id.live.identification_settings import IdentificationSettings
+from drive_id.live.identification.identification_settings import IdentificationSettings
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(psm|joint|full)(_\d+)?", re.ASCII)
 _FORMAT = "drive_id/last_map"

@@ -9,9 +9,9 @@ import pytest
 
 from drive_id.core.numerics import threads
 from drive_id.errors import ConfigurationError
-from drive_id.live import requests as module
-from drive_id.live.identifier import BUSY, CANCELLED, Reply
-from drive_id.live.requests import MOST_ABANDONED, Request, Requests, Stage
+from drive_id.live.identification import requests as module
+from drive_id.live.identification.identifier import BUSY, CANCELLED, Reply
+from drive_id.live.identification.requests import MOST_ABANDONED, Request, Requests, Stage
 
 DONE = Reply("ok", "Done.")
 

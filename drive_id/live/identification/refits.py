@@ -16,8 +16,8 @@ from drive_id.core.numerics.threads import in_background
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import DriveIdError
-from drive_id.live.identification_settings import IdentificationSettings
-from drive_id.live.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
 from drive_id.types import Progress
 
 MOST_GROWTH = 1.25
@@ -63,7 +63,7 @@ def moving(evidence: Evidence) -> int:
 
 
 def of_snapshot(snapshot: Snapshot, earlier: Conclusion | None) -> Refit:
-    """Fit a snapshot, see :meth:`~drive_id.live.live_evidence.Snapshot.conclude`."""
+    """Fit a snapshot, see :meth:`~drive_id.live.identification.live_evidence.Snapshot.conclude`."""
     conclusion = snapshot.conclude(earlier)
     evidence = snapshot.gathered.evidence
     return Refit(

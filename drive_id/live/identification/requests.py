@@ -9,7 +9,7 @@ from typing import Final
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Level, Observation
-from drive_id.live.identifier import BUSY, Job, Reply, failed
+from drive_id.live.identification.identifier import BUSY, Job, Reply, failed
 from drive_id.live.worker import Worker
 
 PATIENCE = 1.0
@@ -123,7 +123,7 @@ class Requests:
         return f"{what or self._running.stage.name}." if share is None else f"{what}, {100 * share:.0f} %."
 
     def submit(self, request: Request, *, may_wait: bool) -> None:
-        """Begin a request, let it wait, or refuse it by :data:`~drive_id.live.identifier.BUSY`.
+        """Begin a request, let it wait, or refuse it by :data:`~drive_id.live.identification.identifier.BUSY`.
 
         Parameters
         ----------

@@ -1,0 +1,1 @@
+"""What the identification node does, without ROS: live samples, background fits, requests, results."""

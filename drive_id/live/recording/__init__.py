@@ -1,0 +1,1 @@
+"""What the recorder does, without ROS: recording sessions, their report and health."""

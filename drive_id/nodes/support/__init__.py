@@ -1,0 +1,1 @@
+"""What the nodes share: parameters, subscriptions, services, diagnostics, conversion to messages."""

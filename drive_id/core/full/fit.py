@@ -195,9 +195,7 @@ class EarlierFit:
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
         advantage = fit.selection.advantage
         model = fit.model
-        return cls(
-            orders=model.orders, fine=model.fine, spec=fit.spec, advantage=advantage, **of_fit, **of_search
-        )
+        return cls(orders=model.orders, fine=model.fine, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
 
 
 _KEPT_OF_FIT = (

@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
+from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.selection import HIGHEST_ORDER, LEAST_MISFIT, explained_shares
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
+from drive_id.core.maps.coverage import smoothed
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -33,6 +35,7 @@ _PARTS = 4
 """Parts of the windows that are summed in parallel threads."""
 _FEWEST = 8
 """Fewest windows of a group that is evaluated."""
+_NEIGHBOURS = 2
 _SIGNIFICANCE = 4.0
 _RIPPLES, _MAINS = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0), 5e-3
 """Ripples of rectified mains, Hz, and their relative tolerance."""
@@ -56,6 +59,9 @@ class LackOfFit:
         The same ratio below a fifth of i_max.
     by_current, by_position : float
         Mean square of the misfit that recurs in a region, or at a rotor position, relative to white residuals.
+    missed : (C, C, 2) float
+        Mean square flux, Wb^2, of d and q, that the data show and the model cannot follow, on equal cells of the square
+        around the current disc; 0 unless significant, see :func:`missed_flux`.
     changes : (size, G) float
         Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
     causes : mapping of str to float
@@ -69,8 +75,14 @@ class LackOfFit:
     low: float
     by_current: float
     by_position: float
+    missed: FloatArray
     changes: FloatArray
     causes: Mapping[str, float] = field(default_factory=dict)
+
+    def missed_at(self, i_dq: FloatArray, i_max: float) -> FloatArray:
+        """Return the mean square of the missed flux (N, 2), Wb^2, at currents (N, 2), A."""
+        d, q = divmod(_cell(i_dq, i_max), _CELLS)
+        return np.asarray(self.missed[d, q])
 
 
 def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -> LackOfFit:
@@ -82,6 +94,7 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
     def grouped(segments: Sequence[Windows]) -> list[FloatArray]:
         """Return scores and facts, by cell and by rotor position."""
         sums_of = [np.zeros((count, width)) for width in (unknowns, 5) for count in (_CELLS**2, _POSITIONS)]
+        sums_of.append(np.zeros((_CELLS**2, 5)))
         for segment in segments:
             rows = model.design_times(segment, through, solution.spec.orders)
             error = rows[..., -1]
@@ -90,14 +103,15 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
             expected = noise.variance * squared_inductances(model, solution.estimate, segment)
             scores = np.einsum("nak,na->nk", rows[..., :-1], error)
             facts = np.stack([np.ones(len(segment)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-            groups = _groups(segment, model.i_max)
-            for group, total, values in zip((*groups, *groups), sums_of, (scores, scores, facts, facts), strict=True):
+            of_flux, groups = _flux_facts(segment, turned), _groups(segment, model.i_max)
+            values_of = (scores, scores, facts, facts, of_flux)
+            for group, total, values in zip((*groups, *groups, groups[0]), sums_of, values_of, strict=True):
                 chosen = (np.ones(len(group)), (group, np.arange(len(group))))
                 total[...] += sparse.csr_array(chosen, shape=(len(total), len(group))) @ values
         return sums_of
 
     parts = in_threads(grouped, [kept[number::_PARTS] for number in range(_PARTS)])
-    by_cell, by_position, cells, positions = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
+    by_cell, by_position, cells, positions, fluxes = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
     squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
     enough = cells[:, 0] > _FEWEST
     worst = int(np.argmax(np.where(enough, squares, 0.0)))
@@ -116,6 +130,7 @@ def lack_of_fit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise) -
         low=_rms_ratio(cells[inner]),
         by_current=ratios[0],
         by_position=ratios[1],
+        missed=missed_flux(fluxes),
         changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
     )
 
@@ -170,6 +185,43 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
     return frequency, saved / max(float(np.sum(np.abs(error) ** 2)), _TINY)
 
 
+def _flux_facts(windows: Windows, turned: ComplexArray) -> FloatArray:
+    """Return count, h^2, h times the flux that would cause the residual in d and q, and the residual's square (N, 5).
+
+    A flux error x in the rotor frame, equal at both ends, causes the residual ``j h x`` in the frame of the mean angle,
+    with ``h = 2 sin(turn / 2)``.
+    """
+    h = 2 * np.sin(0.5 * np.diff(windows.angle, axis=1)[:, 0]) * np.sqrt(windows.weights)
+    flux = -1j * h * turned
+    return np.stack([np.ones(len(windows)), h**2, flux.real, flux.imag, np.abs(turned) ** 2], axis=1)
+
+
+def missed_flux(facts: FloatArray) -> FloatArray:
+    """Return the mean square flux (C, C, 2), Wb^2, of d and q, that recurs in the residuals of cells.
+
+    The mean residual of a cell over passes and rotor positions is that of a flux error which the model cannot follow,
+    since the fit leaves no other. Its mean square is reduced by that of noise, averaged over neighbouring cells, and 0
+    in both fluxes unless the mean over all cells is significant in one.
+
+    Parameters
+    ----------
+    facts : (C^2, 5) float
+        Sums over the windows of each cell, see :func:`_flux_facts`.
+    """
+    enough = facts[:, 0] > _FEWEST
+    count, weight, *flux, square = np.where(enough, facts.T, 1.0)
+    mean = np.stack(flux, axis=1) / weight[:, None]
+    noise = np.maximum(square / count - weight / count * np.sum(mean**2, axis=1), 0.0) / 2 / weight
+    side = (_CELLS, _CELLS)
+    excess = np.where(enough[:, None], mean**2 - noise[:, None], 0.0).reshape(*side, 2)
+    cells = max(int(enough.sum()), 1)
+    relative = excess.sum(axis=(0, 1)) / max(float(noise[enough].sum()), _TINY)
+    if not enough.any() or relative.max() < _SIGNIFICANCE * np.sqrt(2 / cells):
+        return np.zeros_like(excess)
+    local = [smoothed(excess[..., k], enough.reshape(side), _NEIGHBOURS) for k in range(2)]
+    return np.maximum(np.stack(local, axis=-1), 0.0)
+
+
 def _rms_ratio(facts: FloatArray) -> float:
     """Return the rms of the residuals of groups over that of noise; 1 without any."""
     return float(np.sqrt(facts[:, 3].sum() / max(facts[:, 4].sum(), _TINY))) if len(facts) else 1.0
@@ -177,10 +229,16 @@ def _rms_ratio(facts: FloatArray) -> float:
 
 def _groups(windows: Windows, i_max: float) -> Sequence[IntArray]:
     """Return for each window the number of its cell of the current plane and of its rotor position."""
-    place = np.clip((windows.i_dq.mean(axis=1) / i_max + 1) / 2, 0.0, 1.0 - 1e-9)
-    cell = (place * _CELLS).astype(np.int64)
     position = np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi)
-    return cell[:, 0] * _CELLS + cell[:, 1], np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+    cell = _cell(windows.i_dq.mean(axis=1), i_max)
+    return cell, np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+
+
+def _cell(i_dq: FloatArray, i_max: float) -> IntArray:
+    """Return the number (N,) of the cell of currents (N, 2), A."""
+    place = np.clip((i_dq / i_max + 1) / 2, 0.0, 1.0 - 1e-9)
+    cell = (place * _CELLS).astype(np.int64)
+    return np.asarray(cell[:, 0] * _CELLS + cell[:, 1])
 
 
 def _centre(cell: int, i_max: float) -> FloatArray:

@@ -186,13 +186,19 @@ def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: Bo
 
 
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones."""
+    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones.
+
+    They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`.
+    """
     consistent, white = frame.sigma(grid[inside])
     ratio = np.zeros(grid.shape)
     ratio[inside] = (consistent / white) ** 2
     local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
     sigma = np.full(grid.shape, np.nan)
     sigma[inside] = white * np.sqrt(local[inside])
+    missed = frame.fit.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
+    if missed.any():
+        sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
     return sigma
 
 

@@ -14,7 +14,15 @@ from drive_id.core.full.effect_report import effect_entries, misfit_warning, not
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import FLUX_CELLS, MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
+from drive_id.core.full.model import (
+    FINE_FLUX_CELLS,
+    FINE_HARMONIC_CELLS,
+    FLUX_CELLS,
+    MAGNET,
+    RESISTANCE,
+    SENSOR_ORDERS,
+    FullModel,
+)
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
@@ -118,7 +126,11 @@ class FullMethod:
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
+            statements=(
+                *_statements(evidence, fit, inside, found),
+                *_on_free_maps(fit, information),
+                *_on_fine_cells(fit, information),
+            ),
             fit=EarlierFit.of(fit),
             error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
@@ -373,6 +385,20 @@ def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
         (
             f"The free maps were fitted to {used} of {sums.windows} windows, evenly spread over the recordings: set "
             "maps to free to use all."
+        ),
+    )
+
+
+def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
+    """Say that fine cells were used, and for which share of the windows."""
+    if not fit.model.fine:
+        return ()
+    used = fit.selection.search.sums.windows
+    some = "" if used == sums.windows else f", to {used} of {sums.windows} windows, evenly spread over the recordings"
+    return (
+        (
+            f"The machine has finer details than the usual {FLUX_CELLS} cells along each axis resolve: the map was "
+            f"fitted with {FINE_FLUX_CELLS}, and its harmonics with {FINE_HARMONIC_CELLS}{some}."
         ),
     )
 

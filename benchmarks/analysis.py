@@ -189,7 +189,9 @@ def against_syre(folder: Path) -> Iterator[str]:
     at_flux = np.abs(np.interp(flux, np.hypot(ours.psi_d, ours.psi_q), ours.torque) / known["T"] - 1)
     at_current = np.abs(np.interp(current, ours.current, ours.torque) / known["T"] - 1)
     number = np.arange(len(flux))
-    levels = np.polyval(np.polyfit(number[1:], flux[1:], 1), number)  # equally spaced; the first one is too coarse
+    levels = np.asarray(
+        np.polyval(np.polyfit(number[1:], flux[1:], 1), number), np.float64
+    )  # equally spaced; the first one is too coarse
     i_d, i_q = np.linspace(-reach, reach, SYRE_POINTS), np.linspace(0.0, reach, SYRE_POINTS)
     locus = grid_locus(model, i_d, i_q, levels)
     same = np.abs(locus[:, 2] / known["T"] - 1).max()

@@ -34,4 +34,4 @@ def test_torque_at_equal_flux_is_that_on_contours_of_a_grid(grid_locus):
         assert np.interp(levels, flux, ours.torque) == pytest.approx(found[:, 2], rel=tolerance)
         at_current = np.interp(np.hypot(found[:, 0], found[:, 1]), ours.current, ours.torque)
         apart.append(np.abs(at_current / found[:, 2] - 1).max())
-    assert apart[0] > 5 * apart[1]
+    assert apart[0] > 2 * apart[1]  # by the step of the grid, up to where on it the points fall

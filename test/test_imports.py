@@ -119,7 +119,10 @@ ROOMS = {
     ),
     "drive_id.nodes.support": Room.of(NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.fitting"} | LIVE, {"numpy", *ROS}),
     "drive_id.ros": Room.of(
-        NOUNS | below("core", "validation") | below("files", "machines") | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
+        NOUNS
+        | below("core", "validation")
+        | below("files", "machines")
+        | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
         {"numpy", "rich", *ROS},
     ),
     "drive_id.cli": Room.of(

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drive_id.analysis.bands import combined
 from drive_id.analysis.field_weakening import (
     Limits,
     corner_speed,
@@ -256,7 +257,6 @@ def _figures(
     if model.errors is not None and zero:
         sigma_magnet = float(np.linalg.norm(model.errors.fluxes(np.zeros(()), np.zeros(()))[:, 0]))
     saliency = slopes[1, 1] / slopes[0, 0]
-    sigma_saliency = saliency * math.hypot(errors[0, 0] / slopes[0, 0], errors[1, 1] / slopes[1, 1])
     characteristic = characteristic_current(model)
     motoring, sigma_torque = of_speed.motoring, of_speed.sigma_torque
     supported = model.inside(motoring.i_dq[:, 0], motoring.i_dq[:, 1])
@@ -273,7 +273,7 @@ def _figures(
         "magnet_flux": Figure(float(model.psi_dq(0.0, 0.0)[0]), sigma_magnet, "Wb", zero),
         "L_dd": Figure(float(slopes[0, 0]), float(errors[0, 0]), "H", zero),
         "L_qq": Figure(float(slopes[1, 1]), float(errors[1, 1]), "H", zero),
-        "saliency": Figure(float(saliency), float(sigma_saliency), "1", zero),
+        "saliency": Figure(float(saliency), _sigma_saliency(model) if zero else np.nan, "1", zero),
         "characteristic_current": Figure(characteristic[0], characteristic[1], "A", characteristic[2]),
         "mtpa_angle": Figure(
             float(np.arctan2(at_most.i_q[-1], at_most.i_d[-1])),
@@ -297,6 +297,16 @@ def _figures(
         "kp_q": Figure(float(rate * slopes[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
         "ki": Figure(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
     }
+
+
+def _sigma_saliency(model: MachineModel) -> float:
+    """Return the standard error of L_qq / L_dd at zero current; NaN where the errors' correlation is not known."""
+    if model.errors is None:
+        return np.nan
+    zero, slopes = np.zeros(()), model.inductances(0.0, 0.0)
+    changes = model.errors.inductances(zero, zero)
+    relative = changes[:, 1, 1] / slopes[1, 1] - changes[:, 0, 0] / slopes[0, 0]
+    return float(slopes[1, 1] / slopes[0, 0] * combined(relative))
 
 
 def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from drive_id.settings import check, setting
 
+_SIX_STEP = 1.1027
+"""Fundamental of six-step operation, 2/pi u_dc, over the largest sinusoidal voltage, u_dc / sqrt(3), rounded up."""
+
 
 @dataclass(frozen=True)
 class AnalysisSettings:
@@ -31,7 +34,10 @@ class AnalysisSettings:
     )
     bandwidth: float = setting(500.0, "of the current controllers", unit="Hz", minimum=1e-3)
     modulation: float = setting(
-        1.0, "usable share of the largest sinusoidal voltage, u_dc / sqrt(3)", minimum=0.01, maximum=1.11
+        1.0,
+        "usable share of the largest sinusoidal voltage, u_dc / sqrt(3); six-step operation reaches 1.1027",
+        minimum=0.01,
+        maximum=_SIX_STEP,
     )
     pole_pairs: int | None = setting(None, "number of pole pairs; default: that of the result", minimum=1, maximum=1000)
     current_points: int = setting(41, "points of the current trajectories", minimum=3, maximum=1001)

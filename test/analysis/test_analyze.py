@@ -190,9 +190,11 @@ def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     assert drive_id.analyze(unknown, replace(SMALL, pole_pairs=3)).model.pole_pairs == 3
     with pytest.raises(ConfigurationError, match="--u-dc"):
         drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
-    for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 2.0}):
+    for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 1.104}):
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             drive_id.AnalysisSettings(**wrong)
+    six_step = (2 / np.pi) / (1 / np.sqrt(3))
+    assert drive_id.AnalysisSettings(modulation=six_step).modulation == six_step
     with pytest.raises(ResultError, match="is not a result folder"):
         drive_id.analyze(tmp_path, SMALL)
 

@@ -84,6 +84,21 @@ def test_bands_of_the_map(erring, pairs):
     same(model.sigma_inductances(i_d, i_q), pairs, lambda other: other.inductances(i_d, i_q))
 
 
+def test_the_band_of_the_saliency_knows_that_both_inductances_err_together(erring, pairs):
+    small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
+    figure = drive_id.analyze(erring, small).figures["saliency"]
+
+    def saliency(model):
+        slopes = model.inductances(0.0, 0.0)
+        return slopes[1, 1] / slopes[0, 0]
+
+    same(figure.sigma, pairs, saliency)
+    errors = MachineModel.of(erring).sigma_inductances(0.0, 0.0)
+    slopes = MachineModel.of(erring).inductances(0.0, 0.0)
+    apart = figure.value * np.hypot(errors[0, 0] / slopes[0, 0], errors[1, 1] / slopes[1, 1])
+    assert abs(figure.sigma / apart - 1) > 0.05  # the band of independent errors is another one
+
+
 def test_bands_of_operating_points(erring, pairs):
     model = MachineModel.of(erring)
     i_dq, speed = np.array([[-3.0, 12.0], [-10.0, -6.0]]), np.array([200.0, 500.0])

@@ -160,6 +160,8 @@ class EarlierFit:
     ----------
     orders : tuple of int
         Harmonics that its sums covered.
+    fine : bool
+        Whether they were over fine cells.
     spec : ModelSpec
     columns : EffectColumns
     taken : tuple of Taken
@@ -171,6 +173,7 @@ class EarlierFit:
     """
 
     orders: tuple[int, ...]
+    fine: bool
     spec: ModelSpec
     columns: EffectColumns
     taken: tuple[Taken, ...]
@@ -197,7 +200,8 @@ class EarlierFit:
         search = fit.selection.search
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
         advantage = fit.selection.advantage
-        return cls(orders=fit.model.orders, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
+        model = fit.model
+        return cls(orders=model.orders, fine=model.fine, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
 
 
 _KEPT_OF_FIT = (
@@ -210,7 +214,9 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
 
     Standard errors, lack of fit and outliers are those of the earlier fit, because they require the windows themselves.
     """
-    if earlier.orders != sums.model.orders:
+    if earlier.fine:
+        sums = sums.with_fine_cells(earlier.orders)
+    elif earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
     if earlier.spec.effects:
         sums = sums.with_effects(earlier.columns)

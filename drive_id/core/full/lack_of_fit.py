@@ -16,20 +16,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
+from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
+from drive_id.core.full.selection import HIGHEST_ORDER, LEAST_MISFIT, explained_shares
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
+from drive_id.core.maps.coverage import smoothed
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-LEAST_TOLD = 1.3
+LEAST_TOLD = LEAST_MISFIT
 """Ratio of the residuals to noise above which a warning is given."""
 
 _CELLS, _POSITIONS = 12, 48
 _FEWEST = 8
 """Fewest windows of a group that is evaluated."""
+_NEIGHBOURS = 2
 _SIGNIFICANCE = 4.0
 _RIPPLES, _MAINS = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0), 5e-3
 """Ripples of rectified mains, Hz, and their relative tolerance."""
@@ -53,6 +56,9 @@ class LackOfFit:
         The same ratio below a fifth of i_max.
     by_current, by_position : float
         Mean square of the misfit that recurs in a region, or at a rotor position, relative to white residuals.
+    missed : (C, C, 2) float
+        Mean square flux, Wb^2, of d and q, that the data show and the model cannot follow, on equal cells of the square
+        around the current disc; 0 unless significant, see :func:`missed_flux`.
     changes : (size, G) float
         Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
     causes : mapping of str to float
@@ -66,8 +72,14 @@ class LackOfFit:
     low: float
     by_current: float
     by_position: float
+    missed: FloatArray
     changes: FloatArray
     causes: Mapping[str, float] = field(default_factory=dict)
+
+    def missed_at(self, i_dq: FloatArray, i_max: float) -> FloatArray:
+        """Return the mean square of the missed flux (N, 2), Wb^2, at currents (N, 2), A."""
+        d, q = divmod(_cell(i_dq, i_max), _CELLS)
+        return np.asarray(self.missed[d, q])
 
 
 class GroupSums:
@@ -81,6 +93,7 @@ class GroupSums:
     def __init__(self, unknowns: int) -> None:
         self._scores = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
         self._facts = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]
+        self._fluxes = np.zeros((_CELLS**2, 5))
 
     def add(self, windows: Windows, rows: FloatArray, expected: FloatArray, i_max: float) -> None:
         """Add windows.
@@ -99,16 +112,23 @@ class GroupSums:
         turned = (error[:, 0] + 1j * error[:, 1]) * np.exp(-1j * windows.angle.mean(axis=1))
         scores = np.einsum("nak,na->nk", rows[..., :-1], error)
         facts = np.stack([np.ones(len(windows)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-        for group, of_scores, of_facts in zip(_groups(windows, i_max), self._scores, self._facts, strict=True):
+        groups = _groups(windows, i_max)
+        by_cell, by_position = ([*pair] for pair in zip(self._scores, self._facts, strict=True))
+        by_cell.append(self._fluxes)
+        values = [scores, facts, _flux_facts(windows, turned)]
+        for group, totals in zip(groups, (by_cell, by_position), strict=True):
             chosen = (np.ones(len(group)), (group, np.arange(len(group))))
-            sums = sparse.csr_array(chosen, shape=(len(of_facts), len(group)))
-            of_scores[...] += sums @ scores
-            of_facts[...] += sums @ facts
+            sums = sparse.csr_array(chosen, shape=(len(totals[0]), len(group)))
+            for total, value in zip(totals, values, strict=False):  # fluxes by cell only
+                total[...] += sums @ value
 
     def merge(self, other: GroupSums) -> None:
         """Add the sums over other windows."""
-        for own, theirs in zip((*self._scores, *self._facts), (*other._scores, *other._facts), strict=True):
+        for own, theirs in zip(self._all(), other._all(), strict=True):
             own[...] += theirs
+
+    def _all(self) -> list[FloatArray]:
+        return [*self._scores, *self._facts, self._fluxes]
 
     def lack_of_fit(self, model: FullModel, solution: FullSolution, share: float) -> LackOfFit:
         """Compare the residuals with noise, by region of the current plane and by rotor position.
@@ -138,6 +158,7 @@ class GroupSums:
             low=_rms_ratio(cells[inner]),
             by_current=ratios[0],
             by_position=ratios[1],
+            missed=missed_flux(self._fluxes),
             changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
         )
 
@@ -192,6 +213,43 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
     return frequency, saved / max(float(np.sum(np.abs(error) ** 2)), _TINY)
 
 
+def _flux_facts(windows: Windows, turned: ComplexArray) -> FloatArray:
+    """Return count, h^2, h times the flux that would cause the residual in d and q, and the residual's square (N, 5).
+
+    A flux error x in the rotor frame, equal at both ends, causes the residual ``j h x`` in the frame of the mean angle,
+    with ``h = 2 sin(turn / 2)``.
+    """
+    h = 2 * np.sin(0.5 * np.diff(windows.angle, axis=1)[:, 0]) * np.sqrt(windows.weights)
+    flux = -1j * h * turned
+    return np.stack([np.ones(len(windows)), h**2, flux.real, flux.imag, np.abs(turned) ** 2], axis=1)
+
+
+def missed_flux(facts: FloatArray) -> FloatArray:
+    """Return the mean square flux (C, C, 2), Wb^2, of d and q, that recurs in the residuals of cells.
+
+    The mean residual of a cell over passes and rotor positions is that of a flux error which the model cannot follow,
+    since the fit leaves no other. Its mean square is reduced by that of noise, averaged over neighbouring cells, and 0
+    in both fluxes unless the mean over all cells is significant in one.
+
+    Parameters
+    ----------
+    facts : (C^2, 5) float
+        Sums over the windows of each cell, see :func:`_flux_facts`.
+    """
+    enough = facts[:, 0] > _FEWEST
+    count, weight, *flux, square = np.where(enough, facts.T, 1.0)
+    mean = np.stack(flux, axis=1) / weight[:, None]
+    noise = np.maximum(square / count - weight / count * np.sum(mean**2, axis=1), 0.0) / 2 / weight
+    side = (_CELLS, _CELLS)
+    excess = np.where(enough[:, None], mean**2 - noise[:, None], 0.0).reshape(*side, 2)
+    cells = max(int(enough.sum()), 1)
+    relative = excess.sum(axis=(0, 1)) / max(float(noise[enough].sum()), _TINY)
+    if not enough.any() or relative.max() < _SIGNIFICANCE * np.sqrt(2 / cells):
+        return np.zeros_like(excess)
+    local = [smoothed(excess[..., k], enough.reshape(side), _NEIGHBOURS) for k in range(2)]
+    return np.maximum(np.stack(local, axis=-1), 0.0)
+
+
 def _rms_ratio(facts: FloatArray) -> float:
     """Return the rms of the residuals of groups over that of noise; 1 without any."""
     return float(np.sqrt(facts[:, 3].sum() / max(facts[:, 4].sum(), _TINY))) if len(facts) else 1.0
@@ -199,10 +257,16 @@ def _rms_ratio(facts: FloatArray) -> float:
 
 def _groups(windows: Windows, i_max: float) -> Sequence[IntArray]:
     """Return for each window the number of its cell of the current plane and of its rotor position."""
-    place = np.clip((windows.i_dq.mean(axis=1) / i_max + 1) / 2, 0.0, 1.0 - 1e-9)
-    cell = (place * _CELLS).astype(np.int64)
     position = np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi)
-    return cell[:, 0] * _CELLS + cell[:, 1], np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+    cell = _cell(windows.i_dq.mean(axis=1), i_max)
+    return cell, np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+
+
+def _cell(i_dq: FloatArray, i_max: float) -> IntArray:
+    """Return the number (N,) of the cell of currents (N, 2), A."""
+    place = np.clip((i_dq / i_max + 1) / 2, 0.0, 1.0 - 1e-9)
+    cell = (place * _CELLS).astype(np.int64)
+    return np.asarray(cell[:, 0] * _CELLS + cell[:, 1])
 
 
 def _centre(cell: int, i_max: float) -> FloatArray:

@@ -32,6 +32,8 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 FLUX_CELLS, FLUX_DEGREE = 16, 4
 HARMONIC_CELLS, HARMONIC_DEGREE = 4, 3
+FINE_FLUX_CELLS, FINE_HARMONIC_CELLS = 24, 8
+"""Cells of a fine model."""
 SENSOR_CELLS, SENSOR_DEGREE = 3, 3
 SENSOR_ORDERS = (1, 2)
 
@@ -171,6 +173,8 @@ class FullModel:
         Sum over the columns of reciprocal maps only, a third fewer, see :attr:`summed`.
     sensors : tuple of int
         Candidate harmonics that current sensors cause.
+    fine: bool
+        With more cells of the map and of its harmonics, for machines with more detail than the usual cells resolve.
     """
 
     low: FloatArray
@@ -180,6 +184,7 @@ class FullModel:
     _: KW_ONLY
     reciprocal: bool = False
     sensors: tuple[int, ...] = SENSOR_ORDERS
+    fine: bool = False
 
     @cached_property
     def shapes(self) -> CapacitiveShapes:
@@ -189,12 +194,14 @@ class FullModel:
     @cached_property
     def flux(self) -> GradientSpline:
         """Space of the flux map."""
-        return GradientSpline.within(self.low, self.high, FLUX_CELLS, FLUX_DEGREE)
+        cells = FINE_FLUX_CELLS if self.fine else FLUX_CELLS
+        return GradientSpline.within(self.low, self.high, cells, FLUX_DEGREE)
 
     @cached_property
     def harmonic(self) -> GradientSpline:
         """Space of the amplitudes of a rotor-position harmonic."""
-        return GradientSpline.within(self.low, self.high, HARMONIC_CELLS, HARMONIC_DEGREE)
+        cells = FINE_HARMONIC_CELLS if self.fine else HARMONIC_CELLS
+        return GradientSpline.within(self.low, self.high, cells, HARMONIC_DEGREE)
 
     @cached_property
     def sensor(self) -> GradientSpline:

@@ -19,13 +19,22 @@ from drive_id.core.full.model import (
     FullModel,
     ModelSpec,
 )
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products, predictable
+from drive_id.core.full.solver import (
+    CurrentNoise,
+    FullSolution,
+    Solver,
+    noise_products,
+    predictable,
+    squared_inductances,
+)
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import BetweenCrossings, between_crossings
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
+LEAST_MISFIT = 1.3
+"""Ratio of the residuals to noise above which finer cells are tried."""
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
 _LEAST_SAVED = 3e-4
@@ -112,7 +121,42 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         start = _with_early_steps(solver, _compensated(solver, _first_spec(sums, settings, turn)))
         del solver
         selection = _select(sums, start, settings, turn, noise)
+    selection = _with_fine_cells(plain, selection, settings, turn, noise) or selection
     return selection.search.sums, replace(selection, crossings=crossings)
+
+
+def _with_fine_cells(
+    plain: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> Selection | None:
+    """Return the selection with fine cells of map and harmonics where the data show finer details, else None.
+
+    The residuals must exceed noise and a negligible voltage, and the fine model must predict held-out data clearly
+    better, both with the spec selected so far and with its own. Whether maps are free is not selected again: fine free
+    maps have too many unknowns.
+    """
+    solver, solution = selection.solver, selection.solution
+    if not solution.spec.reciprocal or not _misfit_shows(solver, solution, noise):
+        return None
+    sums = plain.with_fine_cells(tuple(order for order in solution.spec.orders if order not in SENSOR_ORDERS))
+    fine, without = Solver.over(sums), replace(solution.spec, effects=())
+    error = solver.left_out(solution.spec)[:, 0]
+    by_usual = solver.left_out(without)[:, 0] if solution.spec.effects else error
+    if not _advantage(fine, without, by_usual)[1]:
+        return None
+    start = fine.solve(replace(without, delay=0.0 if settings.calibrate_delay else settings.voltage_delay))
+    del fine  # its matrices are large
+    found = _select(sums, start, replace(settings, maps="reciprocal"), turn, noise)
+    if not _advantage(found.solver, found.solution.spec, error)[1]:
+        return None
+    return replace(found, advantage=selection.advantage)
+
+
+def _misfit_shows(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> bool:
+    """Tell whether the residuals exceed noise in the currents, and by more than a negligible voltage."""
+    squares = squared_inductances(solver.model, solution.estimate, noise.windows)
+    expected = noise.variance * float(squares.sum() / (2 * noise.windows.weights.sum()))
+    excess = solution.residual_rms**2 - expected
+    return excess > max((LEAST_MISFIT**2 - 1) * expected, _LEAST_SAVED**2 * solver.total_voltage)
 
 
 def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:

@@ -113,6 +113,10 @@ class WindowSums:
         """Return the sums over the kept windows for a model with other harmonics."""
         return self._over(replace(self.model, orders=orders), self._kept)
 
+    def with_fine_cells(self, orders: tuple[int, ...]) -> WindowSums:
+        """Return the sums over the kept windows for a fine model with these harmonics."""
+        return self._over(replace(self.model, orders=orders, fine=True), self._kept)
+
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""
         if not self.model.reciprocal:

@@ -14,7 +14,15 @@ from drive_id.core.full.effect_report import effect_entries, misfit_warning, not
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import FLUX_CELLS, MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
+from drive_id.core.full.model import (
+    FINE_FLUX_CELLS,
+    FINE_HARMONIC_CELLS,
+    FLUX_CELLS,
+    MAGNET,
+    RESISTANCE,
+    SENSOR_ORDERS,
+    FullModel,
+)
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
@@ -127,7 +135,11 @@ class FullMethod:
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=(*_statements(evidence, fit, inside, found), *_on_free_maps(fit, information)),
+            statements=(
+                *_statements(evidence, fit, inside, found),
+                *_on_free_maps(fit, information),
+                *_on_fine_cells(fit, information),
+            ),
             fit=EarlierFit.of(fit),
             error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
@@ -198,13 +210,19 @@ def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: Bo
 
 
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones."""
+    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones.
+
+    They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`.
+    """
     consistent, white = frame.sigma(grid[inside])
     ratio = np.zeros(grid.shape)
     ratio[inside] = (consistent / white) ** 2
     local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
     sigma = np.full(grid.shape, np.nan)
     sigma[inside] = white * np.sqrt(local[inside])
+    missed = frame.fit.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
+    if missed.any():
+        sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
     return sigma
 
 
@@ -379,6 +397,20 @@ def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
         (
             f"The free maps were fitted to {used} of {sums.windows} windows, evenly spread over the recordings: set "
             "maps to free to use all."
+        ),
+    )
+
+
+def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
+    """Say that fine cells were used, and for which share of the windows."""
+    if not fit.model.fine:
+        return ()
+    used = fit.selection.search.sums.windows
+    some = "" if used == sums.windows else f", to {used} of {sums.windows} windows, evenly spread over the recordings"
+    return (
+        (
+            f"The machine has finer details than the usual {FLUX_CELLS} cells along each axis resolve: the map was "
+            f"fitted with {FINE_FLUX_CELLS}, and its harmonics with {FINE_HARMONIC_CELLS}{some}."
         ),
     )
 

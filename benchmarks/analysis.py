@@ -1,0 +1,242 @@
+"""Errors of analyses of fitted maps, the coverage of their 95 % bands, and a comparison with SyR-e's loci.
+
+Usage: python benchmarks/analysis.py [--machines FOLDER] [--seeds N] [--only NAME,...] [--write]
+
+Each drive is simulated for 10 s at 500 rpm with noise of 0.1 % of i_max, and fitted with default settings. FOLDER holds
+machine files that are not part of this repository, ``thor_fem_harmonic_map.npz`` and ``baldor_meas_map.npz``, and the
+loci of THOR by SyR-e, ``thor_MTPA_syre.npz`` and ``thor_MTPV_syre.npz``. ``--write`` puts the figures into
+docs/analysis.md. They do not depend on the computer.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.trajectories import Trajectory, mtpa, mtpv
+from drive_id.bench.machine import Machine
+from drive_id.bench.settings import SimulationSettings
+from drive_id.exchange.imports.importing import import_map
+from drive_id.exchange.imports.source import Source
+from drive_id.fitting.fit import fit
+from drive_id.fitting.simulated import load_machine, run_experiment
+from drive_id.types import FloatArray
+
+SECONDS, BAND, POINTS, SEEDS = 10.0, 1.96, 41, 3
+SETTINGS = SimulationSettings(current_noise=1e-3)
+SHIPPED = {name: (name, SETTINGS) for name in ("ipm", "spm", "pmsyrm")}
+FILES = {
+    "Baldor": ("baldor_meas_map.npz", replace(SETTINGS, sixth_harmonic=0.01)),
+    "THOR": ("thor_fem_harmonic_map.npz", SETTINGS),
+}
+COLUMNS = (
+    "Machine", "Largest torque error", "Rms", "Largest error of the MTPA angle", "Torque in bands",
+    "Inductances in bands", "MTPA angle in bands",
+)  # fmt: skip
+SYRE_POINTS = 256
+"""Points of SyR-e's grid: along i_d over its whole range, along i_q from 0."""
+PAGE = Path(__file__).parent.parent / "docs" / "analysis.md"
+BEGIN, END = "<!-- benchmarks/analysis.py -->", "<!-- end -->"
+_STEP = 1e-3
+_SCAN = np.deg2rad(0.05)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Errors of one analysis; those of the torque relative to the largest torque.
+
+    Parameters
+    ----------
+    torque, rms_torque : float
+        Largest and rms error over the points with data within the disc.
+    angle : float
+        Largest error of the MTPA angle, degrees.
+    torque_bands, inductance_bands, angle_bands : float
+        Shares of the bands that hold the truth.
+    """
+
+    torque: float
+    rms_torque: float
+    angle: float
+    torque_bands: float
+    inductance_bands: float
+    angle_bands: float
+
+
+def true_inductances(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Return the incremental inductances (N, 2, 2), H, by differences of the true mean flux."""
+    step = _STEP * machine.i_max
+    by_d = (machine.mean_flux(i_d + step, i_q) - machine.mean_flux(i_d - step, i_q)) / (2 * step)
+    by_q = (machine.mean_flux(i_d, i_q + step) - machine.mean_flux(i_d, i_q - step)) / (2 * step)
+    return np.stack([by_d, by_q], axis=-1)
+
+
+def true_torque(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Return the torque (...), Nm."""
+    psi = machine.mean_flux(i_d, i_q)
+    return np.asarray(1.5 * machine.pole_pairs * (psi[..., 0] * i_q - psi[..., 1] * i_d))
+
+
+def true_angles(machine: Machine, current: FloatArray) -> FloatArray:
+    """Return the MTPA angles (N,), rad: the best of a dense scan, moved to the vertex of the parabola around it."""
+    angle = np.arange(_SCAN, np.pi, _SCAN)
+    torque = true_torque(machine, current[:, None] * np.cos(angle), current[:, None] * np.sin(angle))
+    best = np.clip(torque.argmax(axis=1), 1, len(angle) - 2)
+    left, middle, right = (torque[np.arange(len(current)), best + k] for k in (-1, 0, 1))
+    return np.asarray(angle[best] + _SCAN * 0.5 * (left - right) / (left - 2 * middle + right))
+
+
+def angles(trajectory: Trajectory) -> FloatArray:
+    """Return the angles (N,), rad."""
+    return np.asarray(np.arctan2(trajectory.i_q, trajectory.i_d))
+
+
+def judge(model: MachineModel, machine: Machine) -> Figures:
+    """Compare the model of a fitted drive with the machine that was simulated."""
+    grid, inside, i_max = model.flux_map.grid(), model.flux_map.inside, machine.i_max
+    i_d, i_q = grid[inside & (np.hypot(grid[..., 0], grid[..., 1]) <= i_max)].T
+    torque = true_torque(machine, i_d, i_q)
+    error = model.torque(i_d, i_q) - torque
+    slopes = model.inductances(i_d, i_q) - true_inductances(machine, i_d, i_q)
+    found = mtpa(model, i_max, POINTS)
+    angle = (angles(found) - true_angles(machine, found.current))[1:]  # without zero current
+    largest = np.abs(torque).max()
+    return Figures(
+        torque=float(np.abs(error).max() / largest),
+        rms_torque=float(np.sqrt(np.mean(error**2)) / largest),
+        angle=float(np.rad2deg(np.abs(angle).max())),
+        torque_bands=held(error, model.sigma_torque(i_d, i_q)),
+        inductance_bands=held(slopes, model.sigma_inductances(i_d, i_q)),
+        angle_bands=held(angle, found.sigma_angle[1:]),
+    )
+
+
+def held(error: FloatArray, sigma: FloatArray) -> float:
+    """Return the share of the bands that hold the truth, among those that are known."""
+    known = np.isfinite(sigma)
+    return float(np.mean(np.abs(error[known]) <= BAND * sigma[known]))
+
+
+def judged(name: str, settings: SimulationSettings, seed: int) -> Figures:
+    """Simulate, fit and judge a drive."""
+    machine_map = load_machine(name)
+    fitted = fit(run_experiment(machine_map, replace(settings, seed=seed), seconds=SECONDS).samples)
+    machine = Machine.from_map(machine_map, harmonics=settings.harmonics, sixth_harmonic=settings.sixth_harmonic)
+    return judge(MachineModel.of(fitted, pole_pairs=machine.pole_pairs), machine)
+
+
+def row(name: str, found: Sequence[Figures]) -> str:
+    """Return a row of the table: the worst errors and the mean coverage."""
+    errors = (
+        f"{100 * max(each.torque for each in found):.2f} %",
+        f"{100 * max(each.rms_torque for each in found):.3f} %",
+    )
+    angle = f"{max(each.angle for each in found):.2f}°"
+    bands = (
+        f"{100 * np.mean([getattr(each, part) for each in found]):.0f} %"
+        for part in ("torque_bands", "inductance_bands", "angle_bands")
+    )
+    return f"| {' | '.join((name, *errors, angle, *bands))} |"
+
+
+def grid_locus(model: MachineModel, i_d: FloatArray, i_q: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return i_d, i_q and torque (N, 3) of the largest torque on contours of the flux amplitude, as SyR-e finds them.
+
+    A contour consists of its crossings with the edges of a grid, where flux and torque are interpolated linearly.
+
+    Parameters
+    ----------
+    model : MachineModel
+    i_d, i_q : (D,), (Q,) float
+        Grid, A.
+    levels : (N,) float
+        Flux amplitudes, Wb.
+    """
+    d, q = np.meshgrid(i_d, i_q, indexing="ij")
+    values = np.stack([d, q, model.torque(d, q), np.hypot(*model.psi_dq(d, q))], axis=-1)
+    edges = [(values[:-1], values[1:]), (values[:, :-1], values[:, 1:])]
+    start, end = (np.concatenate([pair[k].reshape(-1, 4) for pair in edges]) for k in (0, 1))
+    out = []
+    for level in levels:
+        met = (start[:, 3] - level) * (end[:, 3] - level) < 0
+        first, last = start[met], end[met]
+        share = ((level - first[:, 3]) / (last[:, 3] - first[:, 3]))[:, None]
+        points = first + share * (last - first)
+        out.append(points[points[:, 2].argmax(), :3])
+    return np.array(out)
+
+
+def against_syre(folder: Path) -> Iterator[str]:
+    """Yield sentences on the loci that SyR-e computed from the same map."""
+    model = MachineModel.of(import_map(Source(folder / FILES["THOR"][0])))
+    reach = float(model.flux_map.i_d[-1])
+    with np.load(folder / "thor_MTPA_syre.npz") as file:
+        known = {key: file[key] for key in ("id", "iq", "T")}
+    current = np.hypot(known["id"], known["iq"])
+    found = mtpa(model, float(current[-1]), 401)
+    large = known["T"] > 0.01 * known["T"].max()
+    error = np.abs(np.interp(current, found.current, found.torque) / known["T"] - 1)[large].max()
+    yield f"- MTPA: torque at equal current differs by at most {100 * error:.2f} %."
+    with np.load(folder / "thor_MTPV_syre.npz") as file:
+        known = {key: file[key] for key in ("id", "iq", "psi_d", "psi_q", "T")}
+    flux, current = np.hypot(known["psi_d"], known["psi_q"]), np.hypot(known["id"], known["iq"])
+    ours = mtpv(model, reach, 2001)
+    at_flux = np.abs(np.interp(flux, np.hypot(ours.psi_d, ours.psi_q), ours.torque) / known["T"] - 1)
+    at_current = np.abs(np.interp(current, ours.current, ours.torque) / known["T"] - 1)
+    number = np.arange(len(flux))
+    levels = np.asarray(
+        np.polyval(np.polyfit(number[1:], flux[1:], 1), number), np.float64
+    )  # equally spaced; the first one is too coarse
+    i_d, i_q = np.linspace(-reach, reach, SYRE_POINTS), np.linspace(0.0, reach, SYRE_POINTS)
+    locus = grid_locus(model, i_d, i_q, levels)
+    same = np.abs(locus[:, 2] / known["T"] - 1).max()
+    apart = np.abs(locus[:, :2] - np.stack([known["id"], known["iq"]], axis=1)).max()
+    yield (
+        f"- MTPV: torque at equal flux differs by at most {100 * at_flux.max():.2f} %, at equal current by up to "
+        f"{100 * at_current.max():.0f} % ({100 * at_current[current > 50.0].max():.1f} % above 50 A)."
+    )
+    yield (
+        f"- SyR-e's procedure for MTPV on our imported map: torque within {100 * same:.2f} % and currents within "
+        f"{apart:.3f} A of SyR-e's points."
+    )
+
+
+def lines(options: argparse.Namespace) -> Iterator[str]:
+    """Yield what is printed and written."""
+    folder = options.machines
+    drives = SHIPPED | ({name: (str(folder / file), own) for name, (file, own) in FILES.items()} if folder else {})
+    yield from (f"| {' | '.join(COLUMNS)} |", "|---|" + "---:|" * (len(COLUMNS) - 1))
+    for name in options.only.split(",") if options.only else drives:
+        yield row(
+            f"`{name}`" if name in SHIPPED else name, [judged(*drives[name], seed) for seed in range(options.seeds)]
+        )
+    if folder and not options.only:
+        yield ""
+        yield from against_syre(folder)
+
+
+def main() -> None:
+    """Measure, print and, if asked to, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--machines", type=Path, help="folder with the machine files")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="repetitions with different noise")
+    parser.add_argument("--only", default="", help="names of drives, with commas")
+    parser.add_argument("--write", action="store_true", help="write docs/analysis.md")
+    options = parser.parse_args()
+    found = []
+    for line in lines(options):
+        print(line, flush=True)
+        found.append(line)
+    if options.write:
+        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+        after = rest.partition(END)[2]
+        PAGE.write_text("\n".join([before + BEGIN, "", *found, "", END]) + after, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -12,6 +12,8 @@ from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1
+_ROUNDING = 1 + 1e-9
+"""Holes are mostly a whole number of nodes wide, which must not depend on rounding."""
 
 
 class Visits:
@@ -66,8 +68,8 @@ class Visits:
         hole_d, hole_q : float
             Largest hole that a model of this resolution bridges, A. Nothing is added outside the visited region.
         """
-        radius_d = max(1.0, hole_d / 2 / (self.i_d[1] - self.i_d[0]))
-        radius_q = max(1.0, hole_q / 2 / (self.i_q[1] - self.i_q[0]))
+        radius_d = max(1.0, _ROUNDING * hole_d / 2 / (self.i_d[1] - self.i_d[0]))
+        radius_q = max(1.0, _ROUNDING * hole_q / 2 / (self.i_q[1] - self.i_q[0]))
         reach_d, reach_q = int(radius_d), int(radius_q)
         grid = np.ogrid[-reach_d : reach_d + 1, -reach_q : reach_q + 1]
         ball = (grid[0] / radius_d) ** 2 + (grid[1] / radius_q) ** 2 <= 1.0

@@ -137,3 +137,21 @@ def test_the_covered_share_counts_points_by_their_nearest_node():
             on_grid = i_d[0] <= x <= i_d[-1] and i_q[0] <= y <= i_q[-1]
             covered += bool(on_grid and inside[np.argmin(abs(i_d - x)), np.argmin(abs(i_q - y))])
     assert disc_coverage(i_d, i_q, inside, 7.7) == pytest.approx(covered / total, abs=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1 - 1e-10, 1 + 1e-10])
+@pytest.mark.parametrize("nodes", [41, 65, 97])
+def test_the_mask_does_not_depend_on_rounding(nodes, scale):
+    random = np.random.default_rng(nodes)
+    differ = 0
+    for _ in range(20):
+        low, high = -random.uniform(1, 400), random.uniform(1, 400)
+        i_dq = random.uniform(low, high, (800, 2))
+        masks = []
+        for factor in (1.0, scale):
+            axis = np.linspace(factor * low, factor * high, nodes)
+            visits = Visits(axis, axis)
+            visits.add(factor * i_dq)
+            masks.append(visits.inside(np.ptp(axis) / 16, np.ptp(axis) / 16))  # a whole number of nodes
+        differ += bool((masks[0] != masks[1]).any())
+    assert not differ

@@ -25,7 +25,7 @@ def ros():
 def test_no_other_private_member_is_used():
     """Of objects other than self; imports of private modules count, too."""
     found = set()
-    for file in (file for room in ROOMS for file in room.glob("*.py")):
+    for file in (file for room in ROOMS for file in room.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
                 of_self = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}

@@ -31,7 +31,7 @@ _SHAPING = (
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
 _NEW_IN_FORMAT = ("_angle_square", "reached")
-"""What older files of the same format lack."""
+"""Sums that older files of the same format lack: 0 there."""
 _SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square", "_angle_square")
 
 
@@ -229,9 +229,8 @@ class Evidence:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
-            own = np.array(getattr(self, name))
-            saved = state.get(name, own) if name in _NEW_IN_FORMAT else state[name]
-            setattr(self, name, exactly(saved, own).item())
+            saved = state.get(name, np.array(0.0)) if name in _NEW_IN_FORMAT else state[name]
+            setattr(self, name, exactly(saved, np.array(getattr(self, name))).item())
         self.findings = tuple(Finding(**found) for found in json.loads(str(state.get("findings", "[]"))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))

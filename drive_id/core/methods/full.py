@@ -212,7 +212,8 @@ def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: Bo
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones.
 
-    They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`.
+    They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`, unless
+    the residuals are those of the inverter near zero crossings, which short windows turn into much larger fluxes.
     """
     consistent, white = frame.sigma(grid[inside])
     ratio = np.zeros(grid.shape)
@@ -221,7 +222,7 @@ def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     sigma = np.full(grid.shape, np.nan)
     sigma[inside] = white * np.sqrt(local[inside])
     missed = frame.fit.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
-    if missed.any():
+    if missed.any() and np.isnan(frame.fit.crossings):
         sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
     return sigma
 

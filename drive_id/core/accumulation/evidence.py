@@ -31,7 +31,7 @@ _SHAPING = (
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
 _NEW_IN_FORMAT = ("_angle_square", "reached")
-"""What older files of the same format lack."""
+"""Entries that older files of the same format lack."""
 _SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square", "_angle_square")
 
 
@@ -96,7 +96,7 @@ class Evidence:
         continues : bool
             They continue the previous piece and begin with its last sample, which counts once.
         prompt : bool
-            Leave no work for the fit, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
+            Leave no products for the fit to form, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
         rotation = np.cos(samples.angle), np.sin(samples.angle)

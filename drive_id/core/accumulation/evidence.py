@@ -31,7 +31,7 @@ _SHAPING = (
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
 _NEW_IN_FORMAT = ("_angle_square", "reached")
-"""Entries that older files of the same format lack."""
+"""What older files of the same format lack."""
 _SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square", "_angle_square")
 
 

@@ -4,7 +4,7 @@ Usage: python benchmarks/analysis.py [--machines FOLDER] [--seeds N] [--only NAM
 
 Each drive is simulated for 10 s at 500 rpm with noise of 0.1 % of i_max, and fitted with default settings. FOLDER holds
 machine files that are not part of this repository, ``thor_fem_harmonic_map.npz`` and ``baldor_meas_map.npz``, and the
-loci of THOR by SyR-e, ``thor_MTPA_syre.npz`` and ``thor_MTPV_syre.npz``. ``--write`` puts the figures into
+loci that SyR-e computed for THOR, ``thor_MTPA_syre.npz`` and ``thor_MTPV_syre.npz``. ``--write`` puts the figures into
 docs/analysis.md. They do not depend on the computer.
 """
 
@@ -35,8 +35,8 @@ FILES = {
     "THOR": ("thor_fem_harmonic_map.npz", SETTINGS),
 }
 COLUMNS = (
-    "Machine", "Largest torque error", "Rms", "Largest error of the MTPA angle", "Torque in bands",
-    "Inductances in bands", "MTPA angle in bands",
+    "Machine", "Largest torque error", "Rms torque error", "Largest MTPA angle error", "Torque coverage",
+    "Inductance coverage", "MTPA angle coverage",
 )  # fmt: skip
 SYRE_POINTS = 256
 """Points of SyR-e's grid: along i_d over its whole range, along i_q from 0."""
@@ -57,7 +57,7 @@ class Figures:
     angle : float
         Largest error of the MTPA angle, degrees.
     torque_bands, inductance_bands, angle_bands : float
-        Shares of the bands that hold the truth.
+        Shares of the bands that contain the truth.
     """
 
     torque: float
@@ -117,13 +117,13 @@ def judge(model: MachineModel, machine: Machine) -> Figures:
 
 
 def held(error: FloatArray, sigma: FloatArray) -> float:
-    """Return the share of the bands that hold the truth, among those that are known."""
+    """Return the share of the known bands that contain the truth."""
     known = np.isfinite(sigma)
     return float(np.mean(np.abs(error[known]) <= BAND * sigma[known]))
 
 
 def judged(name: str, settings: SimulationSettings, seed: int) -> Figures:
-    """Simulate, fit and judge a drive."""
+    """Simulate and fit a drive, and evaluate the errors."""
     machine_map = load_machine(name)
     fitted = fit(run_experiment(machine_map, replace(settings, seed=seed), seconds=SECONDS).samples)
     machine = Machine.from_map(machine_map, harmonics=settings.harmonics, sixth_harmonic=settings.sixth_harmonic)
@@ -145,7 +145,7 @@ def row(name: str, found: Sequence[Figures]) -> str:
 
 
 def grid_locus(model: MachineModel, i_d: FloatArray, i_q: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return i_d, i_q and torque (N, 3) of the largest torque on contours of the flux amplitude, as SyR-e finds them.
+    """Return i_d, i_q and torque (N, 3) at the largest torque on contours of the flux amplitude, as SyR-e finds them.
 
     A contour consists of its crossings with the edges of a grid, where flux and torque are interpolated linearly.
 
@@ -201,13 +201,13 @@ def against_syre(folder: Path) -> Iterator[str]:
         f"{100 * at_current.max():.0f} % ({100 * at_current[current > 50.0].max():.1f} % above 50 A)."
     )
     yield (
-        f"- SyR-e's procedure for MTPV on our imported map: torque within {100 * same:.2f} % and currents within "
+        f"- SyR-e's MTPV procedure applied to our imported map: torque within {100 * same:.2f} % and currents within "
         f"{apart:.3f} A of SyR-e's points."
     )
 
 
 def lines(options: argparse.Namespace) -> Iterator[str]:
-    """Yield what is printed and written."""
+    """Yield the lines of the output."""
     folder = options.machines
     drives = SHIPPED | ({name: (str(folder / file), own) for name, (file, own) in FILES.items()} if folder else {})
     yield from (f"| {' | '.join(COLUMNS)} |", "|---|" + "---:|" * (len(COLUMNS) - 1))
@@ -221,11 +221,11 @@ def lines(options: argparse.Namespace) -> Iterator[str]:
 
 
 def main() -> None:
-    """Measure, print and, if asked to, write."""
+    """Measure, print and, with ``--write``, update the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--machines", type=Path, help="folder with the machine files")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="repetitions with different noise")
-    parser.add_argument("--only", default="", help="names of drives, with commas")
+    parser.add_argument("--only", default="", help="names of drives, separated by commas")
     parser.add_argument("--write", action="store_true", help="write docs/analysis.md")
     options = parser.parse_args()
     found = []

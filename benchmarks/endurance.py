@@ -1,13 +1,13 @@
-"""What lasts: power cuts, hours of stream, many requests, nodes killed in any order. Prints the rows of the docs.
+"""Endurance: power cuts, hours of streaming, many requests, killed nodes. Prints the tables of docs/reliability.md.
 
     python benchmarks/endurance.py                               everything, in a few minutes
-    python benchmarks/endurance.py --only crash --states 120     states of the disk per kind of recording
+    python benchmarks/endurance.py --only crash --states 120     disk states per kind of recording
     python benchmarks/endurance.py --only soak --hours 8 --minutes 15
     python benchmarks/endurance.py --only requests --requests 1000
     python benchmarks/endurance.py --only kills --rounds 30
 
-A seed decides about states, requests and kills; what the threads and processes of the machine make of them differs from
-run to run. The exit code is 1 if there is a finding. Modules: power_cuts, soak, node_requests, node_kills.
+The seed determines states, requests and kills; the timing of threads and processes differs from run to run. The exit
+code is 1 if there is a finding. Modules: power_cuts, soak, node_requests, node_kills.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from reporting import machine
 
 
 def crash(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Print what power cuts leave of recordings; yield findings."""
+    """Test recordings after power cuts; yield findings."""
     _row("recording", "states", *power_cuts.OUTCOMES, f"longest loss (flush period {power_cuts.FLUSH:g} s)", head=True)
     names = [name for name in power_cuts.RECORDINGS if options.recordings in name]
     for name in names:
@@ -36,12 +36,12 @@ def crash(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 
 def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Print what became of hours of stream; yield findings."""
+    """Test hours of streaming; yield findings."""
     import soak as soaking  # noqa: PLC0415  # needs ROS 2, as the parts below
 
     run = soaking.in_process if options.in_process else soaking.over_dds
     result = run(options.hours, options.minutes, folder / "soak", options.method)
-    _row("stream", "in", "samples", "lost", "live fits answered", *result.memory, head=True)
+    _row("stream", "duration", "samples", "lost", "live fits answered", *result.memory, head=True)
     memory = [
         f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
         for name, values in result.memory.items()
@@ -53,7 +53,7 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 
 def requests(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Print what became of the requests; yield findings."""
+    """Test many requests; yield findings."""
     from node_requests import many_requests  # noqa: PLC0415
 
     result = many_requests(options.requests, options.seed, folder / "requests")
@@ -67,7 +67,7 @@ def requests(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 
 def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Print what became of the rounds of kills; yield findings."""
+    """Test rounds of killed nodes; yield findings."""
     from node_kills import kills as run  # noqa: PLC0415
 
     result = run(options.rounds, options.seed, folder / "kills")
@@ -93,24 +93,24 @@ def _row(*cells: str, head: bool = False) -> None:
 
 
 def main() -> None:
-    """Run the parts that are asked for."""
+    """Run the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--only", default=",".join(PARTS), help="names of parts, with commas: crash,soak,requests,kills"
+        "--only", default=",".join(PARTS), help="parts to run, separated by commas: crash,soak,requests,kills"
     )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--states", type=int, default=10, help="states of the disk per kind of recording")
+    parser.add_argument("--states", type=int, default=10, help="disk states per kind of recording")
     parser.add_argument(
-        "--recordings", default="", metavar="WORD", help="only kinds of recording with this in the name"
+        "--recordings", default="", metavar="WORD", help="only kinds of recording whose name contains this"
     )
-    parser.add_argument("--hours", type=float, default=0.1, help="of stream, at 10 kHz on four topics")
-    parser.add_argument("--minutes", type=float, default=1.0, help="in which the stream passes")
+    parser.add_argument("--hours", type=float, default=0.1, help="length of the stream, at 10 kHz on four topics")
+    parser.add_argument("--minutes", type=float, default=1.0, help="time in which it is published")
     parser.add_argument(
         "--in-process", action="store_true", help="stream through the classes of the nodes, without DDS"
     )
-    parser.add_argument("--method", default="full", help="of the live identification of the stream")
+    parser.add_argument("--method", default="full", help="method of the live identification")
     parser.add_argument("--requests", type=int, default=50)
-    parser.add_argument("--rounds", type=int, default=3, help="of kills")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of kills")
     options = parser.parse_args()
     wanted = options.only.split(",")
     if unknown := [name for name in wanted if name not in PARTS]:

@@ -1,10 +1,10 @@
-"""A disk that forgets what was not synced: logs changes of files, and builds what a power cut may leave of them.
+"""Simulates power cuts: logs file operations and builds disk states that may remain.
 
-:func:`logged` notes every change below a folder while the program runs on a real disk. :meth:`DiskLog.crash_state` then
+:func:`logged` logs every change below a folder while the program runs on a real disk. :meth:`DiskLog.crash_state` then
 takes the first operations of the log and keeps what POSIX guarantees:
 
-- of a file, what was written before an ``fsync`` of it that had returned. Later writes are lost, kept, broken off at a
-  block, or kept block by block in any order, where a missing block reads as zeros or as old data of the disk.
+- of a file, what was written before an ``fsync`` of it that had returned. Later writes are lost, kept, truncated at a
+  block, or kept for a random subset of blocks, where a missing block reads as zeros or as old data of the disk.
 - of a folder, the names made, renamed and removed before an ``fsync`` of it. Of later changes any may be lost; each by
   itself is atomic. The ``fsync`` of a file does not keep its name.
 
@@ -75,7 +75,7 @@ class DiskLog:
         self._lock = threading.Lock()
         self._nodes = 1
 
-    # -- what the program does -----------------------------------------------------------------------------------------
+    # -- logging -------------------------------------------------------------------------------------------------------
 
     def note(self, operation: Name | Write | Sync) -> None:
         """Add an operation that is over."""
@@ -84,7 +84,7 @@ class DiskLog:
             self.times.append(time.monotonic())
 
     def covers(self, path: Path) -> bool:
-        """Tell whether a path lies below the folder."""
+        """Return whether a path lies below the folder."""
         return self.root in path.parents
 
     def place(self, path: Path) -> tuple[int, str]:
@@ -125,7 +125,7 @@ class DiskLog:
         self.note(Name(((folder, name, None), (new_folder, new_name, node))))
 
     def opened(self, descriptor: int, node: int) -> None:
-        """Note what a descriptor stands for."""
+        """Remember the file of a descriptor."""
         self._open[descriptor] = node
 
     def closed(self, descriptor: int) -> None:
@@ -180,7 +180,7 @@ class DiskLog:
         return ", ".join(said)
 
     def final_state(self, target: Path) -> None:
-        """Write what all operations make by the log alone: the folder as it is, if nothing escaped the log."""
+        """Replay all operations: the result equals the folder unless an operation escaped the log."""
         everything = DiskLog(self.root, [*self.operations])
         everything._names = self._names
         nodes = [_ROOT, *range(2, self._nodes + 1)]
@@ -188,7 +188,7 @@ class DiskLog:
         everything.crash_state(len(everything.operations), random.Random(0), target)
 
     def _synced(self, count: int) -> dict[int, int]:
-        """Return how many operations each file and folder has on the disk for certain."""
+        """Return for each file and folder the number of operations that are certainly on the disk."""
         known: dict[int, int] = {}
         for each in self.operations[:count]:
             if isinstance(each, Sync):
@@ -196,7 +196,7 @@ class DiskLog:
         return known
 
     def _kept_names(self, count: int, rng: random.Random, *, in_order: bool) -> tuple[dict[int, dict[str, int]], int]:
-        """Return what the names lead to, and how many changes of names are lost."""
+        """Return the files that the names refer to, and the number of lost changes of names."""
         known = self._synced(count)
         changes = [(k, each) for k, each in enumerate(self.operations[:count]) if isinstance(each, Name)]
         certain = {k for k, each in changes if any(k < known.get(folder, 0) for folder, _, _ in each.changes)}
@@ -217,7 +217,7 @@ class DiskLog:
         return names, len(changes) - len(kept)
 
     def _content(self, node: int, count: int, rng: random.Random, fate: str, block: int) -> bytes:
-        """Return what a file holds."""
+        """Return the content of a file."""
         known = self._synced(count).get(node, 0)
         writes = [(k, w) for k, w in enumerate(self.operations[:count]) if isinstance(w, Write) and w.node == node]
         safe, pending = bytearray(), [write for k, write in writes if k >= known]
@@ -250,7 +250,7 @@ class DiskLog:
         return bytes(full)
 
     def _old_data(self, rng: random.Random) -> Callable[[int], bytes]:
-        """Return what gives blocks that were written elsewhere before."""
+        """Return a function that yields blocks of old data, written elsewhere before."""
         written = [each.data for each in self.operations if isinstance(each, Write) and each.data]
 
         def old(size: int) -> bytes:
@@ -271,7 +271,7 @@ def _apply(content: bytearray, write: Write) -> None:
 
 
 class LoggedFile(io.FileIO):
-    """A file whose writes are noted; with ``room``, on a disk that is full behind so many bytes of it."""
+    """A file whose writes are logged; with ``room``, on a disk that is full after this many bytes."""
 
     def __init__(self, log: DiskLog, path: Path, mode: str, room: int | None = None) -> None:
         existed = path.exists()
@@ -307,7 +307,7 @@ class LoggedFile(io.FileIO):
 
 
 class _Substitutes:
-    """The functions of Python that change files, each followed by a note."""
+    """Python's functions that change files, with logging."""
 
     def __init__(self, log: DiskLog) -> None:
         self._log = log
@@ -368,7 +368,7 @@ class _Substitutes:
 
 @contextmanager
 def logged(root: Path) -> Iterator[DiskLog]:
-    """Note what is done to the files below a folder by ``open``, ``pathlib``, ``os``, ``shutil`` and ``tempfile``."""
+    """Log changes of the files below a folder by ``open``, ``pathlib``, ``os``, ``shutil`` and ``tempfile``."""
     log = DiskLog(root.absolute())
     ours = _Substitutes(log)
     functions: dict[str, Callable[..., Any]]

@@ -1,4 +1,4 @@
-"""Further kinds of input for ``fuzz.py``: logs of every container, slow logs, files of other tools, damaged results."""
+"""Further kinds of input for ``fuzz.py``: logs in every container, slow logs, other tools' maps, results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import drive_id
 from drive_id.types import Samples
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
-from column_files import WRITERS  # type: ignore[import-not-found]  # the tests' writers of every container
+from column_files import WRITERS  # type: ignore[import-not-found]  # the writers of the tests
 
 Made = tuple[str, tuple[str, ...], str]
 

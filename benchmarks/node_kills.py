@@ -1,4 +1,4 @@
-"""Nodes killed and started again in any order during experiments, by a script that a seed decides."""
+"""Nodes killed and restarted in random order during experiments, reproducible by a seed."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ TOPICS = {
 FLUSH = 1.0
 """Default of ``flush_period``, s."""
 ALLOWANCE = 1.0
-"""Time that a busy machine may keep messages from the recorder, s."""
+"""Longest delay of messages to the recorder on a busy machine, s."""
 LEAD = 0.3
 """Default of ``lead_time``, s."""
 I_MAX = 100.0
 _IN_FLIGHT = 20
-"""Last messages of a killed node, of which only some listeners may have got all."""
+"""Last messages of a killed node, which may not have reached every subscriber."""
 _REST = 0.02 * I_MAX
 """Current of a drive at rest, A: noise."""
 
@@ -55,7 +55,7 @@ class Recorded:
 
 @dataclass
 class Killed:
-    """What the rounds came to."""
+    """Results of the rounds."""
 
     rounds: int = 0
     actions: Counter[str] = field(default_factory=Counter)
@@ -78,7 +78,7 @@ class Rounds:
         self.graph, self.rng, self.result = graph, rng, Killed()
         self._data = graph.folder / "data"
         self._nodes: dict[str, NodeProcess] = {}
-        self._heard: dict[str, list[tuple[float, bytes]]] = {name: [] for name in TOPICS}
+        self._received: dict[str, list[tuple[float, bytes]]] = {name: [] for name in TOPICS}
         self._recording: Recorded | None = None
         self._ended: list[Recorded] = []
         self._quiet_from = 0.0  # until the next start of an experiment, no reference may differ from zero
@@ -89,7 +89,7 @@ class Rounds:
 
     def _listener(self, name: str) -> Any:
         def listen(data: bytes) -> None:
-            self._heard[name].append((time.monotonic(), data))
+            self._received[name].append((time.monotonic(), data))
             if name == "/current_reference" and self._quiet_from and time.monotonic() > self._quiet_from:
                 self._check_zero(data)
 
@@ -97,13 +97,13 @@ class Rounds:
 
     def _check_zero(self, data: bytes) -> None:
         if max(float(np.abs(values).max(initial=0.0)) for values in decode_block(data, 2).values) > 0.0:
-            self.result.findings.append("a reference that is not zero, though no experiment was started")
+            self.result.findings.append("a nonzero reference although no experiment was started")
             self._quiet_from = 0.0
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
     def round(self) -> None:
-        """Begin an experiment, do something about nodes, start what is gone, and check."""
+        """Start an experiment, disturb nodes, restart those that are gone, and check."""
         before = len(self.result.findings)
         said = []
         self._begin()
@@ -124,7 +124,7 @@ class Rounds:
             f"round {self.result.rounds} ({', '.join(said)}): {finding}" for finding in self.result.findings[before:]
         ]
         self.result.rounds += 1
-        for messages in self._heard.values():
+        for messages in self._received.values():
             messages.clear()
 
     def _begin(self) -> None:
@@ -181,7 +181,7 @@ class Rounds:
         }  # fmt: skip
         self._nodes[name] = self.graph.start(name, settings[name])
 
-    # -- what must hold ------------------------------------------------------------------------------------------------
+    # -- checks --------------------------------------------------------------------------------------------------------
 
     def _expect(self, what: str, holds: bool, reply: Any) -> None:
         if not holds:
@@ -205,7 +205,7 @@ class Rounds:
 
     def _check_rest(self) -> None:
         """Check that the drive is at rest, and stays there."""
-        self._heard["/phase_currents"].clear()
+        self._received["/phase_currents"].clear()
         quiet = self.graph.wait(lambda: self._amplitude() < _REST, 10.0)
         self.graph.spin(0.5)
         if not quiet or self._amplitude() > _REST:
@@ -213,7 +213,7 @@ class Rounds:
 
     def _amplitude(self) -> float:
         """Return the largest current of the last message, A."""
-        heard = self._heard["/phase_currents"]
+        heard = self._received["/phase_currents"]
         if not heard:
             return float("inf")
         return max(float(np.abs(values).max()) for values in decode_block(heard[-1][1], 3).values)
@@ -224,7 +224,7 @@ class Rounds:
         self._ended.clear()
 
     def _check_recording(self, recording: Recorded) -> None:
-        """Check that what was heard here is in it, but for what was not flushed when the recorder was killed."""
+        """Check that it contains all messages received here, but for those not flushed when the recorder was killed."""
         self.result.recordings += 1
         title = f"{recording.path.name} ({'stopped' if recording.stopped else 'killed'})"
         try:
@@ -245,7 +245,7 @@ class Rounds:
             found = {(each.topic, bytes(data)) for each, _, data in reader.messages()}
         self.result.messages += len(found)
         lost = 0.0
-        for topic, heard in self._heard.items():
+        for topic, heard in self._received.items():
             during = [(when, data) for when, data in heard if recording.begin < when < recording.end]
             runs = _runs(during)
             for run in [*(run[:-_IN_FLIGHT] for run in runs[:-1]), runs[-1]]:
@@ -254,11 +254,11 @@ class Rounds:
                 lost = max(lost, recording.end - min(missing, default=recording.end))
         self.result.longest = max(self.result.longest, lost)
         if lost > (0.0 if recording.stopped else FLUSH) + ALLOWANCE:
-            self.result.findings.append(f"{title}: what was heard {lost:.2f} s before its end is missing")
+            self.result.findings.append(f"{title}: messages received up to {lost:.2f} s before its end are missing")
 
 
 def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:
-    """Divide what was heard where its node was started again: a listener may discover it too late for its beginning."""
+    """Split received messages at restarts of their node: a subscriber may discover it too late for the first ones."""
     runs: list[list[tuple[float, bytes]]] = [[]]
     last = -1
     for when, data in heard:
@@ -271,7 +271,7 @@ def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:
 
 
 def kills(rounds: int, seed: int, folder: Path) -> Killed:
-    """Run so many rounds.
+    """Run a number of rounds.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def resident(pid: int | None = None) -> float:
 
 
 def slope(times: list[float], values: list[float]) -> float:
-    """Return the slope of the later two thirds of a series: what is loaded at first use is no growth."""
+    """Return the slope of the later two thirds of a series, without what is loaded at first use."""
     later = len(times) // 3
     if len(times) - later < 3:
         return 0.0
@@ -58,21 +58,21 @@ class NodeProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the process is running."""
         return self.popen.poll() is None
 
     @property
     def text(self) -> str:
-        """What it has said."""
+        """Its output so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     @property
     def memory(self) -> float:
-        """What it holds in memory, MB."""
+        """Its memory, MB."""
         return resident(self.popen.pid)
 
     def end(self, number: int) -> str:
-        """End it by a signal; return what was wrong with its end."""
+        """End it by a signal; return a finding, or an empty string."""
         if not self.alive:
             return f"{self.log.name} ended by itself with code {self.popen.returncode}"
         self.popen.send_signal(number)
@@ -99,7 +99,7 @@ class Graph:
     folder : Path
         For logs.
     alone : bool
-        Refuse a domain in which there are other nodes: their answers would be taken for ours, and ours for theirs.
+        Refuse a domain with other nodes, whose answers could be mistaken for ours.
     """
 
     def __init__(self, folder: Path, *, alone: bool = True) -> None:
@@ -135,13 +135,13 @@ class Graph:
         return self.started[-1]
 
     def spin(self, seconds: float) -> None:
-        """Take what arrives for so long."""
+        """Spin for a time."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
 
     def wait(self, condition: Callable[[], Any], patience: float = PATIENCE) -> bool:
-        """Spin until a condition holds; tell whether it does."""
+        """Spin until a condition holds or time is up; return whether it holds."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
@@ -150,7 +150,7 @@ class Graph:
         return True
 
     def send(self, kind: Any, name: str, /, **fields: Any) -> Any:
-        """Send a request and return its future; None if nobody serves it."""
+        """Send a request and return its future; None if there is no server."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
             self._wait_until_known(name.rpartition("/")[0])

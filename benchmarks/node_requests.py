@@ -1,4 +1,4 @@
-"""Many requests to the node ``identification``, valid, invalid and cancelled: all are answered, memory stays flat."""
+"""Many requests to the node ``identification``, valid, invalid and cancelled: tests replies and memory."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TOPICS = {"/phase_currents": PhaseCurrents, "/phase_voltages": PhaseVoltages, "/
 SECONDS, LONGER = 2.0, 5.0
 """Lengths of the recordings, s; the longer one for method full."""
 _EVERY = 10
-"""Requests between two looks at the memory."""
+"""Requests between two measurements of memory."""
 _VALID = ("bag, joint", "bag, psm", "live, joint", "bag, full", "action")
 _INVALID = ("no such bag", "outside", "not a bag", "damaged", "method", "long name", "many bags")
 _WEIGHTS = {
@@ -41,7 +41,7 @@ _WEIGHTS = {
 
 @dataclass
 class Answers:
-    """What became of the requests."""
+    """Results of the requests."""
 
     sent: int = 0
     answered: int = 0
@@ -58,7 +58,7 @@ class Answers:
 
 
 def many_requests(count: int, seed: int, folder: Path) -> Answers:
-    """Send so many requests.
+    """Send a number of requests.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _request(kind: str, rng: random.Random) -> dict[str, Any]:
 
 
 def _one(graph: Graph, action: Any, kind: str, rng: random.Random, answers: Answers) -> None:
-    """Send one request, or two at once, and note what comes."""
+    """Send one request, or two at once, and record the replies."""
     if kind in ("action", "cancel"):
         answers.sent += 1
         _goal(graph, action, rng.random() * 0.6 if kind == "cancel" else None, answers)

@@ -1,4 +1,4 @@
-"""Power cuts during and after a recording: what each of many possible states of the disk still gives."""
+"""Power cuts during and after a recording: tests what can be read from many possible disk states."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TOPICS = {
     "/resolver": RESOLVER,
     "/current_reference": CURRENT_REFERENCE,
 }
-OUTCOMES = ("crash", "hang", "traceback", "not one sentence", "wrong sample", "lost beyond promise")
+OUTCOMES = ("crash", "hang", "traceback", "not one sentence", "wrong sample", "excess loss")
 _BLOCK = 100
 _START = 1_700_000_000_000_000_000
 Message = tuple[str, int, bytes]
@@ -55,9 +55,9 @@ class Recorded:
     messages : list of tuple
         Topic and data of each message, and when it was given to the writer, s of the steady clock.
     live : bool
-        Written live: what was given before the flush period must be there. Otherwise it is all or nothing.
+        Written live: all messages older than the flush period must be there. Otherwise: all or nothing.
     complete : int
-        Operations after which the writer had said that all is done: from there on, nothing may be missing.
+        Operations until the writer had reported completion: from then on, nothing may be missing.
     """
 
     log: DiskLog
@@ -68,7 +68,7 @@ class Recorded:
 
 @dataclass
 class Tally:
-    """What the states of one kind of recording gave."""
+    """Outcomes of the states of one kind of recording."""
 
     states: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -95,7 +95,7 @@ def _messages(samples: Samples) -> list[Message]:
             return [(each.topic, each.log_time, bytes(each.data)) for each in bag.messages(frozenset(TOPICS))]
 
 
-# -- what is recorded --------------------------------------------------------------------------------------------------
+# -- recordings --------------------------------------------------------------------------------------------------------
 
 
 def live(log: DiskLog, samples: Samples, settings: RecordingSettings, room: int | None = None) -> Recorded:
@@ -161,11 +161,11 @@ RECORDINGS: dict[str, Make] = {
 }
 
 
-# -- what is left ------------------------------------------------------------------------------------------------------
+# -- disk states -------------------------------------------------------------------------------------------------------
 
 
 def states(name: str, count: int, seed: int, folder: Path, seconds: float = 2.0) -> Tally:
-    """Record once, and try so many states of the disk after a power cut.
+    """Record once, and test a number of disk states after a power cut.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def states(name: str, count: int, seed: int, folder: Path, seconds: float = 2.0)
 
 
 def try_state(recorded: Recorded, samples: Samples, rng: random.Random, folder: Path, tally: Tally, title: str) -> None:
-    """Build one state, fit or describe it, recover it, and judge what comes."""
+    """Build one state, run ``fit`` or ``info`` and ``recover``, and check the results."""
     log = recorded.log
     last = len(log.operations)
     count = last if rng.random() < 0.15 else rng.randint(1, last)
@@ -229,18 +229,18 @@ def try_state(recorded: Recorded, samples: Samples, rng: random.Random, folder: 
         tally.add("wrong sample", f"{said}: a fit reads other samples than were recorded")
     missing = [moment - when for topic, data, when in recorded.messages if (topic, data) not in found]
     if complete and (missing or fit.code or "was not completed" in fit.err + fit.out):
-        tally.add("lost beyond promise", f"{said}: {len(missing)} messages after the end; {fit.err[-400:]}")
+        tally.add("excess loss", f"{said}: {len(missing)} messages after the end; {fit.err[-400:]}")
     elif recorded.live:
         loss = max((age for age in missing if age >= 0), default=0.0)
         tally.longest = max(tally.longest, loss)
         if loss > FLUSH + 2 * log.longest_sync + ALLOWANCE:
-            tally.add("lost beyond promise", f"{said}: {loss:.2f} s")
+            tally.add("excess loss", f"{said}: {loss:.2f} s")
     elif bag.exists() and (missing or not whole_bag):
-        tally.add("lost beyond promise", f"{said}: an incomplete recording under its final name")
+        tally.add("excess loss", f"{said}: an incomplete recording under its final name")
 
 
 def _bad_end(ran: Ran) -> str:
-    """Name what is wrong with the end of a command, whatever it found."""
+    """Return the kind of failure of a command, or an empty string."""
     lines = ran.err.strip().splitlines()
     if ran.hung:
         return "hang"
@@ -254,13 +254,13 @@ def _bad_end(ran: Ran) -> str:
 
 
 def _found(path: Path) -> Counter[tuple[str, bytes]]:
-    """Return what rosbags, which is not ours, reads from a recording."""
+    """Return the messages that rosbags, an independent reader, finds in a recording."""
     with Reader(path) as reader:
         return Counter((each.topic, bytes(data)) for each, _, data in reader.messages())
 
 
 def _agrees(bag: Path, samples: Samples) -> bool:
-    """Tell whether all samples that a fit reads from a bag are those that were recorded."""
+    """Return whether all samples that a fit reads from a bag are those that were recorded."""
     found = read_recording(bag).samples
     place = np.round((found.stamp - _START) * 1e-9 / samples.sample_period).astype(int)
     return all(

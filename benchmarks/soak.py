@@ -1,4 +1,4 @@
-"""Hours of stream in minutes through recorder and identification: over DDS, and in one process through their classes.
+"""Hours of streaming in minutes, through recorder and identification: over DDS, or in one process without it.
 
 Recordings are divided into files, which are read, counted and removed while the recording goes on.
 """
@@ -41,19 +41,19 @@ PART = 20.0
 """Seconds that are simulated and repeated, with a break of one message in between."""
 BLOCK = 1000
 FILE = 32.0
-"""Size from which a recording goes on in another file, MB."""
+"""File size at which the recording continues in a new file, MB."""
 I_MAX = 320.0
 _LOOK = 2.0
-"""Time between two looks at memory and files, s."""
+"""Time between two checks of memory and files, s."""
 _LATE = 1.2
-"""Share of the wanted time after which the stream ends, however much of it has passed."""
+"""Multiple of the given time after which the stream ends, complete or not."""
 _MOST_WAITING = 16e6
 """Bytes that may wait for the disk before the stream in one process pauses: it has no clock to keep."""
 
 
 @dataclass
 class Soak:
-    """What became of a stream; samples of all topics."""
+    """Results of a stream; samples are counted over all topics."""
 
     hours: float = 0.0
     wall: float = 0.0
@@ -125,7 +125,7 @@ def stream(folder: Path) -> Iterator[tuple[str, bytes, int]]:
 
 
 def publish(folder: Path, hours: float, factor: float) -> None:
-    """Be the process that publishes; prints the samples of all topics at the end."""
+    """Publish the stream, as a process of its own; print the number of samples at the end."""
     with Graph(folder, alone=False) as graph:
         kinds = {name: getattr(msg, kind.rpartition("/")[2]) for name, kind in TYPES.items()}
         publishers = {name: graph.node.create_publisher(kind, name, STREAM) for name, kind in kinds.items()}

@@ -21,9 +21,9 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _LARGEST = 1e39
-"""Of no sample, just beyond float32: powers and sums of larger values overflow."""
+"""Limit for samples, just beyond float32: powers and sums of larger values overflow."""
 _LARGEST_SQUARE = 1e100
-"""Sum of squares that no number of samples below :data:`_LARGEST` reaches."""
+"""Upper bound of the sum of squares of any realistic number of samples below :data:`_LARGEST`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

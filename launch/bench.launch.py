@@ -21,7 +21,7 @@ TOPICS = (
 
 OWN = {
     "machine": "Shipped machine (ipm, spm, pmsyrm) or machine file; empty: as in the parameter file.",
-    "truth_file": "File for the ground truth; empty: as in the parameter file.",
+    "truth_file": "File to which the ground truth is written; empty: as in the parameter file.",
 }
 
 
@@ -43,7 +43,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    """Describe the node, the arguments being known: what is empty must not hide the parameter file."""
+    """Describe the node for given arguments; empty ones must not override the parameter file."""
     given = {name: LaunchConfiguration(name) for name in OWN}
     own = {name: ParameterValue(text, value_type=str) for name, text in given.items() if text.perform(context)}
     return [

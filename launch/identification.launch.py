@@ -1,9 +1,9 @@
 """The nodes that identify a drive, real or simulated: trajectory publisher, recorder, identification.
 
-``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` and ``use_sim_time`` hold
-for all nodes that have them and take precedence over their parameter files. Topics are remapped for all nodes with
+``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` and ``use_sim_time`` apply
+to all nodes that have them and take precedence over the parameter files. Topics are remapped for all nodes with
 ``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, recorder and identification are started
-again if they die; the trajectory publisher never is, because whoever starts a trajectory must have seen why it ended.
+again if they die; the trajectory publisher never is: find out why it ended before you start another trajectory.
 """
 
 from pathlib import Path
@@ -35,7 +35,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="",
             choices=["", *SWITCH],
-            description="Take the time from /clock; empty: as in the parameter files.",
+            description="Use the time on /clock; empty: as in the parameter files.",
         ),
         DeclareLaunchArgument(
             "respawn",
@@ -59,7 +59,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    """Describe the nodes, the arguments being known."""
+    """Describe the nodes for given arguments."""
     given = {name: LaunchConfiguration(name).perform(context) for name in ("i_max", "use_sim_time", "respawn")}
     nodes = []
     for node in NODES:
@@ -88,4 +88,4 @@ def _number(name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{name}:={text} is not a number: give one, as in {name}:=300.0") from None
+        raise ValueError(f"{name}:={text} is not a number: write it as in {name}:=300.0") from None

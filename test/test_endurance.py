@@ -94,7 +94,7 @@ def judged(written, tmp_path, monkeypatch):
 
 def test_a_writer_that_does_not_sync_its_names_is_found(judged):
     after_the_end = [seed for seed in range(40) if random.Random(seed).random() < 0.15]
-    assert sum((judged(seed) for seed in after_the_end), Counter())["lost beyond promise"] > 1
+    assert sum((judged(seed) for seed in after_the_end), Counter())["excess loss"] > 1
 
 
 def test_samples_that_nobody_wrote_are_found(written, judged, monkeypatch):

@@ -105,7 +105,7 @@ def test_what_is_given_prevails(monkeypatch):
 
 def test_a_radius_that_is_no_number_is_named(monkeypatch):
     launched = Launched("identification.launch.py", monkeypatch, i_max="abc")
-    with pytest.raises(ValueError, match=r"i_max:=abc is not a number: give one, as in i_max:=300\.0"):
+    with pytest.raises(ValueError, match=r"i_max:=abc is not a number: write it as in i_max:=300\.0"):
         launched.nodes()
 
 

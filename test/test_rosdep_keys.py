@@ -56,7 +56,7 @@ def test_the_page_names_keys_of_the_package(index, monkeypatch, capsys):
     page = (TOOL.parent.parent / "docs" / "release.md").read_text(encoding="utf-8")
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert set(rows) < set(names)
-    assert f"the other {len(names) - len(rows)} of {len(names)} are" in page
+    assert f"Of the {len(names)} keys in both `package.xml` files, {len(names) - len(rows)} are packages" in page
     monkeypatch.setattr(sys, "argv", ["rosdep_keys.py", str(index)])
     runpy.run_path(str(TOOL), run_name="__main__")
     said = capsys.readouterr().out
@@ -66,5 +66,5 @@ def test_the_page_names_keys_of_the_package(index, monkeypatch, capsys):
 
 def test_a_folder_without_an_index_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["rosdep_keys.py", str(tmp_path)])
-    with pytest.raises(SystemExit, match=r"has no jazzy/distribution\.yaml: name a checkout of rosdistro"):
+    with pytest.raises(SystemExit, match=r"has no jazzy/distribution\.yaml: give a checkout of rosdistro"):
         runpy.run_path(str(TOOL), run_name="__main__")

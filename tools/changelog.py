@@ -2,7 +2,7 @@
 
     python tools/changelog.py
 
-Run it when a version gets its date. What is unreleased is not copied: an entry in CHANGELOG.md needs nothing else.
+Run it when a version is released. Unreleased entries are not copied: an entry in CHANGELOG.md needs no further step.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Change drive_id in one place at a time, and count the changes that no test notices.
+"""Mutation testing: change drive_id in one place at a time and list the changes that no test detects.
 
     python tools/mutation.py --mutants 200 --seed 1 drive_id/core/checks drive_id/core/signals
 
 The tests run once on the unchanged code, to learn their durations and the lines that each of them reaches. Every mutant
-is then judged by the tests that reach its line, the quickest first, until one fails. A mutant that outlives them is
-listed: it is either equivalent (no input could tell it from the original), or a test is missing.
+is then judged by the tests that reach its line, the quickest first, until one fails. Survivors are listed: a
+survivor is equivalent (no input distinguishes it from the original), or a test is missing.
 
 The kernels that numba compiles are not traced: their mutants are judged by all tests that reach the module.
 """
@@ -244,7 +244,7 @@ def in_child(folder: Path, arguments: Sequence[str], loading: Loading | None, se
     finally:
         traceback.print_exc()
         sys.stderr.flush()
-        os._exit(99)  # a fault of the tool itself: never back into the parent's loop
+        os._exit(99)  # an error of the tool itself: do not return into the parent's loop
 
 
 def measure(folder: Path, files: Sequence[Path], tests: Sequence[str]) -> None:
@@ -278,15 +278,19 @@ def killed(mutant: Mutant, tests: Sequence[str], folder: Path, seconds: float) -
 
 
 def main() -> None:
-    """Judge a sample of the mutants and list those that no test notices."""
+    """Test a sample of the mutants and list the survivors."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("sources", nargs="+", type=Path, help="files and folders below the repository")
     parser.add_argument("--tests", nargs="+", default=["test/core"], help="test files and folders")
     parser.add_argument("--mutants", type=int, default=0, help="how many, drawn at random (default: all)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--most-seconds", type=float, default=10.0, help="CPU time of the tests of a mutant")
-    parser.add_argument("--folder", type=Path, default=ROOT / "out" / "mutation", help="for notes and mutated files")
-    parser.add_argument("--reuse", action="store_true", help="the notes of the last run, if no file has changed since")
+    parser.add_argument("--most-seconds", type=float, default=10.0, help="CPU time of the tests per mutant, s")
+    parser.add_argument(
+        "--folder", type=Path, default=ROOT / "out" / "mutation", help="folder for recorded data and mutated files"
+    )
+    parser.add_argument(
+        "--reuse", action="store_true", help="reuse the data of the last run, if no file has changed since"
+    )
     options = parser.parse_args()
     folder: Path = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)

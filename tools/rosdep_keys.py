@@ -1,10 +1,10 @@
-"""Say which keys of both package.xml files the ROS build farm can install.
+"""List the keys of both package.xml files that the ROS build farm cannot install.
 
     git clone --depth 1 https://github.com/ros/rosdistro
     python tools/rosdep_keys.py rosdistro
 
-Prints a table of the keys that lack a system package on one of the distribution's platforms, in Markdown. "pip" means
-that rosdep installs the key on a developer's computer; the build farm does not.
+Prints a Markdown table of the keys without a system package on at least one of the distribution's platforms. "pip"
+means that rosdep installs the key on a developer's computer; the build farm does not.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def main() -> None:
     names = keys()
     for distro in DISTROS:
         if not (folder / distro / "distribution.yaml").is_file():
-            raise SystemExit(f"{folder} has no {distro}/distribution.yaml: name a checkout of rosdistro.")
+            raise SystemExit(f"{folder} has no {distro}/distribution.yaml: give a checkout of rosdistro.")
         found = findings(folder, distro, names)
         platforms = sorted(next(iter(found.values())))
         missing = {name: by for name, by in found.items() if set(by.values()) != {"package"}}

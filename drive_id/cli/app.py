@@ -61,7 +61,7 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; on bad input, exit with code 1 and one sentence."""
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
-    gc.set_threshold(200_000)  # messages are many objects without cycles, and looking for these took a fifth of a check
+    gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
     try:
         app()

@@ -75,7 +75,7 @@ def _comment(found: "Inspection", *, asked: bool) -> None:
     """Print findings and warnings below the tables; ``asked``: a draft is to be written."""
     for finding in found.findings:
         if finding.code == "no_draft" and asked:
-            continue  # said at the end
+            continue  # reported as the error at the end
         say(f"{finding.code}: {finding.message}", style="red" if finding.severity == "error" else "yellow")
     for warning in found.warnings:
         warn(warning)

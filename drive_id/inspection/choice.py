@@ -32,12 +32,12 @@ _NAME = 0.1
 _PERIODS = (5e-7, 0.05)
 _LEAST_LINK = 5.0
 _MOST_THERE = 0.8
-"""Share of the rows from which the missing values of a column are interpolated."""
+"""Least share of rows with a value for which missing values of a column are interpolated."""
 _REGULAR = 1e-3
 _LINES = np.exp(-1j * np.pi / 6) / np.sqrt(3)
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 INDEX, GUESSED_PERIOD = "index", 1e-4
-"""Source of stamps that are numbers of rows, and the period, s, that is written for a log without any time."""
+"""Stamp source for row numbers, and the period, s, that the draft assumes for a log without a time column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def _timed(table: Table, contents: Contents) -> Table:
 
 
 def _filled(table: Table) -> Table:
-    """Return a table in which the few missing values of a column are interpolated, to recognize it nevertheless."""
+    """Return a table with missing values of a column interpolated if they are few, so that it is recognized."""
 
     def filled(x: FloatArray) -> FloatArray:
         there = np.isfinite(x)
@@ -149,7 +149,7 @@ def _filled(table: Table) -> Table:
 
 
 def _numbered(table: Table) -> Table:
-    """Return a table without a time with stamps from the number of the row, at a rate that is a mere guess."""
+    """Return a table without a time column with stamps from row numbers, at a guessed rate."""
     rows = len(next(iter(table.columns.values()), ()))
     return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
 
@@ -171,7 +171,7 @@ def time_column(table: Table) -> tuple[str, str] | None:
     steps = np.diff(x)
     regular = len(x) >= _FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()
     if regular and _PERIODS[0] <= steps.mean() <= _PERIODS[1] and not any(suggests(name, what) for what in _MEANINGS):
-        return name, "s"  # the first column, without a telling name
+        return name, "s"  # the first column, without a known name
     return None
 
 

@@ -23,9 +23,9 @@ from drive_id.files.storage.container import TopicInfo
 from drive_id.types import FloatArray, IntArray
 
 ROWS = 40_000
-"""Rows of each group of columns, or samples in blocks of each topic, that are looked at."""
+"""Rows of each group of columns, or samples in blocks of each topic, that are inspected."""
 MESSAGES = 20_000
-"""Messages of each topic that are looked at: each is decoded as a Python object."""
+"""Messages of each topic that are inspected; fewer, because each is decoded as a Python object."""
 _MOST_MESSAGES = 200_000
 _MOST_ELEMENTS = 16
 """Longest array whose elements are columns of their own; longer ones are blocks of samples."""
@@ -155,7 +155,7 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
 
 
 def _of_numbers(log: ColumnLog, columns: list[Column]) -> list[Column]:
-    """Return the columns that hold numbers or times, by the first rows; all of them if none does."""
+    """Return the columns that hold numbers or times, judged by the first rows; all columns if none does."""
 
     def readable(wanted: list[Column]) -> bool:
         try:

@@ -31,7 +31,7 @@ _SAME_RATE = 0.005
 _LARGEST_DUTY = 1.17
 _POOR = 0.35
 _LARGEST_CURRENT = 5000.0
-"""Largest plausible current, A, as that of the check ``current_scale``."""
+"""Largest plausible current, A, the same as in the check ``current_scale``."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
 _COARSE, _SMOOTHING = 1e-3, 0.003
@@ -80,8 +80,8 @@ class _Writer:
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
         if self._choice.currents.table.stamp_source == INDEX:
             self._doubt(
-                "No column is the time: set sample_period of every section to the time between two rows (written for "
-                f"{GUESSED_PERIOD:g} s); speed, R and flux follow it."
+                "The log has no time column: set sample_period in every section to the time between two rows (the "
+                f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
         left = self._choice.reading.unexplained
         if left > _POOR:
@@ -113,7 +113,7 @@ class _Writer:
                 return [
                     *found,
                     "  stamp: index",
-                    f"  sample_period: {GUESSED_PERIOD:g}         # EDIT: s; the log has no time",
+                    f"  sample_period: {GUESSED_PERIOD:g}         # EDIT: s; the log has no time column",
                     *lines,
                 ]
             if table.stamp_source not in ("", "own"):
@@ -142,7 +142,7 @@ class _Writer:
         if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
             scale = 0.001
             self._doubt(
-                f"The currents reach {np.abs(i.values).max():.3g} and were taken for mA: correct scale if they are not."
+                f"The currents reach {np.abs(i.values).max():.3g}, so they are taken as mA: correct scale if not."
             )
         scale *= self._choice.reading.voltage_sign
         if scale != 1.0:

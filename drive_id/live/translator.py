@@ -22,7 +22,7 @@ from drive_id.types import Samples
 
 SECTIONS = ("currents", "voltages", "resolver")
 _BATCH, _CAPACITY = 100, 50_000
-_LONGEST_DELAY = 2.0  # s between the signals of one clock
+_LONGEST_DELAY = 2.0  # s, between signals stamped by one clock
 _MOST_WAITING = 200_000
 """Messages of a signal that wait for :meth:`Translator.advance`; earlier ones are dropped beyond."""
 
@@ -171,12 +171,12 @@ class Translator:
         return self._join.report()
 
     def clock_finding(self) -> str:
-        """Return a sentence when the newest stamps of the signals are further apart than any delay; else nothing."""
+        """Return a sentence if the latest stamps of the signals are too far apart for one clock, else an empty one."""
         times = {section: 1e-9 * self._newest[section] for section in SECTIONS if section in self._newest}
         if len(times) < len(SECTIONS) or max(times.values()) - min(times.values()) < _LONGEST_DELAY:
             return ""
         shown = ", ".join(f"{name} ({self._sources[name].topic}) {time:.3f} s" for name, time in times.items())
-        return f"The newest stamps do not go together, {shown}: take the stamps of all signals from one clock."
+        return f"The latest stamps are too far apart for one clock ({shown}): stamp all signals by the same clock."
 
     def _add(self, section: str, signal: Signal) -> None:
         if len(signal.stamp):

@@ -176,7 +176,7 @@ class Recorder(Node):
         return response
 
     def _refused(self, response: Any, message: str) -> Any:
-        """Answer a refused start, and log it: whoever asked may be a script that looks at nothing."""
+        """Refuse a start, and log why: a calling script may ignore the response."""
         response.message = message
         self.get_logger().warning(f"start: {message}")
         return response

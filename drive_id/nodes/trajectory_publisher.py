@@ -25,7 +25,7 @@ from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.managed import guard_transitions
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, deaf_subscribers
+from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -48,7 +48,7 @@ class TrajectoryPublisher(LifecycleNode):
         self._experiment = self._new_experiment(settings)
         self._frame_id = settings.frame_id
         self._logged = ""
-        self._deaf: list[str] = []
+        self._incompatible: list[str] = []
         self._active = False
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
@@ -144,17 +144,17 @@ class TrajectoryPublisher(LifecycleNode):
         health = self._experiment.health(self._now(), time.monotonic())
         if self._active:
             waits = health.level is Level.OK and health.values["state"] == ExperimentState.IDLE.value
-            return self._heard(health) if waits else health  # while current flows, nothing may take time
+            return self._with_subscriptions(health) if waits else health  # no graph queries while current flows
         return Health(Level.OK, self._inactive(), {**health.values, "lifecycle": self._stage()})
 
-    def _heard(self, health: Health) -> Health:
-        """Add which subscriptions to the references are deaf, not a reason to refuse a start: it may be a display."""
-        deaf = deaf_subscribers(self, "current_reference")
-        for sentence in deaf:
-            if sentence not in self._deaf:
+    def _with_subscriptions(self, health: Health) -> Health:
+        """Add the subscriptions that cannot receive the references; a start is not refused: one may be a display."""
+        found = incompatible_subscriptions(self, "current_reference")
+        for sentence in found:
+            if sentence not in self._incompatible:
                 self.get_logger().warning(sentence)
-        self._deaf = deaf
-        return Health.of(health.message, [(Level.OK, sentence) for sentence in deaf], health.values)
+        self._incompatible = found
+        return Health.of(health.message, [(Level.OK, sentence) for sentence in found], health.values)
 
     def _stage(self) -> str:
         return "unconfigured" if self._publisher is None else "inactive"
@@ -175,7 +175,7 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _on_currents(self, message: PhaseCurrents) -> None:
         if self._publisher is None:
-            return  # one that had arrived before the node was cleaned up
+            return  # a message that arrived before the cleanup
         i_abc = _arrays(message.a, message.b, message.c)
         if self._experiment.currents(self._now(), time.monotonic(), message.first_sample, i_abc):
             self._on_timer()
@@ -205,7 +205,7 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _answer(self, request: str, response: Trigger.Response) -> Trigger.Response:
         self._on_timer()
-        if response.success:  # rclpy permits one severity for each line of code
+        if response.success:  # rclpy permits only one severity per call site
             self.get_logger().info(f"{request}: {response.message}")
         else:
             self.get_logger().warning(f"{request}: {response.message}")

@@ -140,7 +140,7 @@ class Bench:
     Raises
     ------
     ConfigurationError
-        When the namespace or the arguments are none.
+        When the namespace or a ROS argument is invalid.
     """
 
     def __init__(

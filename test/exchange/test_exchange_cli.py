@@ -136,8 +136,8 @@ def test_axes_and_gaps(run, drive, tmp_path):
         (("--format", "csv", "--axis-d", "1,2,3,4"), "--axis-d does not contain 0"),
         (("--format", "csv", "--axis-d", "-1:1:2", "--axis-q", "-1:1:2", "--grid", 5), "drop one pair"),
         (("--format", "vesc", "--bandwidth", -1, "--output", "out.xml"), "--bandwidth"),
-        (("--format", "simscape"), "out.csv ends in .csv, and --format simscape writes .mat files: name it out.mat."),
-        (("--format", "plecs", "--output", "out"), "out has no ending"),
+        (("--format", "simscape"), "out.csv ends in .csv, but --format simscape writes .mat files: name it out.mat."),
+        (("--format", "plecs", "--output", "out"), "out has no suffix"),
     ],
 )
 def test_export_refuses_in_one_sentence(run, drive, tmp_path, options, said):

@@ -500,7 +500,7 @@ def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, sam
     table |= {name: 1e3 * table[name] for name in ("ia", "ib", "ic")}
     path = write_parquet(tmp_path / "log.parquet", table)
     draft = inspect_log(path).draft
-    assert sum("No column is the time" in text or "taken for mA" in text for text in draft.unsure) == 2
+    assert sum("no time column" in text or "taken as mA" in text for text in draft.unsure) == 2
     read = read_recording(path, parse_signals(draft.text, "draft")).samples
     np.testing.assert_allclose(read.i_abc, samples.i_abc, rtol=1e-12)
     np.testing.assert_allclose(read.u_abc, np.column_stack([u_a, u_b, u_c]), atol=1e-9)

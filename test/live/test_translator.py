@@ -129,8 +129,8 @@ def test_clocks_that_differ_are_told():
     blocks += made.advance()
     assert blocks == []
     assert made.clock_finding() == (
-        "The newest stamps do not go together, currents (joint) 145.000 s, voltages (duty) 0.008 s, resolver (joint) "
-        "145.000 s: take the stamps of all signals from one clock."
+        "The latest stamps are too far apart for one clock (currents (joint) 145.000 s, voltages (duty) 0.008 s, "
+        "resolver (joint) 145.000 s): stamp all signals by the same clock."
     )
     made, stranger = translator(), Stranger(2500)
     assert translated(made, stranger, range(2500))

@@ -152,29 +152,29 @@ def test_it_activates_itself_and_ends_at_zero_with_the_process(ros):
     managed.close()
 
 
-def test_a_subscription_that_receives_nothing_is_told(ros):
+def test_an_incompatible_subscription_is_named(ros):
     from drive_id_msgs.msg import CurrentReference
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
     managed = Managed(ros)
     late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    deaf = ros.node.create_subscription(CurrentReference, "/current_reference", lambda _: None, late)
+    subscription = ros.node.create_subscription(CurrentReference, "/current_reference", lambda _: None, late)
     said = managed.health(lambda values: "receives nothing" in values["message"])
     assert said["state"] == "idle"
     sentence = said["message"].partition(". ")[2]
-    start = "/test_bench receives nothing on /current_reference: its quality of service is not offered ("
+    start = "/test_bench receives nothing on /current_reference: its quality of service is incompatible ("
     assert sentence.startswith(start)
     assert "transient local" in sentence
-    ros.node.destroy_subscription(deaf)
+    ros.node.destroy_subscription(subscription)
     managed.health(lambda values: "receives nothing" not in values["message"])
     assert managed.process.output.count("receives nothing") == 1
     managed.close()
 
 
-def test_a_subscription_of_another_type_is_told():
-    """By a graph of its own: a process cannot have one topic with two types in DDS."""
+def test_a_subscription_of_another_type_is_named():
+    """With a mock graph: in DDS, one process cannot have a topic with two types."""
     require_ros()
-    from drive_id.nodes.support.qos import STREAM, deaf_subscribers
+    from drive_id.nodes.support.qos import STREAM, incompatible_subscriptions
 
     def info(namespace, name, kind):
         return SimpleNamespace(node_namespace=namespace, node_name=name, topic_type=kind, qos_profile=STREAM)
@@ -189,5 +189,5 @@ def test_a_subscription_of_another_type_is_told():
         get_subscriptions_info_by_topic={"/ns/topic": subscriptions, "/ns/no": subscriptions}.get,
     )
     why = "receives nothing on /ns/topic: it expects x/msg/Other instead of x/msg/Right."
-    assert deaf_subscribers(graph, "topic") == [f"/a {why}", f"/b/c {why}"]
-    assert deaf_subscribers(graph, "no") == []
+    assert incompatible_subscriptions(graph, "topic") == [f"/a {why}", f"/b/c {why}"]
+    assert incompatible_subscriptions(graph, "no") == []

@@ -96,8 +96,8 @@ def test_parameters_that_do_not_exist_are_told(make, capfd):
     assert settings.count == 3
     logged = [line.partition("[some]: ")[2] for line in "".join(capfd.readouterr()).splitlines() if "[some]" in line]
     assert sorted(logged) == [
-        "There is no parameter coumt, so its value is ignored: did you mean count?",
-        "There is no parameter zzzzzz, so its value is ignored: ros2 param list shows all parameters.",
+        "Unknown parameter coumt is ignored: did you mean count?",
+        "Unknown parameter zzzzzz is ignored: 'ros2 param list' shows the parameters of each node.",
     ]
 
 
@@ -112,7 +112,7 @@ def test_wrong_ros_arguments_are_told_in_one_sentence(given):
 
     with (
         pytest.raises(
-            ConfigurationError, match=r"^ROS refuses the arguments \(.+\): correct what follows --ros-args\.$"
+            ConfigurationError, match=r"^Invalid ROS arguments \(.+\): correct what follows --ros-args\.$"
         ) as told,
         ros_arguments(),
     ):
@@ -127,7 +127,7 @@ def test_a_name_that_is_none_is_told_and_a_mistake_of_ours_is_not(make):
     from drive_id.nodes.support.arguments import ros_arguments
 
     node, _ = make()
-    with pytest.raises(ConfigurationError, match="ROS refuses the arguments \\(Invalid namespace"), ros_arguments():
+    with pytest.raises(ConfigurationError, match="Invalid ROS arguments \\(Invalid namespace"), ros_arguments():
         Node("other", namespace="bad-name", context=node.context)
     with pytest.raises(RuntimeError, match="ours"), ros_arguments():
         raise RuntimeError("ours")

@@ -88,9 +88,9 @@ def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
         (
             PUBLISHER,
             ["--params-file", "nowhere.yaml"],
-            "TrajectoryPublisher: ROS refuses the arguments (Couldn't parse",
+            "TrajectoryPublisher: Invalid ROS arguments (Couldn't parse",
         ),
-        (CLIENT, ["-r", "__ns:=bad-name"], "characterize: ROS refuses the arguments (Couldn't parse"),
+        (CLIENT, ["-r", "__ns:=bad-name"], "characterize: Invalid ROS arguments (Couldn't parse"),
         (
             PUBLISHER,
             ["-p", "i_max:=300"],

@@ -208,7 +208,7 @@ def test_a_namespace_that_is_none_is_told():
     require_ros()
     from drive_id.ros import Bench
 
-    with pytest.raises(ConfigurationError, match=r"ROS refuses the arguments .*Invalid namespace"):
+    with pytest.raises(ConfigurationError, match=r"Invalid ROS arguments .*Invalid namespace"):
         Bench(namespace="bad-name")
 
 

@@ -96,7 +96,7 @@ class Evidence:
         continues : bool
             They continue the previous piece and begin with its last sample, which counts once.
         prompt : bool
-            Leave no work for the fit, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
+            Leave no products for the fit to form, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
         rotation = np.cos(samples.angle), np.sin(samples.angle)

@@ -131,7 +131,7 @@ def _note(stream: _Stream, now: float, first_sample: int, samples: int, fault: F
 
 
 def rehearse(settings: ExperimentSettings) -> None:
-    """Run the beginning of an experiment for nobody: what numpy loads at first use delays no start."""
+    """Run the beginning of an experiment without output, so that lazy loading in numpy does not delay a start."""
     experiment = Experiment(settings)
     experiment.start(0)
     for now in (0, NANOSECONDS // 10, NANOSECONDS // 5):

@@ -64,7 +64,7 @@ class EffectSearch:
     Parameters
     ----------
     sums : WindowSums
-        With the columns of all effects if any was taken; without them otherwise, since they are large.
+        With the columns of all effects if any effect was selected; otherwise without, to save memory.
     solver : Solver
         Of sums with the columns of all effects.
     solution : FullSolution

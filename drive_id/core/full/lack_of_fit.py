@@ -227,9 +227,9 @@ def _flux_facts(windows: Windows, turned: ComplexArray) -> FloatArray:
 def missed_flux(facts: FloatArray) -> FloatArray:
     """Return the mean square flux (C, C, 2), Wb^2, of d and q, that recurs in the residuals of cells.
 
-    The mean residual of a cell over passes and rotor positions is that of a flux error which the model cannot follow,
-    since the fit leaves no other. Its mean square is reduced by that of noise, averaged over neighbouring cells, and 0
-    in both fluxes unless the mean over all cells is significant in one.
+    The mean residual of a cell over passes and rotor positions shows a flux that the model cannot follow: any other
+    flux error would have been fitted. Its mean square less that of noise is averaged over neighbouring cells. It is set
+    to 0 unless its mean over all cells is significant in d or q.
 
     Parameters
     ----------

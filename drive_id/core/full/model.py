@@ -174,7 +174,7 @@ class FullModel:
     sensors : tuple of int
         Candidate harmonics that current sensors cause.
     fine: bool
-        With more cells of the map and of its harmonics, for machines with more detail than the usual cells resolve.
+        More cells for the map and its harmonics, for machines with finer detail than the usual cells resolve.
     """
 
     low: FloatArray
@@ -310,7 +310,7 @@ class FullModel:
             add_end(column, value, turn, start, factor, out)
         return _weighted(windows, out)
 
-    def met(self, windows: Windows) -> tuple[FloatArray, IntArray]:
+    def nonzero_columns(self, windows: Windows) -> tuple[FloatArray, IntArray]:
         """Return the nonzero columns of N windows in the sums, (N, 2, K), and their indices (K,), increasing.
 
         Neighbouring windows share few nonzero basis functions.

@@ -128,9 +128,9 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
 def _with_fine_cells(
     plain: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
 ) -> Selection | None:
-    """Return the selection with fine cells of map and harmonics where the data show finer details, else None.
+    """Return the selection with fine cells of map and harmonics if the data require them, else None.
 
-    The residuals must exceed noise and a negligible voltage, and the fine model must predict held-out data clearly
+    The residuals must exceed noise by a voltage that matters, and the fine model must predict held-out data clearly
     better, both with the spec selected so far and with its own. Whether maps are free is not selected again: fine free
     maps have too many unknowns.
     """
@@ -152,7 +152,7 @@ def _with_fine_cells(
 
 
 def _misfit_shows(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> bool:
-    """Tell whether the residuals exceed noise in the currents, and by more than a negligible voltage."""
+    """Return whether the residuals exceed current noise, and by more than a negligible voltage."""
     squares = squared_inductances(solver.model, solution.estimate, noise.windows)
     expected = noise.variance * float(squares.sum() / (2 * noise.windows.weights.sum()))
     excess = solution.residual_rms**2 - expected

@@ -27,10 +27,10 @@ MOST_KEPT = 24_000
 """Number of stored windows, in whole segments evenly over time, for the analysis of residuals."""
 
 _GROUP = 512
-"""Most windows per product: fewer have fewer nonzero columns, but cost more calls."""
+"""Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
 _DUE = 16 * FOLDS
-"""Segments that are collected before their products are formed: among more windows there are closer neighbours, and
-several folds are formed in parallel threads."""
+"""Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
+in parallel threads."""
 
 
 class WindowSums:
@@ -82,7 +82,7 @@ class WindowSums:
     ) -> None:
         """Accumulate further samples, see :meth:`WindowCutter.cut`.
 
-        With ``prompt``, all products are formed at once, so that :meth:`finished` takes no longer after many samples.
+        With ``prompt``, all products are formed immediately, so that :meth:`finished` is quick even after many samples.
         """
         for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
@@ -170,14 +170,15 @@ class WindowSums:
                 if number % FOLDS != fold:
                     continue
                 windows = replace(own, effects=columns(own))
-                rows, met = model.met(windows)
-                rows = rows.reshape(-1, len(met))
-                first, last = np.searchsorted(met, (model.effects.start, model.effects.stop))
-                chosen = met[first:last] - model.effects.start
-                products[fold, met[:, None], chosen] += rows.T @ rows[:, first:last]
+                rows, indices = model.nonzero_columns(windows)
+                rows = rows.reshape(-1, len(indices))
+                first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
+                chosen = indices[first:last] - model.effects.start
+                products[fold, indices[:, None], chosen] += rows.T @ rows[:, first:last]
                 if some is not None:
-                    rows, met = np.delete(rows, slice(first, last), axis=1), np.delete(met, slice(first, last))
-                    add_triangle(rows.T @ rows, met, some.triangles[fold])
+                    rows = np.delete(rows, slice(first, last), axis=1)
+                    indices = np.delete(indices, slice(first, last))
+                    add_triangle(rows.T @ rows, indices, some.triangles[fold])
                     some.counts[fold] += own.weights.sum()
                 out.append((number, windows))
             return out
@@ -370,7 +371,7 @@ class WindowSums:
 
         def add(number: int) -> None:
             for few in _neighbours(Windows.joined(by_fold.pop(number))):
-                rows, columns = model.met(few)
+                rows, columns = model.nonzero_columns(few)
                 rows = rows.reshape(-1, len(columns))
                 add_triangle(rows.T @ rows, columns, triangles[number])
                 if model.reciprocal:

@@ -192,7 +192,7 @@ MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _A
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Samples without a gap, and what is computed for each of them once."""
+    """Samples without a gap, with the quantities computed once per sample."""
 
     i_abc: FloatArray
     i_s: ComplexArray
@@ -487,7 +487,7 @@ def _follow(
     integrals: FloatArray,
     lagged: FloatArray,
 ) -> None:
-    """Compute what each sample of a run needs, in one pass.
+    """Compute all quantities per sample of a run in one pass.
 
     Parameters
     ----------
@@ -498,9 +498,9 @@ def _follow(
     period : float
         s.
     weights : (3, L) float
-        Of the last lagging, the last and the present current, see :func:`_lag_weights`.
+        Weights of the last lagging, the last and the present current, see :func:`_lag_weights`.
     first : bool
-        A run begins, and the lagging currents at the first sample are the current itself; else they are given.
+        Whether a run begins: lagging currents then start at the current itself; otherwise they are given.
     i_s, u_s, i_dq : (N, 2) float
         Output: current and voltage in the stator frame, current in the rotor frame.
     integrals : (N, 2) float

@@ -36,7 +36,7 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _DENSITY = 72, 2
 _POINTS = 256
-"""Points of the map whose standard errors are formed at once."""
+"""Points of the map per batch of standard errors."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
 _OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
@@ -177,7 +177,7 @@ class TrueFrame:
         """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
         model, changes = self.fit.model, self.fit.changes[self.fit.model.map]
         rows, consistent = model.flux.rows(rotated(i_dq, -self.angle)), np.empty((len(i_dq), 2))
-        for start in range(0, len(i_dq), _POINTS):  # in parts: each point takes a number for each batch of time
+        for start in range(0, len(i_dq), _POINTS):  # in batches: memory grows with points times time batches
             part = slice(start, start + _POINTS)
             consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
         return consistent, self.fit.white_sigma(rows)
@@ -407,11 +407,11 @@ def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
     if not fit.model.fine:
         return ()
     used = fit.selection.search.sums.windows
-    some = "" if used == sums.windows else f", to {used} of {sums.windows} windows, evenly spread over the recordings"
+    some = "" if used == sums.windows else f", from {used} of {sums.windows} windows spread evenly over the recordings"
     return (
         (
-            f"The machine has finer details than the usual {FLUX_CELLS} cells along each axis resolve: the map was "
-            f"fitted with {FINE_FLUX_CELLS}, and its harmonics with {FINE_HARMONIC_CELLS}{some}."
+            f"The map has finer detail than the usual {FLUX_CELLS} spline cells per axis can resolve: it was fitted "
+            f"with {FINE_FLUX_CELLS}, and its harmonics with {FINE_HARMONIC_CELLS}{some}."
         ),
     )
 

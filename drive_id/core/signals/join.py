@@ -181,7 +181,7 @@ class StreamJoin:
     batch : int
         Samples to wait for before joining them: fewer cost more, more come later.
     wait : float
-        Time of data to wait for, s, where that is more than ``batch`` samples, up to half of ``capacity``.
+        Duration of data to collect before joining, s, if more than ``batch`` samples; at most half of ``capacity``.
     capacity : int
         Most samples of a signal to keep while others lag behind; what is older goes without partners. No more joined
         samples wait for optional signals, either.
@@ -271,7 +271,7 @@ class StreamJoin:
         return self._advance(final=False) if track.fresh >= self._enough(track) else []
 
     def _enough(self, track: SignalTrack) -> int:
-        """Return the fresh samples of a signal at which to join."""
+        """Return the number of fresh samples of a signal at which to join."""
         if not self.wait or not track.period:
             return self.batch
         return max(self.batch, int(min(self.wait / track.period, self.capacity / 2)))

@@ -11,7 +11,7 @@ from drive_id.errors import DataError
 from drive_id.types import FloatArray, IntArray
 
 _FEWEST = 4
-"""Fewest samples of an angle that is interpolated."""
+"""Fewest samples from which an angle is interpolated."""
 _LONGEST = 3.5
 """Periods of the angle across which it is interpolated."""
 _LARGEST_TURN = 2.6
@@ -79,8 +79,8 @@ def interpolated_rotor(rotor: Signal, clock: IntArray) -> InterpolatedRotor:
 def _error(time: FloatArray, angle: FloatArray, speed: FloatArray | None) -> float:
     """Return the root mean square error, rad, of the angle between its samples.
 
-    Samples that are left out show the error at twice and at four times the spacing. Half the spacing divides that of a
-    smooth motion by 16 and leaves that of noise as it is: the ratio of the two is taken to hold once more.
+    Samples that are left out show the error at twice and at four times the spacing. Halving the spacing divides the
+    error of a smooth motion by 16 and leaves that of noise unchanged; the ratio of the two is extrapolated once more.
     """
     errors = []
     for step in (2, 4):

@@ -114,15 +114,15 @@ def export_map(
     Raises
     ------
     OutputError
-        When the file's name has another ending than the format, the file exists and ``force`` is not given, or it
+        When the suffix of the file name does not match the format, the file exists and ``force`` is not given, or it
         cannot be written.
     ConfigurationError, CoverageError
         See :func:`content_of`.
     """
     usual = export_format(name).suffix
     if path.suffix.lower() != usual:
-        said = f"ends in {path.suffix}" if path.suffix else "has no ending"
-        raise OutputError(f"{path} {said}, and --format {name} writes {usual} files: name it {path.stem}{usual}.")
+        said = f"ends in {path.suffix}" if path.suffix else "has no suffix"
+        raise OutputError(f"{path} {said}, but --format {name} writes {usual} files: name it {path.stem}{usual}.")
     if not force:
         check_absent(path)
     content, exported = content_of(result, name, choice, options)

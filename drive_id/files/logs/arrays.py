@@ -14,7 +14,7 @@ from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows, shar
 _MOST_COLUMNS = 64
 _NUMBERS = "iufb"
 _NAMED_DATA = (("Name", "Data"), ("label", "values"))
-"""Fields with name and values in structs of measurement tools."""
+"""Fields that hold name and values in the structs of measurement tools."""
 
 
 class MatLog:
@@ -53,7 +53,7 @@ class MatLog:
             self._arrays[f"{name}[{k}]"] = rows[:, k]
 
     def _take_struct(self, name: str, value: Any, array: str = "") -> None:
-        """Take the fields of a struct, an element of the array of structs ``array`` if it is given.
+        """Add the fields of a struct, which is an element of the array of structs ``array`` if that is given.
 
         Elements that name their data, as those of ControlDesk and of Simulink's scopes do, are columns of that name
         beside the array.

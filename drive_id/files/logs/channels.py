@@ -64,7 +64,7 @@ class MdfLog:
         number, count = self._numbers[column.group], at.stop - at.start
         if column.name == OWN_TIME:
             seconds = self._file.get_master(number, record_offset=at.start, record_count=count)
-            with np.errstate(invalid="ignore", over="ignore"):  # of damaged stamps, which become ones out of range
+            with np.errstate(invalid="ignore", over="ignore"):  # damaged stamps become values out of range
                 return np.rint(np.asarray(seconds, np.longdouble) * 1_000_000_000).astype(np.int64)
         signal = self._file.get(group=number, index=self._channels[column], record_offset=at.start, record_count=count)
         return np.asarray(signal.samples)
@@ -85,7 +85,9 @@ class TdmsLog:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
         from nptdms.log import log_manager  # noqa: PLC0415
 
-        log_manager.set_level(logging.CRITICAL)  # it warns of truncated files; what is missing, the reader says itself
+        log_manager.set_level(
+            logging.CRITICAL
+        )  # no warnings of truncated files: the reader reports missing data itself
 
         self.path = path
         self._stream = path.open("rb")

@@ -16,7 +16,7 @@ _MAGIC = {
     b"\x89HDF\r\n\x1a\n": "hdf5",
 }
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
-"""Byte order marks of Unicode text as MATLAB and Excel may write it."""
+"""Byte order marks of UTF-16 text, as written by MATLAB and Excel."""
 _TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc")
 
 

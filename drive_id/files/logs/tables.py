@@ -26,7 +26,7 @@ _HEAD = 1 << 16
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
 _LAST = 50
-"""Lines by which the number of columns is told."""
+"""Lines from which the number of columns is determined."""
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
 
 
@@ -194,7 +194,7 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     widths = [len(row) for row in rows if any(cell.strip() for cell in row)]
     if not widths or max(widths) < 2:
         return None
-    usual = Counter(widths[-_LAST:]).most_common(1)[0][0]  # settings above may be names and numbers, too
+    usual = Counter(widths[-_LAST:]).most_common(1)[0][0]  # settings above the table may look like rows, too
     numeric = [_is_numeric(row) and len(row) == max(usual, 2) for row in rows]
     first = next((k for k, good in enumerate(numeric) if good and all(numeric[k : k + 3])), None)
     if first is None or not first:

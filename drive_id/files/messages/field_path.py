@@ -25,7 +25,7 @@ class FieldPathError(ValueError):
 
 @dataclass
 class _Known:
-    """How the value is taken from messages of a type in which it has been found: they all have the same fields."""
+    """Fast access to the value, cached per message type, since all messages of a type have the same fields."""
 
     kind: type | None = None
     take: Callable[[Any], Any] | None = None
@@ -68,7 +68,7 @@ class FieldPath:
         if known.take is not None and type(message) is known.kind:
             try:
                 return known.take(message)
-            except IndexError:  # of a shorter array, which is told below
+            except IndexError:  # the array is shorter; reported below
                 known.take = None
         found = _follow(message, self.steps, self.text)
         if known.kind is not type(message) and dataclasses.is_dataclass(message):
@@ -108,7 +108,7 @@ def parse_field_path(text: str, where: str) -> FieldPath:
 
 
 def _getter(message: Any, steps: Sequence[str | int | slice]) -> Callable[[Any], Any] | None:
-    """Return a fast way along steps that lead to a value in a message; None if they cut arrays or enter mappings."""
+    """Return a fast getter for steps to a value in a message; None if they slice arrays or enter mappings."""
     getters: list[Callable[[Any], Any]] = []
     value = message
     for step in steps:

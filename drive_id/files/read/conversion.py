@@ -44,7 +44,7 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
     -------
     signal : Signal
     error : float
-        Root mean square error of an interpolated angle, rad; 0 for one that is not.
+        Root mean square error of an interpolated angle, rad; 0 if it was not interpolated.
     warnings : list of str
 
     Raises
@@ -70,8 +70,8 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
         return rotor, 0.0, remarks
     moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))
     said = (
-        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated with an error of "
-        f"about {moved.error * 1e3:.2g} mrad rms, as left-out samples show; the standard errors include it."
+        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated; its error, about "
+        f"{moved.error * 1e3:.2g} mrad rms by left-out samples, is included in the standard errors."
     )
     return moved.signal, moved.error, [*remarks, said]
 

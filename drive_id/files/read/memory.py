@@ -1,4 +1,4 @@
-"""Refuse to read a log as a whole that does not fit into the memory of this machine."""
+"""Refuses logs that must be read as a whole and do not fit into memory."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from pathlib import Path
 from drive_id.errors import ConfigurationError
 
 BYTES_PER_SAMPLE = 480
-"""Largest memory that reading and joining a log at once takes at a time, by sample of the currents."""
+"""Peak memory of reading and joining a whole log, per sample of the currents."""
 _FIRST = 1 << 16
-"""Samples after which the need is estimated first; then at every doubling."""
+"""Samples before the first estimate; repeated at every doubling."""
 _SHARE = 0.9
 _GIGA = 1e-9
 _CACHES = ("inactive_file ", "active_file ")
-"""Memory of a container that holds read files and is given back when it is needed."""
+"""Page cache of a container (cgroup), which the kernel frees on demand."""
 
 
 class MemoryGuard:
-    """Estimates while a log is read how much memory all of it needs.
+    """Estimates the memory that a whole log needs while it is being read.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ class MemoryGuard:
         self._next = _FIRST
 
     def add(self, samples: int, progress: float) -> None:
-        """Note further samples of the currents, when a share ``progress`` of the log has been read.
+        """Count further samples of the currents; ``progress`` is the share of the log that has been read.
 
         Raises
         ------
         ConfigurationError
-            When the whole log needs more than is left.
+            When the whole log needs more memory than is available.
         """
         self._samples += samples
         if self._samples < self._next or not 0.0 < progress <= 1.0:
@@ -46,15 +46,15 @@ class MemoryGuard:
         total = self._samples / progress * BYTES_PER_SAMPLE
         if available is not None and total > _SHARE * available:
             raise ConfigurationError(
-                f"{self._path} is read as a whole, which takes about {total * _GIGA:.2g} GB, and "
-                f"{available * _GIGA:.2g} GB of memory are free: divide the log, or fit it by a signals file that "
-                "allows reading in parts (sample_period in every section and the speed beside the angle; no smoothing, "
+                f"{self._path} must be read as a whole, which takes about {total * _GIGA:.2g} GB, but only "
+                f"{available * _GIGA:.2g} GB of memory are free: split the log, or use a signals file that allows "
+                "reading in parts (sample_period in every section, the speed next to the angle; no smoothing, "
                 "interpolate, equally_spaced or decimation)."
             )
 
 
 def available_memory() -> int | None:
-    """Return the memory that may still be used, bytes, by the limits of machine and container; None if unknown."""
+    """Return the memory available within the limits of machine and container, bytes; None if unknown."""
     system = _lines(Path("/proc/meminfo"))
     found = [1024 * int(line.split()[1]) for line in system if line.startswith("MemAvailable:")]
     group = Path("/sys/fs/cgroup")
@@ -66,7 +66,7 @@ def available_memory() -> int | None:
 
 
 def _lines(path: Path) -> list[str]:
-    """Return the lines of a file of the system; none where it does not exist."""
+    """Return the lines of a system file; none if it cannot be read."""
     try:
         return path.read_text(encoding="ascii").splitlines()
     except OSError:

@@ -221,7 +221,7 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
         storage = Rosbag1Storage(path, shown)
     elif not magic:
         raise NotABagError(
-            f"{shown} is empty: record it again, or complete the other files of its folder with 'drive-id recover'."
+            f"{shown} is empty: record it again, or recover the other files of its folder with 'drive-id recover'."
         )
     else:
         raise NotABagError(f"{shown} is neither an MCAP nor a sqlite3 recording: give a rosbag2 file or folder.")

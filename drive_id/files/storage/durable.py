@@ -1,4 +1,4 @@
-"""Content and names of files that survive a power cut."""
+"""Writes files and folders so that content and names survive a power cut."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def make_folder(path: Path, *, exist_ok: bool = False) -> set[Path]:
     ----------
     path : Path
     exist_ok : bool
-        Accept that it exists.
+        Accept an existing folder.
 
     Returns
     -------
     set of Path
-        The folders that hold a new name each: to be given to :func:`sync_folder`.
+        The folders with a new entry: pass each to :func:`sync_folder`.
 
     Raises
     ------
     OSError
-        As of :meth:`pathlib.Path.mkdir`.
+        As raised by :meth:`pathlib.Path.mkdir`.
     """
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=exist_ok)

@@ -84,8 +84,10 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
             magic = read_magic(plain, file)
             if not magic.startswith(MCAP_MAGIC):
                 if magic.startswith(SQLITE_MAGIC) or len(files) == 1:
-                    raise NotABagError(f"{file} is no MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'.")
-                damage.append(f"{file}: its beginning never reached the disk; it is left out.")
+                    raise NotABagError(
+                        f"{file} is not an MCAP file: recover sqlite3 files with 'sqlite3 FILE .recover'."
+                    )
+                damage.append(f"{file}: its start was never written to disk; the file is left out.")
                 continue
             copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
             stack.callback(copy.release)

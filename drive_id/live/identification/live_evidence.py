@@ -17,7 +17,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
 
 _WAIT = 0.2
-"""Time of samples that are accumulated at once, s: a call costs a millisecond, however few they are."""
+"""Duration of samples accumulated per call, s: a call takes about a millisecond even for few samples."""
 
 
 @dataclass(eq=False)
@@ -151,7 +151,7 @@ class LiveEvidence:
         self._gather(self.join.add(section, piece))
 
     def advance(self) -> None:
-        """Take what can be joined by now, however little it is."""
+        """Join and accumulate all complete samples, however few."""
         self._gather(self.join.advance())
 
     def _gather(self, pieces: list[Piece]) -> None:

@@ -62,7 +62,7 @@ class IdentifyAction:
         self._fill = fill
         self._goals: dict[bytes, Request] = {}
         self._feedback = f"{node.resolve_service_name(name)}/_action/feedback"  # every action client subscribes to it
-        self._heard: float | None = None  # when a client was last seen, s
+        self._last_seen: float | None = None  # when a client was last seen, s
         self._server = _HoldingServer(
             node,
             Identify,
@@ -77,8 +77,8 @@ class IdentifyAction:
         """Cancel goals whose clients are gone; call it several times a second."""
         now = time.monotonic()
         if not self._goals or self._node.count_subscribers(self._feedback):
-            self._heard = now if self._goals else None
-        elif self._heard is not None and now - self._heard > _GONE:
+            self._last_seen = now if self._goals else None
+        elif self._last_seen is not None and now - self._last_seen > _GONE:
             for request in list(self._goals.values()):
                 self._requests.cancel(request, VANISHED)
 

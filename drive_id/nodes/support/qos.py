@@ -38,8 +38,8 @@ LATCHED = QoSProfile(
 """The flux map: late subscribers get the last one."""
 
 
-def deaf_subscribers(node: Node, topic: str) -> list[str]:
-    """Return a sentence for each subscription that receives nothing from the node's own publisher of a topic.
+def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
+    """Return a sentence for each subscription whose type or QoS does not match the node's own publisher of a topic.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def deaf_subscribers(node: Node, topic: str) -> list[str]:
     ]
     if not own:
         return []  # not yet in the graph
-    kind, offered = own[0].topic_type, own[0].qos_profile  # as the graph tells it: infinite durations are 0 in ours
+    kind, offered = own[0].topic_type, own[0].qos_profile  # from the graph: STREAM has 0 for infinite durations
     sentences = []
     for info in node.get_subscriptions_info_by_topic(name):
         compatibility, reason = qos_check_compatible(offered, info.qos_profile)
         if info.topic_type != kind:
             why = f"it expects {info.topic_type} instead of {kind}."
         elif compatibility == QoSCompatibility.ERROR:
-            why = f"its quality of service is not offered ({reason.removeprefix('ERROR: ').strip(' ;')})."
+            why = f"its quality of service is incompatible ({reason.removeprefix('ERROR: ').strip(' ;')})."
         else:
             continue
         sentences.append(f"{_full_name(info)} receives nothing on {name}: {why}")

@@ -37,7 +37,7 @@ class Stop:
     def __init__(self) -> None:
         self.asked = False
         self.spinning = False
-        self._heard, self._tell = os.pipe()
+        self._read_end, self._write_end = os.pipe()
         for number in SIGNALS:
             signal.signal(number, self._handle)
 
@@ -46,13 +46,13 @@ class Stop:
         if first and not self.spinning:
             raise KeyboardInterrupt
         if first:
-            os.write(self._tell, b"!")  # takes no lock: the interrupted code may hold it
+            os.write(self._write_end, b"!")  # takes no lock: the interrupted code may hold it
 
     def complete(self, future: Future[None]) -> None:
         """Complete a future when the process is told to stop."""
 
         def wait() -> None:
-            os.read(self._heard, 1)
+            os.read(self._read_end, 1)
             future.set_result(None)
 
         threading.Thread(target=wait, name="stop", daemon=True).start()

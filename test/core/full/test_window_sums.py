@@ -115,7 +115,7 @@ def test_the_columns_of_the_sums_are_those_of_reciprocal_maps(model, samples):
     windows = some_windows(model, samples)
     expected = (model.design(windows).reshape(-1, model.size) @ model.expansion).reshape(len(windows), 2, -1)
     np.testing.assert_allclose(model.design(windows, model.summed), expected, rtol=0, atol=1e-13)
-    rows, columns = model.met(windows)
+    rows, columns = model.nonzero_columns(windows)
     np.testing.assert_allclose(rows, expected[:, :, columns], rtol=0, atol=1e-13)
     assert np.all(np.diff(columns) > 0)
     assert not np.delete(expected, columns, axis=2).any()
@@ -210,7 +210,7 @@ def test_groups_of_neighbours_are_all_windows_once(model, samples, monkeypatch, 
     np.testing.assert_array_equal(np.sort(np.concatenate([group.time for group in groups])), windows.time)
     if most == 64:
         in_order = [windows.part(slice(start, start + 64)) for start in range(0, len(windows), 64)]
-        met, before = (np.mean([len(model.met(part)[1]) for part in parts]) for parts in (groups, in_order))
+        met, before = (np.mean([len(model.nonzero_columns(part)[1]) for part in parts]) for parts in (groups, in_order))
         assert met < before
 
 

@@ -33,7 +33,7 @@ def test_a_log_larger_than_memory_is_refused(write, tmp_path, monkeypatch):
     path = write(tmp_path / "log.csv", {"t": 1e-4 * np.arange(N), **phases, "theta": theta, "omega": 0 * theta + 200.0})
     need = N * BYTES_PER_SAMPLE
     monkeypatch.setattr(memory, "available_memory", lambda: round(0.8 * need))
-    with pytest.raises(ConfigurationError, match=r"log.csv is read as a whole, which takes about 0.07\d* GB"):
+    with pytest.raises(ConfigurationError, match=r"log.csv must be read as a whole, which takes about 0.07\d* GB"):
         read(path, ", equally_spaced: true")
     assert read(path, "") == N
     monkeypatch.setattr(memory, "available_memory", lambda: round(1.5 * need))

@@ -189,7 +189,7 @@ def test_an_angle_of_another_rate_and_a_speed_of_a_third(tmp_path, truth):
         )
         np.testing.assert_allclose(found.speed, 200.0, rtol=1e-6)
         assert len(found) == N
-        assert any("was interpolated with an error of about" in text for text in recording.warnings)
+        assert any("was interpolated; its error, about" in text for text in recording.warnings)
         assert 0 < found.angle_error < 1e-6
 
 

@@ -239,7 +239,7 @@ def test_strangers_recordings(tmp_path):
     sqlite = write_foreign(
         tmp_path / "s", store, {"/chatter": ("std_msgs/msg/String", messages[:3])}, storage=StoragePlugin.SQLITE3
     )
-    with pytest.raises(NotABagError, match="is no MCAP file"):
+    with pytest.raises(NotABagError, match="is not an MCAP file"):
         recover_bag(sqlite)
 
 

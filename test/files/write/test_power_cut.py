@@ -133,9 +133,9 @@ def test_a_file_whose_beginning_is_lost_is_left_out(tmp_path):
     recovery = recover_bag(tmp_path / "bag", tmp_path / "a")
     assert sum(recovery.topics.values()) == 20
     (said,) = recovery.damage
-    assert said == f"{tmp_path / 'bag' / 'bag_1.mcap'}: its beginning never reached the disk; it is left out."
+    assert said == f"{tmp_path / 'bag' / 'bag_1.mcap'}: its start was never written to disk; the file is left out."
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(bytes(5000))
-    with pytest.raises(EmptyTopicError, match=r"bag_0\.mcap: its beginning"):
+    with pytest.raises(EmptyTopicError, match=r"bag_0\.mcap: its start"):
         recover_bag(tmp_path / "bag", tmp_path / "b")
 
 

@@ -71,10 +71,12 @@ def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     from node_kills import kills as run  # noqa: PLC0415
 
     result = run(options.rounds, options.seed, folder / "kills")
-    _row("rounds", "actions", "recordings", "messages", "longest loss", "findings", head=True)
+    _row("rounds", "actions", "recordings", "messages", "longest loss", "in flight", "findings", head=True)
     actions = ", ".join(f"{count} × {action}" for action, count in result.actions.most_common())
     found = str(len(result.findings))
-    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), f"{result.longest:.2f} s", found)
+    in_flight = f"{result.runs_cut} times, at most {result.most_cut}"
+    longest = f"{result.longest:.2f} s"
+    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), longest, in_flight, found)
     yield from result.findings
 
 

@@ -41,14 +41,18 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
     run = soaking.in_process if options.in_process else soaking.over_dds
     result = run(options.hours, options.minutes, folder / "soak", options.method)
-    _row("stream", "in", "samples", "lost", "live fits answered", *result.memory, head=True)
+    _row("stream", "in", "samples", "lost", "live fits answered", "slowest", "read live", *result.memory, head=True)
     memory = [
         f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
         for name, values in result.memory.items()
     ]
     hours, minutes = f"{result.hours:.2f} h", f"{result.wall / 60:.1f} min"
-    answered = f"{result.replies} of {result.asked}"
-    _row(hours, minutes, str(result.published), str(result.published - result.written), answered, *memory)
+    answered = (
+        f"{result.replies} of {result.asked}",
+        f"{result.slowest:.1f} s",
+        f"{len(soaking.TYPES) * result.read / result.published:.0%}",
+    )
+    _row(hours, minutes, str(result.published), str(result.published - result.written), *answered, *memory)
     yield from result.findings
 
 

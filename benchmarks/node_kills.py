@@ -37,7 +37,7 @@ ALLOWANCE = 1.0
 LEAD = 0.3
 """Default of ``lead_time``, s."""
 I_MAX = 100.0
-_IN_FLIGHT = 20
+_IN_FLIGHT = 5
 """Most messages at the end of a killed node's run that one listener may have got and another not."""
 _REST = 0.02 * I_MAX
 """Current of a drive at rest, A: noise."""

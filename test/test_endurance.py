@@ -148,6 +148,6 @@ def test_only_the_end_of_a_killed_node_may_be_missing():
 
     assert _cut([True] * 50) == 0
     assert _cut([True] * 40 + [False] * 3) == 3
-    assert _cut([True] * 40 + [False] * 21) == 0  # too many
+    assert _cut([True] * 40 + [False] * 6) == 0  # too many
     assert _cut([True] * 40 + [False] * 3 + [True]) == 0  # a hole
     assert _cut([True, False, True, False]) == 1

@@ -41,14 +41,18 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
     run = soaking.in_process if options.in_process else soaking.over_dds
     result = run(options.hours, options.minutes, folder / "soak", options.method)
-    _row("stream", "duration", "samples", "lost", "live fits answered", *result.memory, head=True)
+    _row("stream", "duration", "samples", "lost", "live fits answered", "slowest", "read live", *result.memory, head=True)
     memory = [
         f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
         for name, values in result.memory.items()
     ]
     hours, minutes = f"{result.hours:.2f} h", f"{result.wall / 60:.1f} min"
-    answered = f"{result.replies} of {result.asked}"
-    _row(hours, minutes, str(result.published), str(result.published - result.written), answered, *memory)
+    answered = (
+        f"{result.replies} of {result.asked}",
+        f"{result.slowest:.1f} s",
+        f"{len(soaking.TYPES) * result.read / result.published:.0%}",
+    )
+    _row(hours, minutes, str(result.published), str(result.published - result.written), *answered, *memory)
     yield from result.findings
 
 
@@ -71,10 +75,12 @@ def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     from node_kills import kills as run  # noqa: PLC0415
 
     result = run(options.rounds, options.seed, folder / "kills")
-    _row("rounds", "actions", "recordings", "messages", "longest loss", "findings", head=True)
+    _row("rounds", "actions", "recordings", "messages", "longest loss", "in flight", "findings", head=True)
     actions = ", ".join(f"{count} × {action}" for action, count in result.actions.most_common())
     found = str(len(result.findings))
-    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), f"{result.longest:.2f} s", found)
+    in_flight = f"{result.runs_cut} times, at most {result.most_cut}"
+    longest = f"{result.longest:.2f} s"
+    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), longest, in_flight, found)
     yield from result.findings
 
 

@@ -37,8 +37,8 @@ ALLOWANCE = 1.0
 LEAD = 0.3
 """Default of ``lead_time``, s."""
 I_MAX = 100.0
-_IN_FLIGHT = 20
-"""Last messages of a killed node, which may not have reached every subscriber."""
+_IN_FLIGHT = 5
+"""Most messages at the end of a killed node's run that one listener may have got and another not."""
 _REST = 0.02 * I_MAX
 """Current of a drive at rest, A: noise."""
 
@@ -62,6 +62,10 @@ class Killed:
     recordings: int = 0
     messages: int = 0
     longest: float = 0.0
+    runs_cut: int = 0
+    """Ends of a killed node's messages that the recorder did not get, ..."""
+    most_cut: int = 0
+    """... and the most messages of one of them."""
     findings: list[str] = field(default_factory=list)
 
 
@@ -81,6 +85,7 @@ class Rounds:
         self._received: dict[str, list[tuple[float, bytes]]] = {name: [] for name in TOPICS}
         self._recording: Recorded | None = None
         self._ended: list[Recorded] = []
+        self._killed: list[tuple[str, float]] = []
         self._quiet_from = 0.0  # until the next start of an experiment, no reference may differ from zero
         for name, kind in TOPICS.items():
             graph.node.create_subscription(kind, name, self._listener(name), STREAM, raw=True)
@@ -126,6 +131,7 @@ class Rounds:
         self.result.rounds += 1
         for messages in self._received.values():
             messages.clear()
+        self._killed.clear()
 
     def _begin(self) -> None:
         """Start recording and trajectory, in any order."""
@@ -157,6 +163,8 @@ class Rounds:
 
     def _end(self, name: str, number: int) -> None:
         moment = time.monotonic()
+        if number == signal.SIGKILL:
+            self._killed.append((name, moment))
         trouble = self._nodes.pop(name).end(number)
         self.graph.forget(name)
         if trouble:
@@ -247,14 +255,35 @@ class Rounds:
         lost = 0.0
         for topic, heard in self._received.items():
             during = [(when, data) for when, data in heard if recording.begin < when < recording.end]
-            runs = _runs(during)
-            for run in [*(run[:-_IN_FLIGHT] for run in runs[:-1]), runs[-1]]:
-                there = [k for k, (_, data) in enumerate(run) if (topic, data) in found]
-                missing = [when for when, data in run[there[0] if there else len(run) :] if (topic, data) not in found]
+            for run in _runs(during):
+                there = [(topic, data) in found for _, data in run]
+                flushed = recording.stopped or (run and run[-1][0] < recording.end - FLUSH - ALLOWANCE)
+                cut = _cut(there) if flushed and self._was_killed(topic, run) else 0
+                if cut:
+                    self.result.runs_cut += 1
+                    self.result.most_cut = max(self.result.most_cut, cut)
+                begin = there.index(True) if True in there else len(run)
+                missing = [run[k][0] for k in range(begin, len(run) - cut) if not there[k]]
                 lost = max(lost, recording.end - min(missing, default=recording.end))
         self.result.longest = max(self.result.longest, lost)
         if lost > (0.0 if recording.stopped else FLUSH) + ALLOWANCE:
             self.result.findings.append(f"{title}: messages received up to {lost:.2f} s before its end are missing")
+
+    def _was_killed(self, topic: str, run: list[tuple[float, bytes]]) -> bool:
+        """Return whether the node whose messages these are was killed at their end."""
+        node = "trajectory_publisher" if topic == "/current_reference" else "bench_simulator"
+        return bool(run) and any(name == node and abs(moment - run[-1][0]) < ALLOWANCE for name, moment in self._killed)
+
+
+def _cut(there: list[bool]) -> int:
+    """Return how many messages, up to the limit, are not there at the end of a run, all that follow the last one there.
+
+    What a reliable writer has given to one listener and not yet to another is lost when its process is killed, and a
+    listener gets nothing behind a message that it lacks: a message that is missing before one that is there was lost
+    otherwise.
+    """
+    missing = next((k for k, each in enumerate(reversed(there)) if each), len(there))
+    return missing if missing <= _IN_FLIGHT else 0
 
 
 def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:

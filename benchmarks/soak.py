@@ -43,6 +43,8 @@ BLOCK = 1000
 FILE = 32.0
 """File size at which the recording continues in a new file, MB."""
 I_MAX = 320.0
+_SWITCH_INTERVAL = 5e-4
+"""Of the interpreter, as in the node, s: with the usual 5 ms, threads wait for each other most of the time."""
 _LOOK = 2.0
 """Time between two checks of memory and files, s."""
 _LATE = 1.2
@@ -62,6 +64,10 @@ class Soak:
     lost: int = 0
     replies: int = 0
     asked: int = 0
+    slowest: float = 0.0
+    """Longest time until a reply, s."""
+    read: int = 0
+    """Samples of a topic in the last live fit, after the stream."""
     times: list[float] = field(default_factory=list)
     memory: dict[str, list[float]] = field(default_factory=dict)
     findings: list[str] = field(default_factory=list)
@@ -184,11 +190,7 @@ def over_dds(hours: float, minutes: float, folder: Path, method: str) -> Soak:
                 soak.look(streamed, recorder=recorder.memory, identification=node.memory)
             if now - asked > 30.0:
                 asked = now
-                soak.asked += 1
-                reply = graph.call(Identify, "/identification/identify", bags=[], method="")
-                soak.replies += reply is not None and reply.success
-                if reply is None or not reply.success:
-                    soak.findings.append(f"identify: {'no answer' if reply is None else reply.message}")
+                _identify(graph, soak)
         soak.wall = time.monotonic() - begin
         if "published" not in publisher.text:
             raise SystemExit("\n".join(each.text[-2000:] for each in (publisher, recorder, node)))
@@ -198,8 +200,22 @@ def over_dds(hours: float, minutes: float, folder: Path, method: str) -> Soak:
         files.read(all_of_them=True)
         soak.published = int(publisher.text.split()[-1])
         soak.lost = reply.dropped
+        soak.read = _identify(graph, soak)
         soak.findings += graph.troubles()
     return _judged(soak, files)
+
+
+def _identify(graph: Graph, soak: Soak) -> int:
+    """Ask for a fit of the live samples, and return how many they are."""
+    begin = time.monotonic()
+    reply = graph.call(Identify, "/identification/identify", bags=[], method="")
+    soak.asked += 1
+    soak.slowest = max(soak.slowest, time.monotonic() - begin)
+    if reply is None or not reply.success:
+        soak.findings.append(f"identify: {'no answer' if reply is None else reply.message}")
+        return 0
+    soak.replies += 1
+    return int(reply.report.samples_read)
 
 
 def _go_on(publisher: NodeProcess) -> None:
@@ -214,6 +230,7 @@ def _go_on(publisher: NodeProcess) -> None:
 def in_process(hours: float, minutes: float, folder: Path, method: str) -> Soak:
     """Stream through the classes of recorder and identification, not faster than asked for; see :func:`over_dds`."""
     soak, factor = Soak(), 60 * hours / minutes
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     next(stream(folder))
     topics = [RecordedTopic(name, kind) for name, kind in TYPES.items()]
     session = RecordingSession(folder / "soak", topics, RecordingSettings(max_file_size=FILE))
@@ -248,6 +265,8 @@ def in_process(hours: float, minutes: float, folder: Path, method: str) -> Soak:
     session.stop()
     files.read(all_of_them=True)
     soak.lost = session.report().dropped
+    identifier.live.advance()
+    soak.read = identifier.live.join.samples
     return _judged(soak, files)
 
 

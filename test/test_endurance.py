@@ -140,3 +140,14 @@ def test_what_was_heard_is_divided_where_its_node_was_started_again():
 
     runs = _runs(heard(50, 60, 70, 0, 10, 5))
     assert [[when for when, _ in run] for run in runs] == [[0.0, 1.0, 2.0], [3.0, 4.0], [5.0]]
+
+
+def test_only_the_end_of_a_killed_node_may_be_missing():
+    require_ros()
+    from node_kills import _cut
+
+    assert _cut([True] * 50) == 0
+    assert _cut([True] * 40 + [False] * 3) == 3
+    assert _cut([True] * 40 + [False] * 6) == 0  # too many
+    assert _cut([True] * 40 + [False] * 3 + [True]) == 0  # a hole
+    assert _cut([True, False, True, False]) == 1

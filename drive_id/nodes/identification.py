@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import Identifier, Job, Reply, again
+from drive_id.live.identification.inbox import Inbox
 from drive_id.live.identification.refits import Refit
 from drive_id.live.identification.requests import Request, Requests
 from drive_id.live.identification.warm_up import warm_up
@@ -66,6 +67,7 @@ class Identification(Node):
         scalar_topics = {name: self.resolve_topic_name(name) for name in SCALARS}
         self._identifier = Identifier(settings, fit, topics, scalar_topics, self.get_fully_qualified_name())
         self._frame_id = settings.frame_id
+        self._inbox = Inbox(partial(in_executor, self))
         self._requests = Requests(settings.time_limit, partial(in_executor, self))
         self._refitter: Worker[Refit | None] = Worker()
         self._life = 0  # of the live samples; a fit of forgotten ones is of no use
@@ -76,13 +78,12 @@ class Identification(Node):
         on_change(self, FitSettings, self._check_settings, self._on_settings)
         self._foreign = self._foreign_topics(settings.signals) if settings.signals else None
         self._topics = [
-            MatchedSubscription(self, kind, name, partial(self._identifier.receive, section), raw=True)
+            self._subscription(kind, name, partial(self._identifier.receive, section))
             for section, (name, kind) in enumerate(TOPICS.items())
             if self._foreign is None
         ]
         self._scalar_topics = [
-            MatchedSubscription(self, ScalarSamples, name, partial(self._identifier.receive_scalar, name), raw=True)
-            for name in SCALARS
+            self._subscription(ScalarSamples, name, partial(self._identifier.receive_scalar, name)) for name in SCALARS
         ]
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -108,6 +109,9 @@ class Identification(Node):
         self._requests.stop(_PATIENCE)
         self._refitter.stop(_PATIENCE)
 
+    def _subscription(self, kind: type, name: str, handle: Callable[[bytes], None]) -> MatchedSubscription:
+        return MatchedSubscription(self, kind, name, partial(self._inbox.take, handle), raw=True)
+
     def _match_topics(self) -> None:
         for topic in (*self._topics, *self._scalar_topics):
             topic.match()
@@ -127,6 +131,7 @@ class Identification(Node):
         return ForeignTopics(self, translator, _FOREIGN_DEPTH)
 
     def _look_after_requests(self) -> None:
+        self._inbox.look()
         self._requests.look()
         self._action.look()
         self._refit()
@@ -151,6 +156,7 @@ class Identification(Node):
         method_named(settings.method)  # refuses a method that live samples cannot serve
 
     def _on_settings(self, settings: FitSettings) -> None:
+        self._inbox.empty()
         if self._identifier.configure(settings):
             self._life += 1
             self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
@@ -163,12 +169,17 @@ class Identification(Node):
 
     def _job(self, bags: Sequence[str], method: str) -> Job:
         """Return the job of a request whose turn has come."""
+        dropped = ""
+        if not bags:
+            self._inbox.empty()
+            dropped = self._inbox.warning
         job, life = self._identifier.job(bags, method), self._life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:
             reply = job(tell)
-            return reply if life == self._life else replace(reply, refit=None)
+            warnings = (*reply.warnings, dropped) if dropped else reply.warnings
+            return replace(reply, warnings=warnings, refit=reply.refit if life == self._life else None)
 
         return run
 
@@ -209,6 +220,7 @@ class Identification(Node):
             self.get_logger().info(reply.message)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._inbox.reset()
         self._identifier.reset()
         self._life += 1
         response.success, response.message = True, "The live samples were discarded."
@@ -216,7 +228,8 @@ class Identification(Node):
 
     def _health(self) -> Health:
         publishers = [topic.publishers for topic in self._topics] or [[] for _ in TOPICS]
-        findings = [*self._requests.findings(), *(self._foreign.findings() if self._foreign is not None else [])]
+        findings = [*self._inbox.findings(), *self._requests.findings()]
+        findings += self._foreign.findings() if self._foreign is not None else []
         return self._identifier.health(self._requests.doing, publishers, findings)
 
 

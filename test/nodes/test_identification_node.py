@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import struct
 import time
 from dataclasses import asdict, replace
@@ -174,6 +175,17 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     assert stamp.sec * 10**9 + stamp.nanosec == last
     assert live.output != recorded.output
     assert Path(live.output).parent == ros.folder / "results"
+
+
+def test_a_node_that_was_held_up_takes_all_that_came_meanwhile(ros, node, player, bag):
+    node.popen.send_signal(signal.SIGSTOP)
+    time.sleep(0.5)
+    player.play(messages_of(bag))
+    node.popen.send_signal(signal.SIGCONT)
+    reply = identify_all(ros, 20_000)
+    assert reply.success, reply.message
+    assert reply.report.samples_read == 20_000
+    assert not [warning for warning in reply.report.warnings if "dropped" in warning]
 
 
 def test_the_method_of_a_request(ros, player, bag):

@@ -17,7 +17,7 @@ from drive_id.core.full.solver import with_products
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
-from drive_id.core.numerics.threads import in_threads, one_blas_thread
+from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
 from drive_id.types import BoolArray, FloatArray, Samples
 
 FOLDS = 5
@@ -87,7 +87,7 @@ class WindowSums:
         for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
         if prompt:
-            self._form_products()
+            self._form_products(threads=1)  # there are few: waiting for other threads takes longer on a busy computer
 
     def finished(self) -> WindowSums:
         """Return a copy that includes the samples not yet in a window; the original can still be extended."""
@@ -360,7 +360,7 @@ class WindowSums:
         if len(self._due) >= _DUE:
             self._form_products()
 
-    def _form_products(self) -> None:
+    def _form_products(self, threads: int = MOST_THREADS) -> None:
         """Add the products of the segments that are due to their folds."""
         by_fold: dict[int, list[Windows]] = {}
         for number, windows in self._due:
@@ -378,7 +378,7 @@ class WindowSums:
                     self._squares[number] += model.map_squares(few)
 
         with one_blas_thread(with_scipy=False):
-            in_threads(add, sorted(by_fold))
+            in_threads(add, sorted(by_fold), threads)
 
     def _reduce(self) -> None:
         """Sum over the columns of reciprocal maps from now on."""

@@ -15,7 +15,7 @@ from threadpoolctl import ThreadpoolController
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_MOST = 4
+MOST_THREADS = 4
 
 
 class _Background(threading.local):
@@ -50,8 +50,8 @@ def _checked(check: Callable[[], None], *, alone: bool) -> Iterator[None]:
         _background.check, _background.alone = before
 
 
-def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return ``work(item)`` of each item in order, computed in up to four threads.
+def in_threads(work: Callable[[Item], Result], items: Sequence[Item], most: int = MOST_THREADS) -> list[Result]:
+    """Return ``work(item)`` of each item in order, computed in up to ``most`` threads.
 
     See :func:`in_background` and :func:`interruptible`.
     """
@@ -62,7 +62,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
             check()
         return work(item)
 
-    threads = 1 if _background.alone else min(_MOST, os.cpu_count() or 1, len(items))
+    threads = 1 if _background.alone else min(most, os.cpu_count() or 1, len(items))
     if threads < 2:
         return [checked(item) for item in items]
     with ThreadPoolExecutor(threads, "fit") as pool:

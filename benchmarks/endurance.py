@@ -41,7 +41,9 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
     run = soaking.in_process if options.in_process else soaking.over_dds
     result = run(options.hours, options.minutes, folder / "soak", options.method)
-    _row("stream", "duration", "samples", "lost", "live fits answered", "slowest", "read live", *result.memory, head=True)
+    _row(
+        "stream", "duration", "samples", "lost", "live fits answered", "slowest", "read live", *result.memory, head=True
+    )
     memory = [
         f"{min(values):.0f} to {max(values):.0f} MB, growth {result.growth(name):+.0f} MB"
         for name, values in result.memory.items()

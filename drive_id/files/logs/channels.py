@@ -85,9 +85,7 @@ class TdmsLog:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
         from nptdms.log import log_manager  # noqa: PLC0415
 
-        log_manager.set_level(
-            logging.CRITICAL
-        )  # no warnings of truncated files: the reader reports missing data itself
+        log_manager.set_level(logging.CRITICAL)  # the reader itself reports missing data of truncated files
 
         self.path = path
         self._stream = path.open("rb")

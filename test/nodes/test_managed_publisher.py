@@ -182,6 +182,7 @@ def test_a_subscription_of_another_type_is_named():
     other, right = "x/msg/Other", "x/msg/Right"
     publishers = [info("/ns", "z", other), info("/ns", "own", right)]
     subscriptions = [info("/", "a", other), info("/b", "c", other), info("/", "d", right)]
+    subscriptions.append(info("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_", other))
     graph = SimpleNamespace(
         resolve_topic_name=lambda name: f"/ns/{name}",
         get_fully_qualified_name=lambda: "/ns/own",

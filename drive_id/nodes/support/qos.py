@@ -38,6 +38,10 @@ LATCHED = QoSProfile(
 """The flux map: late subscribers get the last one."""
 
 
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Name that the middleware gives to the node of an endpoint before it knows better."""
+
+
 def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
     """Return a sentence for each subscription whose type or QoS does not match the node's own publisher of a topic.
 
@@ -56,6 +60,8 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
     kind, offered = own[0].topic_type, own[0].qos_profile  # from the graph: STREAM has 0 for infinite durations
     sentences = []
     for info in node.get_subscriptions_info_by_topic(name):
+        if info.node_name == _UNKNOWN:
+            continue  # its node's name has not arrived yet
         compatibility, reason = qos_check_compatible(offered, info.qos_profile)
         if info.topic_type != kind:
             why = f"it expects {info.topic_type} instead of {kind}."

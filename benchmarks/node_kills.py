@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_id_msgs import msg
 from drive_id_msgs.srv import Identify, StartRecording, StopRecording
-from node_processes import Graph, NodeProcess
+from node_processes import TOPICS, Graph, NodeProcess
 from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
@@ -24,12 +23,6 @@ from drive_id.files.write.recover import recover_bag
 from drive_id.nodes.support.qos import STREAM
 
 NODES = ("bench_simulator", "trajectory_publisher", "recorder", "identification")
-TOPICS = {
-    "/phase_currents": msg.PhaseCurrents,
-    "/phase_voltages": msg.PhaseVoltages,
-    "/resolver": msg.Resolver,
-    "/current_reference": msg.CurrentReference,
-}
 FLUSH = 1.0
 """Default of ``flush_period``, s."""
 ALLOWANCE = 1.0

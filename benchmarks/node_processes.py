@@ -18,6 +18,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 from diagnostic_msgs.msg import DiagnosticArray
+from drive_id_msgs import msg
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -30,6 +31,13 @@ if TYPE_CHECKING:
 PATIENCE = 90.0
 """Longest wait for anything, s: the machine may be busy."""
 
+TOPICS = {
+    "/phase_currents": msg.PhaseCurrents,
+    "/phase_voltages": msg.PhaseVoltages,
+    "/resolver": msg.Resolver,
+    "/current_reference": msg.CurrentReference,
+}
+"""Topics of the drive with their types."""
 _DISCOVERY = 2.0
 """Time in which nodes of the same domain are discovered, s."""
 

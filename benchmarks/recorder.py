@@ -27,9 +27,9 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 import rclpy
-from drive_id_msgs import msg
 from drive_id_msgs.srv import StartRecording, StopRecording
 from mcap.reader import make_reader
+from node_processes import TOPICS, resident
 from rich.console import Console
 from rich.table import Table
 from rosbags.rosbag2 import Reader
@@ -47,12 +47,6 @@ from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 from drive_id.nodes.support.qos import STREAM
 
-TOPICS = {
-    "/phase_currents": msg.PhaseCurrents,
-    "/phase_voltages": msg.PhaseVoltages,
-    "/resolver": msg.Resolver,
-    "/current_reference": msg.CurrentReference,
-}
 START = 1_700_000_000_000_000_000
 PATIENCE = 60.0
 console = Console(width=130)
@@ -177,8 +171,7 @@ class Bench:
 
     def memory(self) -> float:
         """Return what the recorder holds in memory, MB."""
-        pages = int(Path(f"/proc/{self.recorder.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+        return resident(self.recorder.pid)
 
     def close(self) -> None:
         """End both processes."""

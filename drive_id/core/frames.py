@@ -25,9 +25,9 @@ _SERIES_BELOW = 0.1
 
 
 def space_vector(x_abc: FloatArray) -> ComplexArray:
-    """Return the stator-frame space vector (N,) of phase quantities (N, 3); the zero sequence cancels."""
-    a, b, c = np.asarray(x_abc).T
-    x_s = np.empty(len(a), np.complex128)
+    """Return the stator-frame space vector (...) of phase quantities (..., 3); the zero sequence cancels."""
+    a, b, c = np.moveaxis(np.asarray(x_abc), -1, 0)
+    x_s = np.empty(a.shape, np.complex128)
     x_s.real = (2 * a - b - c) / 3
     x_s.imag = (b - c) / np.sqrt(3)
     return x_s

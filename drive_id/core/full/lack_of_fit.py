@@ -91,9 +91,8 @@ class GroupSums:
     """
 
     def __init__(self, unknowns: int) -> None:
-        self._scores = [np.zeros((count, unknowns)) for count in (_CELLS**2, _POSITIONS)]
-        self._facts = [np.zeros((count, 5)) for count in (_CELLS**2, _POSITIONS)]
-        self._fluxes = np.zeros((_CELLS**2, 5))
+        self._by_cell = [np.zeros((_CELLS**2, width)) for width in (unknowns, 5, 5)]  # scores, facts, flux facts
+        self._by_position = [np.zeros((_POSITIONS, width)) for width in (unknowns, 5)]  # scores, facts
 
     def add(self, windows: Windows, rows: FloatArray, expected: FloatArray, i_max: float) -> None:
         """Add windows.
@@ -112,23 +111,15 @@ class GroupSums:
         turned = (error[:, 0] + 1j * error[:, 1]) * np.exp(-1j * windows.angle.mean(axis=1))
         scores = np.einsum("nak,na->nk", rows[..., :-1], error)
         facts = np.stack([np.ones(len(windows)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-        groups = _groups(windows, i_max)
-        by_cell, by_position = ([*pair] for pair in zip(self._scores, self._facts, strict=True))
-        by_cell.append(self._fluxes)
-        values = [scores, facts, _flux_facts(windows, turned)]
-        for group, totals in zip(groups, (by_cell, by_position), strict=True):
-            chosen = (np.ones(len(group)), (group, np.arange(len(group))))
-            sums = sparse.csr_array(chosen, shape=(len(totals[0]), len(group)))
-            for total, value in zip(totals, values, strict=False):  # fluxes by cell only
-                total[...] += sums @ value
+        cell, position = _groups(windows, i_max)
+        _add_by(cell, self._by_cell, (scores, facts, _flux_facts(windows, turned)))
+        _add_by(position, self._by_position, (scores, facts))
 
     def merge(self, other: GroupSums) -> None:
         """Add the sums over other windows."""
-        for own, theirs in zip(self._all(), other._all(), strict=True):
-            own[...] += theirs
-
-    def _all(self) -> list[FloatArray]:
-        return [*self._scores, *self._facts, self._fluxes]
+        theirs = (*other._by_cell, *other._by_position)
+        for own, more in zip((*self._by_cell, *self._by_position), theirs, strict=True):
+            own[...] += more
 
     def lack_of_fit(self, model: FullModel, solution: FullSolution, share: float) -> LackOfFit:
         """Compare the residuals with noise, by region of the current plane and by rotor position.
@@ -140,7 +131,7 @@ class GroupSums:
         share : float
             Number of all windows over that of the windows added.
         """
-        (by_cell, by_position), (cells, positions) = self._scores, self._facts
+        (by_cell, cells, fluxes), (by_position, positions) = self._by_cell, self._by_position
         squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
         enough = cells[:, 0] > _FEWEST
         worst = int(np.argmax(np.where(enough, squares, 0.0)))
@@ -158,7 +149,7 @@ class GroupSums:
             low=_rms_ratio(cells[inner]),
             by_current=ratios[0],
             by_position=ratios[1],
-            missed=missed_flux(self._fluxes),
+            missed=missed_flux(fluxes),
             changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
         )
 
@@ -211,6 +202,14 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
             found.append((saved, float(nominal)))
     saved, frequency = max(found)
     return frequency, saved / max(float(np.sum(np.abs(error) ** 2)), _TINY)
+
+
+def _add_by(group: IntArray, totals: Sequence[FloatArray], values: Sequence[FloatArray]) -> None:
+    """Add the rows of values (N, ...) to the totals (G, ...) of their groups (N,)."""
+    chosen = (np.ones(len(group)), (group, np.arange(len(group))))
+    sums = sparse.csr_array(chosen, shape=(len(totals[0]), len(group)))
+    for total, value in zip(totals, values, strict=True):
+        total[...] += sums @ value
 
 
 def _flux_facts(windows: Windows, turned: ComplexArray) -> FloatArray:

@@ -437,9 +437,8 @@ class WindowCutter:
         places = np.arange(0, len(angle), grain)
         earlier = np.maximum(places - 1, 0)
         before = i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
-        now, then = (shapes.integrals(_phases(x), self._period * grain) for x in (i_s[places], before))
-        a, b, c = np.moveaxis((now[end] - now[begin]) - (then[end] - then[begin]), -1, 0)
-        return np.asarray((2 * a - b - c) / 3 + 1j / np.sqrt(3) * (b - c))
+        now, then = (shapes.integrals(frames.phases(x), self._period * grain) for x in (i_s[places], before))
+        return frames.space_vector((now[end] - now[begin]) - (then[end] - then[begin]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -576,12 +575,6 @@ def _integrate(
 def _complex(pairs: FloatArray) -> ComplexArray:
     """Return real and imaginary parts (..., 2) as complex numbers (...), without a copy."""
     return pairs.view(np.complex128)[..., 0]
-
-
-def _phases(x_s: ComplexArray) -> FloatArray:
-    """Return the phase quantities (N, 3) of space vectors (N,)."""
-    x, y = -0.5 * x_s.real, 0.5 * np.sqrt(3) * x_s.imag
-    return np.stack([x_s.real, x + y, x - y], axis=1)
 
 
 def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:

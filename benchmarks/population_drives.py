@@ -23,7 +23,10 @@ Spoil = Callable[[Samples], Samples]
 
 _SHARES = (0.5, 0.8, 0.93)
 """Cumulative shares of drives with no effect, one and two; the others have three."""
-_MOST_SAMPLES = 200_000
+_MOST_SAMPLES, _SHORTEST = 200_000, 5.0
+"""Samples of all recordings, and seconds of each."""
+_WIDE = 0.1
+"""Width of an inverter curve, in the largest current, above which docs/limits.md takes it for resistance."""
 _FASTEST, _SLOWEST = 0.09, 3.0
 """Electrical frequency: at most, of the sampling rate; at least, Hz."""
 _HEADROOM = 0.85
@@ -185,6 +188,7 @@ class Drive:
         shape = self.machine.shape
         more = {"machine"} if isinstance(shape, Measured) and not shape.reciprocal else set()
         more |= {"angle"} if self.family == "asymmetric" else set()
+        more |= {"inverter"} if (self.settings[0].inverter_current or 0.0) > _WIDE * self.i_max else set()
         return more | {EFFECTS[name].cause for name in self.effects}
 
     @property
@@ -205,7 +209,9 @@ class Drive:
             "sample_rate": 1 / first.sample_period, "noise": first.current_noise, "inverter": first.inverter,
             "inverter_width": (first.inverter_current or 0.0) / self.machine.i_max,
             "inverter_height": (first.inverter_voltage or 0.0) / self.machine.u_dc,
-            "sharpness": core.sharpness, "bridge": list(core.bridge) if core.bridge[0] else None,
+            "angle_noise": first.resolver_noise, "angle_step": first.resolver_quantization,
+            "speed_ripple": first.speed_ripple, "compensated": first.inverter_compensation,
+            "excitation": self.i_max / self.machine.i_max, "sharpness": core.sharpness, "bridge": list(core.bridge) if core.bridge[0] else None,
             "reciprocal": not isinstance(shape, Measured) or shape.reciprocal,
             "nodes": shape.nodes if isinstance(shape, Measured) else None,
             "orders": [h.order for h in core.harmonics] if isinstance(shape, CoEnergy) else [6],
@@ -236,7 +242,8 @@ def drive(seed: int, number: int) -> Drive:
     low = max(_SLOWEST * 60 / pole_pairs, 100.0)
     speed = float(rng.choice([-1, 1]) * np.exp(rng.uniform(np.log(min(low, 0.9 * top)), np.log(top))))
     speeds = (speed,) if rng.random() < 0.7 else (speed, -speed * rng.uniform(0.4, 1.0))
-    seconds = min(float(rng.choice([5.0, 10.0, 20.0], p=(0.25, 0.6, 0.15))), _MOST_SAMPLES * period) / len(speeds)
+    seconds = min(float(rng.choice([5.0, 10.0, 20.0], p=(0.25, 0.6, 0.15))), _MOST_SAMPLES * period)
+    seconds = max(seconds / len(speeds), _SHORTEST)
     chosen = _effects(rng, len(speeds))
     part = rng.uniform(0.15, 0.8) if "hexagon" not in chosen else 1.25
     swing = 2 * np.pi * (abs(speed) / 60 * pole_pairs + 4.0)
@@ -271,7 +278,7 @@ def _ordinary(rng: Random, machine: Machine, period: float) -> SimulationSetting
         inverter_current=machine.i_max * float(np.exp(rng.uniform(np.log(3e-3), np.log(0.08)))),
         inverter_compensation=bool(rng.random() < 0.1),
         current_noise=float(np.exp(rng.uniform(np.log(2e-4), np.log(3e-3)))),
-        resolver_noise=float(rng.choice([0.0, 3e-4])),
+        resolver_noise=float(rng.choice([0.0, 3e-4], p=(0.7, 0.3))),
         speed_ripple=float(rng.choice([0.0, 0.02], p=(0.7, 0.3))),
         resolver_quantization=float(rng.choice([0.0, 2 * np.pi / 2**14], p=(0.7, 0.3))),
     )

@@ -18,6 +18,9 @@ from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import FloatArray, Samples
 
+_FASTEST_FIELD = (2e-3, 5e-4)
+"""Least electrical time constant L / R, of machines with iron teeth and of slotless ones, s."""
+
 Changes = dict[str, Any]
 Spoil = Callable[[Samples], Samples]
 
@@ -250,7 +253,9 @@ def drive(seed: int, number: int) -> Drive:
     flux_unit = part * _HEADROOM * u_dc / np.sqrt(3) / swing
     power = 1.5 * i_max * u_dc / np.sqrt(3)
     drop = min(0.12 * (power / 100.0) ** -0.3 * rng.uniform(0.5, 2.0), 0.15)
-    machine = Machine(shape, i_max, flux_unit, drop * u_dc / np.sqrt(3) / i_max, pole_pairs, u_dc)
+    slowest = _least_inductance(shape) * flux_unit / i_max / _FASTEST_FIELD[family == "slotless"]
+    resistance = min(drop * u_dc / np.sqrt(3) / i_max, slowest)
+    machine = Machine(shape, i_max, flux_unit, resistance, pole_pairs, u_dc)
     common = _ordinary(rng, machine, period)
     settings = [replace(common, speeds=(each,), seed=2 * number + k) for k, each in enumerate(speeds)]
     for name in chosen:
@@ -258,6 +263,13 @@ def drive(seed: int, number: int) -> Drive:
         affected = settings[1:] if EFFECTS[name].second else settings
         settings[-len(affected) :] = [replace(each, **changes) for each in affected]
     return Drive(seed, number, family, machine, tuple(settings), seconds, chosen)
+
+
+def _least_inductance(shape: CoEnergy | Measured) -> float:
+    """Return the smaller incremental inductance at zero current, per unit."""
+    step = np.array([[-0.05, 0.05, 0.0, 0.0], [0.0, 0.0, -0.05, 0.05]])
+    psi_d, psi_q = shape.flux(*step)
+    return float(min(psi_d[1] - psi_d[0], psi_q[3] - psi_q[2]) / 0.1)
 
 
 def _effects(rng: Random, recordings: int) -> tuple[str, ...]:

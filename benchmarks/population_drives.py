@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import zipfile
 from collections.abc import Callable
@@ -305,7 +306,8 @@ def recordings(drive: Drive, cache: Path | None = None) -> list[Samples]:
 
 
 def _recording(drive: Drive, k: int, cache: Path | None) -> Samples:
-    path = None if cache is None else cache / f"{drive.seed}_{drive.number}_{k}.npz"
+    digest = hashlib.sha256(repr(drive).encode()).hexdigest()[:12]  # another generator, another drive
+    path = None if cache is None else cache / f"{drive.seed}_{drive.number}_{digest}_{k}.npz"
     if path is None or not path.exists():
         samples = _simulated(drive, k)
         arrays = {name: getattr(samples, name) for name in _ARRAYS if getattr(samples, name) is not None}

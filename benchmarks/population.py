@@ -14,7 +14,6 @@ import multiprocessing
 import os
 import re
 import time
-import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import connection
@@ -72,8 +71,8 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
     try:
         settings = drive_id.FitSettings(method=method, pole_pairs=one.machine.pole_pairs)
         found = drive_id.fit(list(samples), settings=settings)
-    except DriveIdError as error:
-        return {"refused": str(error), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
+    except DriveIdError as refusal:
+        return {"refused": str(refusal), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
     row: Row = {"seconds": time.monotonic() - start, "cpu": time.process_time() - cpu, "warnings": [*found.warnings]}
     flux_map = found.flux_map
     grid = flux_map.grid()
@@ -106,16 +105,12 @@ def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None)
     except DriveIdError as error:
         return {**row, "not_simulated": str(error)}
     row["simulation"] = time.monotonic() - start
-    for method in methods:
-        try:
-            row["fits"][method] = fitted(one, samples, method)
-        except Exception:  # noqa: BLE001  # a crash is a finding
-            row["fits"][method] = {"crashed": traceback.format_exc(limit=-3)}
+    row["fits"] = {method: fitted(one, samples, method) for method in methods}
     return row
 
 
 def _serve(pipe: connection.Connection) -> None:
-    """Measure what is asked for, in a process of its own."""
+    """Measure what is asked for, in a process of its own, which a crash ends: that is a finding."""
     while (task := pipe.recv()) is not None:
         pipe.send(measured(*task))
 
@@ -167,7 +162,7 @@ def rows(
     seed: int, numbers: Sequence[int], methods: Sequence[str], cache: Path | None, jobs: int, timeout: float = TIMEOUT
 ) -> Iterator[Row]:
     """Measure drives in processes of their own, and yield the rows in the order in which they are ready."""
-    waiting, idle, busy = list(numbers), [], list[Worker]()
+    waiting, idle, busy = list(numbers), list[Worker](), list[Worker]()
     while waiting or busy:
         while waiting and len(busy) < jobs:
             worker = idle.pop() if idle else Worker.started()
@@ -191,12 +186,11 @@ def judged(row: Row, method: str) -> set[str]:
     ``silent``: flux error above 0.3 % and three standard errors and no warning; ``silent R``: R beyond three standard
     errors and 1 %, and no warning; ``false warning``: an ordinary drive with an error below 0.2 % was warned of;
     ``wrong cause``: the warnings name causes and none of them is the drive's; ``false effect``: something was
-    corrected that the drive has not; ``refused``, ``crashed``, and ``unwarned``: not modelled, and not told.
+    corrected that the drive has not; ``refused`` and ``crashed``.
     """
-    fit = row["fits"].get(method, {"crashed": row.get("lost", "")})
-    for what in ("refused", "crashed"):
-        if what in fit:
-            return {what}
+    fit = row["fits"].get(method)
+    if fit is None or "refused" in fit:
+        return {"refused" if fit else "crashed"}
     causes, warned, out = {*row["causes"]}, bool(fit["warnings"]), set()
     flux = max(fit["psi_d"], fit["psi_q"])
     if row["expected"] != "documented" and not warned:
@@ -241,7 +235,7 @@ def line_of(row: Row) -> str:
                 f"band {fit['band']:.2f} {len(fit['warnings'])}w {fit['seconds']:.1f}s {verdicts}"
             )
         else:
-            cells.append(f"{method} {verdicts}: {fit.get('refused', fit.get('crashed', ''))[-100:]}")
+            cells.append(f"{method} {verdicts}: {fit['refused']}")
     what = row.get("not_simulated") or row.get("lost") or "; ".join(cells)
     return f"{row['number']:4d} {row['family']:10s} {','.join(row['effects']) or '-':30s} {what}"
 
@@ -277,7 +271,8 @@ def main() -> None:
             print(line_of(row), flush=True)
     chosen = [known[number] for number in wanted if number in known]
     verdicts = {(row["number"], method): judged(row, method) for row in chosen for method in methods}
-    lines = [*population_report.page(chosen, methods, verdicts, options.seed)]
+    command = f'make population ARGS="--count {options.count} --seed {options.seed}"'
+    lines = [*population_report.page(chosen, methods, verdicts, command)]
     if options.page:
         options.page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))

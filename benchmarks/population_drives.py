@@ -92,7 +92,7 @@ def _late_from_the_middle(samples: Samples) -> Samples:
     return replace(samples, u_abc=u_abc)
 
 
-def _mismatch(rng: Random, machine: Machine, _: float) -> Changes:
+def _mismatch(rng: Random, *_: object) -> Changes:
     gain = rng.uniform(-0.01, 0.01, 3)
     return {"current_gain": tuple(1 + gain - gain.mean())}
 
@@ -215,7 +215,8 @@ class Drive:
             "inverter_height": (first.inverter_voltage or 0.0) / self.machine.u_dc,
             "angle_noise": first.resolver_noise, "angle_step": first.resolver_quantization,
             "speed_ripple": first.speed_ripple, "compensated": first.inverter_compensation,
-            "excitation": self.i_max / self.machine.i_max, "sharpness": core.sharpness, "bridge": list(core.bridge) if core.bridge[0] else None,
+            "excitation": self.i_max / self.machine.i_max, "sharpness": core.sharpness,
+            "bridge": list(core.bridge) if core.bridge[0] else None,
             "reciprocal": not isinstance(shape, Measured) or shape.reciprocal,
             "nodes": shape.nodes if isinstance(shape, Measured) else None,
             "orders": [h.order for h in core.harmonics] if isinstance(shape, CoEnergy) else [6],

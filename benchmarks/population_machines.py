@@ -201,15 +201,21 @@ class Machine:
         width = self.shape.bridge[1] if isinstance(self.shape, CoEnergy) and self.shape.bridge[0] else 1.0
         half = [int(np.ceil(REACH / spacing)) for spacing in (_SPACING, min(_SPACING, _SPACING_BRIDGE * width))]
         d, q = (REACH * np.linspace(-1.0, 1.0, 2 * n + 1) for n in half)
-        psi = [self.flux_unit * part for part in self.shape.flux(*np.meshgrid(d, q, indexing="ij"))]
-        theta, waves = None, [None, None]
+        psi_d, psi_q = (self.flux_unit * part for part in self.shape.flux(*np.meshgrid(d, q, indexing="ij")))
+        known = {"i_d": self.i_max * d, "i_q": self.i_max * q, "psi_d": psi_d, "psi_q": psi_q}
         if not isinstance(self.shape, CoEnergy) or self.shape.harmonics:
-            theta = np.arange(_ANGLES) * (2 * np.pi / 6 / _ANGLES)
-            waves = [self.flux_unit * part for part in self.shape.flux(d[:, None, None], q[None, :, None], theta)]
+            theta = np.arange(_ANGLES, dtype=np.float64) * (2 * np.pi / 6 / _ANGLES)
+            waves = self.shape.flux(d[:, None, None], q[None, :, None], theta)
+            known |= {"theta": theta}
+            known |= {"psi_d_theta": self.flux_unit * waves[0], "psi_q_theta": self.flux_unit * waves[1]}
         return MachineMap(
-            name, self.i_max * d, self.i_max * q, *psi, self.resistance, self.pole_pairs, self.i_max, self.u_dc, theta,
-            *waves,
-        )  # fmt: skip
+            name,
+            resistance=self.resistance,
+            pole_pairs=self.pole_pairs,
+            i_max=self.i_max,
+            u_dc=self.u_dc,
+            **known,
+        )
 
 
 def random_shape(rng: Random, family: str) -> CoEnergy | Measured:
@@ -262,11 +268,10 @@ def _scaled(shape: CoEnergy) -> CoEnergy:
     """Divide all fluxes by the largest within the disc."""
     turn, radius = np.meshgrid(np.linspace(-np.pi, np.pi, 73), np.linspace(0.05, 1.0, 20))
     largest = float(np.hypot(*shape.flux(radius * np.cos(turn), radius * np.sin(turn))).max())
-    pair = lambda values: (values[0] / largest, values[1] / largest)  # noqa: E731
     return replace(
         shape,
         magnet=(shape.magnet[0] / largest, shape.magnet[1]),
-        linear=pair(shape.linear),
-        main=pair(shape.main),
+        linear=(shape.linear[0] / largest, shape.linear[1] / largest),
+        main=(shape.main[0] / largest, shape.main[1] / largest),
         bridge=(shape.bridge[0] / largest, *shape.bridge[1:]),
     )

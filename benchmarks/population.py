@@ -27,6 +27,7 @@ import population_report
 from population_drives import Drive, drive, recordings, true_flux
 
 import drive_id
+from drive_id.core import frames
 from drive_id.errors import DriveIdError
 from drive_id.types import Samples
 
@@ -35,6 +36,9 @@ Row = dict[str, Any]
 BAND = 1.96
 TIMEOUT = 300.0
 """Seconds that the simulation and all fits of one drive may take."""
+MOST_REACH, _USUAL = 1.2, 0.999
+"""Largest usual current, in i_max, beyond which the controller has lost the trajectory, so that the drive is not well
+posed, and the quantile that stands for it."""
 CAUSES = {
     "iron": r"iron loss|^iron_loss",
     "lag": r"lags the current|^flux_lag",
@@ -105,6 +109,9 @@ def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None)
     except DriveIdError as error:
         return {**row, "not_simulated": str(error)}
     row["simulation"] = time.monotonic() - start
+    amplitudes = [np.abs(frames.space_vector(part.i_abc)) for part in samples]
+    row["reach"] = max(float(np.quantile(each, _USUAL)) for each in amplitudes) / one.i_max
+    row["well_posed"] &= row["reach"] < MOST_REACH
     row["fits"] = {method: fitted(one, samples, method) for method in methods}
     return row
 

@@ -320,7 +320,7 @@ def _recording(drive: Drive, k: int, cache: Path | None) -> Samples:
             unfinished.replace(path)
     else:
         try:
-            with np.load(path) as archive:
+            with path.open("rb") as file, np.load(file) as archive:
                 stored = dict(archive)
         except (ValueError, zipfile.BadZipFile):
             path.unlink()

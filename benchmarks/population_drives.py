@@ -39,27 +39,13 @@ _HEADROOM = 0.85
 
 @dataclass(frozen=True)
 class Effect:
-    """What a real drive does besides.
+    """What a real drive does besides."""
 
-    Parameters
-    ----------
-    cause : str
-        Name under which a warning or a correction is right, see ``CAUSES`` in population.py.
-    changes : callable
-        Returns changed settings of the simulation for a machine.
-    expected : {"identified", "warned", "documented"}
-        ``documented``: docs/limits.md says that it leaves no trace.
-    spoil : callable, optional
-        What a mistake of the log makes of the samples.
-    second : bool
-        The changes hold for the second of two recordings only.
-    """
-
-    cause: str
-    changes: Callable[[Random, Machine, float], Changes] = field(default=lambda *_: {})
-    expected: str = "identified"
-    spoil: Spoil | None = None
-    second: bool = False
+    cause: str  # under which a warning or a correction is right, see CAUSES in population.py
+    changes: Callable[[Random, Machine, float], Changes] = field(default=lambda *_: {})  # of the simulation's settings
+    expected: str = "identified"  # or "warned", or "documented": docs/limits.md says that it leaves no trace
+    spoil: Spoil | None = None  # what a mistake of the log makes of the samples
+    second: bool = False  # the changes hold for the second of two recordings only
 
 
 def _heating(rng: Random, machine: Machine, seconds: float) -> Changes:
@@ -150,28 +136,15 @@ EFFECTS = {
 
 @dataclass(frozen=True)
 class Drive:
-    """One drive of the population.
-
-    Parameters
-    ----------
-    seed, number : int
-    family : str
-    machine : Machine
-    settings : tuple of SimulationSettings
-        One for each recording.
-    seconds : float
-        Of each recording.
-    effects : tuple of str
-        Keys of :data:`EFFECTS`.
-    """
+    """One drive of the population."""
 
     seed: int
     number: int
     family: str
     machine: Machine
-    settings: tuple[SimulationSettings, ...]
-    seconds: float
-    effects: tuple[str, ...] = ()
+    settings: tuple[SimulationSettings, ...]  # one for each recording
+    seconds: float  # of each recording
+    effects: tuple[str, ...] = ()  # keys of EFFECTS
 
     @property
     def i_max(self) -> float:

@@ -46,34 +46,15 @@ class Harmonic:
 
 @dataclass(frozen=True)
 class CoEnergy:
-    """Parameters of the co-energy above, all per unit.
+    """Parameters of the co-energy above, all per unit."""
 
-    Parameters
-    ----------
-    magnet : (2,) tuple of float
-        psi_0 and x_f.
-    linear : (2,) tuple of float
-        l_d, l_q.
-    main : (2,) tuple of float
-        Unsaturated inductances E Q_dd and E Q_qq of the iron.
-    knee : float
-        Current on the q axis at which the iron saturates.
-    sharpness : float
-        n.
-    cross : float
-        Q_dq / sqrt(Q_dd Q_qq).
-    bridge : (3,) tuple of float
-        psi_b, i_b, c.
-    harmonics : tuple of Harmonic
-    """
-
-    magnet: tuple[float, float]
-    linear: tuple[float, float]
-    main: tuple[float, float]
-    knee: float
-    sharpness: float
-    cross: float = 0.0
-    bridge: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    magnet: tuple[float, float]  # psi_0, x_f
+    linear: tuple[float, float]  # l_d, l_q
+    main: tuple[float, float]  # unsaturated inductances E Q_dd, E Q_qq of the iron
+    knee: float  # current on the q axis at which the iron saturates
+    sharpness: float  # n
+    cross: float = 0.0  # Q_dq / sqrt(Q_dd Q_qq)
+    bridge: tuple[float, float, float] = (0.0, 1.0, 0.0)  # psi_b, i_b, c
     harmonics: tuple[Harmonic, ...] = ()
 
     def _iron(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -105,29 +86,14 @@ class CoEnergy:
 
 @dataclass(frozen=True)
 class Measured:
-    """A co-energy machine of which only rough values on a coarse grid are known.
-
-    Parameters
-    ----------
-    origin : CoEnergy
-    nodes : int
-        Along each axis of the grid.
-    roughness : float
-        Standard deviation of the errors of the nodes' fluxes, per unit.
-    reciprocal : bool
-        Whether a co-energy was interpolated.
-    sixth : float
-        Sixth harmonic, as a fraction of the flux.
-    seed : int
-        Of the roughness.
-    """
+    """A co-energy machine of which only rough values on a coarse grid are known."""
 
     origin: CoEnergy
-    nodes: int
-    roughness: float
-    reciprocal: bool
-    sixth: float
-    seed: int
+    nodes: int  # along each axis
+    roughness: float  # standard deviation of the errors of the nodes' fluxes, per unit
+    reciprocal: bool  # a co-energy was interpolated
+    sixth: float  # sixth harmonic, as a fraction of the flux
+    seed: int  # of the roughness
 
     @cached_property
     def _interpolant(self) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
@@ -168,25 +134,11 @@ class Measured:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine in SI units.
-
-    Parameters
-    ----------
-    shape : CoEnergy or Measured
-    i_max : float
-        A.
-    flux_unit : float
-        Wb.
-    resistance : float
-        ohm.
-    pole_pairs : int
-    u_dc : float
-        V.
-    """
+    """A machine in SI units."""
 
     shape: CoEnergy | Measured
     i_max: float
-    flux_unit: float
+    flux_unit: float  # largest flux linkage within the disc, Wb
     resistance: float
     pole_pairs: int
     u_dc: float

@@ -16,8 +16,8 @@ _BAD = 0.05
 _BETTER = 1 / 3
 """Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
 _BETTER_ROTATED, _BETTER_EXCHANGED = 0.6, 0.5
-"""The same for voltages turned by an odd multiple of 30 degrees, and for currents and voltages exchanged: over a random
-population of 300 drives, these readings never explain more than the right one by factors of 0.9 and 1.5."""
+"""The same for voltages turned by an odd multiple of 30 degrees, and for currents and voltages exchanged: of 34 random
+drives, the best of these readings left 0.96 times as much as the right one, and 2.2 times."""
 _ALIKE = 1.02
 _REFUSED = 0.1
 _HOPELESS = 0.35
@@ -183,11 +183,10 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
 
 
 def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Finding | None:
-    """Return a finding if the currents are the voltages and the other way round, which looks like no inductance."""
-    if declared.inductance > 0:
-        return None
-    largest = max(float(np.quantile(np.abs(run.u_abc), _USUAL)) for run in runs)
-    swapped = [Excerpt.of(replace(run, i_abc=run.u_abc, u_abc=run.i_abc), largest) for run in runs]
+    """Return a finding if the currents explain far more as voltages, and the voltages as currents."""
+    some = runs[:: -(-len(runs) // _FEW_RUNS)]
+    largest = max(float(np.quantile(np.abs(run.u_abc), _USUAL)) for run in some)
+    swapped = [Excerpt.of(replace(run, i_abc=run.u_abc, u_abc=run.i_abc), largest).coarse() for run in some]
     fit = rough_fit(swapped)
     limit = _BETTER_EXCHANGED * declared.unexplained if better is None else better.unexplained
     if fit is None or fit.unexplained > limit:

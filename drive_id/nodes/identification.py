@@ -120,7 +120,7 @@ class Identification(Node):
 
     def _foreign_topics(self, signals: str) -> ForeignTopics:
         """Subscribe to the topics of a signals file instead of ours."""
-        translator = Translator(read_signals(Path(signals).expanduser()))
+        translator = Translator(read_signals(Path(signals).expanduser()), sort=True)
 
         def translate() -> None:
             for block in translator.advance():

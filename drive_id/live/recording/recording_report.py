@@ -51,7 +51,7 @@ class TopicReport:
 
     @property
     def dropped(self) -> int:
-        """Samples that will never be in the bag; those in the queue are not counted, so it only grows."""
+        """Samples that will never be in the bag; those in the queue are not counted, late ones no longer."""
         return self.lost + self.overflowed + self.discarded
 
     @property

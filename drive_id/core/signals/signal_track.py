@@ -32,8 +32,8 @@ class SignalTrack:
         It is read from a recording: all of its messages count for the measured period, not only the latest, and it
         need not declare one.
     held : int
-        Most samples behind a gap that wait for late ones, by up to :data:`~drive_id.core.signals.signal.LATEST`; 0: none
-        is put in its place. Late are samples that fit into a gap, so that those of a clock set back are not.
+        Most samples behind a gap that wait for late ones, for :data:`~drive_id.core.signals.signal.LATEST`; 0: none is
+        put in its place. Late are samples that fit into a gap, so that those of a clock set back are not.
 
     Attributes
     ----------

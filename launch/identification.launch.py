@@ -60,7 +60,7 @@ def generate_launch_description() -> LaunchDescription:
             choices=list(SWITCH),
             description="Start recorder, identification and bridge again if they die.",
         ),
-        DeclareLaunchArgument("log_level", default_value="info", choices=LEVELS, description="Of all nodes."),
+        DeclareLaunchArgument("log_level", default_value="info", choices=list(LEVELS), description="Of all nodes."),
     ]
     arguments += [
         DeclareLaunchArgument(

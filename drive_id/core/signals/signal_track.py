@@ -230,7 +230,7 @@ class SignalTrack:
             return len(stamp)
         closed = int(stamp[-1]) - round(1e9 * LATEST)
         first = max(int(np.searchsorted(stamp, closed)), len(stamp) - self._most_held)
-        before = np.concatenate(([self._latest], stamp))[first:-1]
+        before = stamp[first - 1 : -1] if first else np.append(self._latest, stamp[:-1])
         gap = stamp[first:] - before > 1.5e9 * self.period
         return first + int(np.argmax(gap)) if gap.any() else len(stamp)
 

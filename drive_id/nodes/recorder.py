@@ -287,7 +287,9 @@ class Recorder(ManagedNode):
             response.message = f"Nothing was recorded: {response.message} Check the drive and the topics."
         else:
             response.success, response.code = True, response.CODE_OK
-        self.get_logger().info(response.message)
+            self.get_logger().info(response.message)
+            return response
+        self.get_logger().warning(f"stop: {response.message}")
         return response
 
 

@@ -56,12 +56,9 @@ class ManagedNode(LifecycleNode):
 
     def bring_up(self, ready: str) -> None:
         """Configure and activate the node if it does so by itself, and log the sentence ``ready``."""
-        if not self._autostart:
-            self.get_logger().info(self.inactive())
-            return
-        self.trigger_configure()
-        self.trigger_activate()
-        self.get_logger().info(ready)
+        if self._autostart and self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+        self.get_logger().info(ready if self.active else self.inactive())
 
     def connect(self) -> None:
         """Subscribe."""

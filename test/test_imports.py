@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
-NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types", "drive_id.health"}
+NOUNS = {"drive_id.errors", "drive_id.settings", "drive_id.types", "drive_id.health", "drive_id.origins"}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
     "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
@@ -81,6 +81,7 @@ ROOMS = {
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),
     "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
+    "drive_id.origins": Room.of({"drive_id.errors"}, set()),
     "drive_id.settings": Room.of({"drive_id.errors"}, set()),
     "drive_id.core": Room.of(set(), set()),
     **{

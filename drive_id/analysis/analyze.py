@@ -404,19 +404,19 @@ def _on_iron(model: MachineModel) -> str:
 
 
 def _on_inverter(found: Identification) -> str:
-    if found.drive.has_inverter and np.any(found.inverter_curve.voltage):
+    if found.origin.inverter and np.any(found.inverter_curve.voltage):
         return (
             "The inverter's drop is included in voltages and losses, with its linear part in the resistance; its "
             "switching losses are not."
         )
-    return "No drop of the inverter is known, so none is included beyond the linear part in the resistance."
+    return "No drop of the inverter is known, so none is included beyond what the resistance contains."
 
 
 def _on_temperature(model: MachineModel, found: Identification) -> list[str]:
     out = []
     if model.temperature is not None:
         known = bool(found.provenance.settings.temperatures)
-        since = "" if known else ", which is assumed, as the fit was given no temperatures"
+        since = "" if known else ", which is assumed, as no temperatures are known"
         out.append(
             f"The resistance holds at {model.temperature:g} degC, by copper's coefficient from its value at "
             f"{REFERENCE_TEMPERATURE:g} degC{since}."

@@ -31,6 +31,7 @@ from drive_id.files.results.information import check_information_output, write_i
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
+from drive_id.origins import METHODS, ORIGINS, STATIC
 from drive_id.types import GroundTruth, Progress, Samples, silent
 
 StrPath = str | os.PathLike[str]
@@ -117,12 +118,12 @@ def fit(
         name: value for name, value in (("method", method), ("i_max", i_max)) if value is not None
     }
     if slow and settings is None:
-        chosen.setdefault("method", "static")
+        chosen.setdefault("method", STATIC.name)
     if samples:
         if signals or namespace or cluster or skip_bad:
             raise ConfigurationError("signals, namespace, cluster and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
-        if own.method == "static":
+        if not ORIGINS[own.method].live:
             return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
         fast = [part for part in samples if isinstance(part, Samples)]
         if slow:
@@ -202,7 +203,7 @@ def fit_bags(
     DriveIdError
         Nothing is written then.
     """
-    if settings.method == "static":
+    if not ORIGINS[settings.method].live:
         return _fit_static(sources, output, settings, force=force, draw=draw, tell=tell)
     if output is not None:
         check_output(output, force=force)
@@ -336,9 +337,11 @@ def provenance_of(
     u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
     told = truth.details.get("u_dc") if truth else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
-    if idle := ", ".join(settings.idle()):
-        other = "full" if settings.method != "full" else "joint or psm"
-        warnings += (f"Method {settings.method} ignores {idle}: remove it, or use method {other}.",)
+    if idle := settings.idle():
+        others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
+        remedy = f", or use method {' or '.join(', '.join(others).rsplit(', ', 1))}" if others else ""
+        them = "it" if len(idle) == 1 else "them"
+        warnings += (f"Method {settings.method} ignores {', '.join(idle)}: remove {them}{remedy}.",)
     if nrmse and not np.isfinite(nrmse).all():
         warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
     return Provenance(

@@ -321,8 +321,9 @@ def test_the_inverter_curve_has_its_band(drive):
     assert "±1.96 σ ≤ 0.2 V" in texts(figure)
     three = np.stack([drive.inverter_voltage * factor for factor in (0.9, 1.0, 1.1)], axis=1)
     assert {"phase a", "phase b", "phase c"} <= set(texts(draw_diagnostics(replace(drive, phase_voltages=three), [])))
-    psm = texts(draw_diagnostics(replace(drive, method="psm"), []))
-    assert "not modelled by method psm" in psm
+    for method, why in (("psm", "Method psm does not model the inverter"), ("imported", "The map was imported")):
+        found = texts(draw_diagnostics(replace(drive, method=method), []))
+        assert any(why in " ".join(text.split()) for text in found)
 
 
 def test_sections_along_the_axes_are_those_of_the_map(diagnostics, drive):

@@ -29,9 +29,10 @@ from drive_id.core.validation.residuals import (
 )
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import DataError
+from drive_id.origins import JOINT, PSM
 from drive_id.types import FloatArray, GroundTruth, Samples
 
-COMPARED = ("psm", "joint")
+COMPARED = (PSM.name, JOINT.name)
 """Methods that are run beside the one that was asked for: the paper's, without and with the inverter."""
 _TRAJECTORY = 4000
 """Points of the trajectory."""

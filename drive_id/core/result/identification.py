@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.origins import ORIGINS, Origin
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
@@ -370,9 +371,9 @@ class IdentifiedDrive:
     linear: LinearMachine | None = None
 
     @property
-    def has_inverter(self) -> bool:
-        """Whether the method models the inverter's drop: all but ``psm``; an imported map has none."""
-        return self.method not in ("psm", "imported")
+    def origin(self) -> Origin:
+        """What results of this method hold, and the words for it."""
+        return ORIGINS[self.method]
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

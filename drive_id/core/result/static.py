@@ -24,6 +24,7 @@ from drive_id.core.steady.fit import (
 )
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.errors import UnexplainedError
+from drive_id.origins import STATIC
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
@@ -87,7 +88,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         warnings=_warnings(fit, coverage, i_max),
     )
     return IdentifiedDrive(
-        method="static",
+        method=STATIC.name,
         i_max=i_max,
         resistance=resistance,
         sigma_resistance=float("inf") if unknown else sigma_resistance,
@@ -243,9 +244,9 @@ def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) 
         )
     if len(distinct_speeds(used)) == 1:
         found.append(
-            "All points are at one speed: R is told from the fluxes only because the maps are taken as reciprocal and "
-            "symmetric, so iron loss at this speed counts as R. Record points at another speed, in the other "
-            "direction, or at standstill."
+            "All points are at one speed, where R is separable from the fluxes only by assuming reciprocal, symmetric "
+            "maps, so iron loss at this speed counts as R: record points at another speed, in the other direction, or "
+            "at standstill."
         )
     if fit.coefficient(-1)[1] > fit.shapes.usual / 2:
         found.append(

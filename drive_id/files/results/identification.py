@@ -29,6 +29,7 @@ from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import NotAFileError, open_input, read_text_input, reason
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
+from drive_id.origins import ORIGINS
 from drive_id.settings import from_mapping
 
 FORMAT_VERSION = 1
@@ -327,8 +328,10 @@ def _identification(
         for entry in fields(FitReport)
         if entry.name != "warnings"
     }
+    if tree["method"] not in ORIGINS:
+        raise ValueError(f"method is {tree['method']!r:.40}")
     return IdentifiedDrive(
-        method=str(tree["method"]),
+        method=tree["method"],
         i_max=_positive(tree, "i_max"),
         resistance=_number(tree["resistance"]),  # unknown in some imported maps
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),

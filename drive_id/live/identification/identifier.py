@@ -37,8 +37,6 @@ from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.types import SCALARS, Progress
 
-PROVISIONAL = "provisional"
-"""Word in the method of a map that was not requested."""
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _log = logging.getLogger(__name__)
 
@@ -67,6 +65,8 @@ class Reply:
         What became of the live signals, also without success.
     refit : Refit or None
         The fit of the live samples, for later ones to start from.
+    provisional : bool
+        Whether nobody requested it: the result of a fit in the background.
     """
 
     code: str
@@ -78,6 +78,7 @@ class Reply:
     output: str = ""
     samples: JoinReport | None = None
     refit: Refit | None = None
+    provisional: bool = False
 
     @property
     def success(self) -> bool:
@@ -204,10 +205,9 @@ class Identifier:
             self.refits.take(refit)
 
     def provisional(self, refit: Refit) -> Reply:
-        """Return the map of a fit in the background; its method says that it is provisional."""
+        """Return the map of a fit in the background."""
         drive = refit.drive
-        marked = replace(drive, method=f"{drive.method} ({PROVISIONAL})")
-        return Reply("ok", _sentence(drive), marked, drive.report.warnings, stamp=refit.stamp)
+        return Reply("ok", _sentence(drive), drive, drive.report.warnings, stamp=refit.stamp, provisional=True)
 
     def health(
         self, doing: str, publishers: Sequence[Sequence[Publisher]], further: Sequence[Observation] = ()
@@ -380,7 +380,7 @@ def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
 
 def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
-    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.has_inverter else ""
+    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.origin.inverter else ""
     return (
         f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
         f"{identification.resistance * 1e3:.4g} mohm{drop}, {100 * report.coverage:.0f} % of the disc covered."

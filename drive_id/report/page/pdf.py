@@ -58,14 +58,10 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.table(content.operation, (0.3, 0.12, 0.12, 0.12, 0.14, 0.2))
     sheets.text(content.missing.get("mtpv", ""))
     sheets.heading(SECTIONS["identifiable"])
-    for sentence in content.identified:
-        sheets.text(f"• {sentence}")
-    sheets.text("What no method can tell from such data:", bold=True)
-    for sentence in content.limits:
-        sheets.text(f"• {sentence}")
-    sheets.text("What to record next:", bold=True)
-    for sentence in content.advice:
-        sheets.text(f"• {sentence}")
+    for heading, found in content.knowledge.items():
+        sheets.text(f"{heading}:" if found else "", bold=True)
+        for sentence in found:
+            sheets.text(f"• {sentence}")
     sheets.table(content.calibrations, (0.35, 0.25, 0.2, 0.2))
     sheets.heading(SECTIONS["method"])
     sheets.text(content.paragraph)

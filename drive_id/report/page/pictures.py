@@ -30,7 +30,7 @@ def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str,
             found["residuals"] = _draw_residuals(judged)
         if judged.simulated is not None:
             found["currents"] = _draw_currents(judged.simulated)
-    if drive.has_inverter and np.any(drive.inverter_voltage):
+    if drive.origin.inverter and np.any(drive.inverter_voltage):
         found["inverter"] = Figure(figsize=(WIDTH, 2.9))
         draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
     if operation is not None:

@@ -100,7 +100,7 @@ ROOMS = {
         )
         for name, rooms in FILES.items()
     },
-    "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy", "dask", "distributed"}),
+    "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id"}, {"numpy"}),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),

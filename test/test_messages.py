@@ -120,7 +120,7 @@ OURS = {"ok", "busy", "cancelled", "time_limit", "internal"}
 def test_the_codes_and_methods_are_constants(name):
     """Every error that a request can lead to has a constant, which is named after it."""
     codes = constants(name, "CODE_")
-    never = {"error", "cluster", "experiment"}  # the base, and what no node uses
+    never = {"error", "worker", "experiment"}  # the base, and what no node uses
     assert set(codes.values()) == {error.code for error in subclasses(DriveIdError)} - never | OURS
     assert all(f"CODE_{code.upper()}" == found for found, code in codes.items())
     methods = FitSettings.__dataclass_fields__["method"].metadata["choices"]

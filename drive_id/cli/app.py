@@ -19,7 +19,6 @@ from drive_id.cli.exporting import export_result
 from drive_id.cli.importing import import_file
 from drive_id.cli.options import (
     BagsArgument,
-    ClusterOption,
     FigureFormat,
     FigureFormatOption,
     FitConfigOption,
@@ -31,6 +30,7 @@ from drive_id.cli.options import (
     SignalsOption,
     SkipFlag,
     SourcesArgument,
+    WorkersOption,
     err,
     merged_settings,
     out,
@@ -169,7 +169,7 @@ def fit(
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
     settings: SetOption = None,
-    cluster: ClusterOption = "",
+    workers: WorkersOption = 1,
     skip_bad: SkipFlag = False,
     figure_format: FigureFormatOption = FigureFormat.png,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html into the result folder.")] = False,
@@ -186,7 +186,7 @@ def fit(
     from drive_id.fitting.result import pictures
     from drive_id.report.tables import fit_table
 
-    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
+    sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
     with working(quiet or as_json) as tell:
@@ -200,11 +200,11 @@ def fit(
         say(f"Results in {output}")
 
 
-def _sources(paths: list[Path], signals: Path | None, namespace: str, cluster: str, *, skip_bad: bool) -> "Sources":
+def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: int, *, skip_bad: bool) -> "Sources":
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.fitting.sources import Sources
 
-    return Sources(paths, read_signals(signals) if signals else None, namespace, cluster, skip_bad)
+    return Sources(paths, read_signals(signals) if signals else None, namespace, workers, skip_bad)
 
 
 def _comment(result: "Identification") -> None:
@@ -229,7 +229,7 @@ def accumulate(
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
     settings: SetOption = None,
-    cluster: ClusterOption = "",
+    workers: WorkersOption = 1,
     skip_bad: SkipFlag = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -240,7 +240,7 @@ def accumulate(
     from drive_id.fitting.fit import accumulate_bags
 
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
-    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
+    sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     with working(quiet or as_json) as tell:
         result = accumulate_bags(sources, output, chosen, tell)
     if as_json:

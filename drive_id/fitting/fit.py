@@ -54,7 +54,7 @@ def fit(
     settings: FitSettings | None = None,
     output: StrPath | None = None,
     force: bool = False,
-    cluster: str = "",
+    workers: int = 1,
     skip_bad: bool = False,
     tell: Progress = silent,
 ) -> Identification:
@@ -81,8 +81,8 @@ def fit(
         Write a result folder with pictures, too, as :meth:`Identification.save` does.
     force : bool
         Let ``output`` be a folder that holds other files.
-    cluster : str
-        Dask cluster that accumulates the recordings: its address, ``local`` or ``local:N``.
+    workers : int
+        Processes that read the recordings; a script that asks for several needs ``if __name__ == "__main__":``.
     skip_bad : bool
         Leave out recordings that cannot be used, with a warning for each.
     tell : callable, optional
@@ -120,8 +120,8 @@ def fit(
     if slow and settings is None:
         chosen.setdefault("method", STATIC.name)
     if samples:
-        if signals or namespace or cluster or skip_bad:
-            raise ConfigurationError("signals, namespace, cluster and skip_bad are about bags: leave them out.")
+        if signals or namespace or workers > 1 or skip_bad:
+            raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
         if not ORIGINS[own.method].live:
             return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
@@ -131,7 +131,7 @@ def fit(
                 f"Method {own.method} needs samples of phase quantities: fit OperatingData by method static."
             )
         return _fit_samples(fast, target, own, force=force, tell=tell)
-    sources = Sources(paths, signal_map, namespace, cluster, skip_bad)
+    sources = Sources(paths, signal_map, namespace, workers, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
 
@@ -389,12 +389,8 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
 def _accumulator(
     sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
 ) -> Callable[..., Accumulated]:
-    """Return what accumulates the sources: together, or each on its own, here or on a cluster."""
-    if sources.cluster:
-        from drive_id.fitting.cluster import accumulate_on_cluster  # noqa: PLC0415  # asyncio takes a while
-
-        return partial(accumulate_on_cluster, sources)
-    if apart or sources.skip_bad or sources.information:
+    """Return what accumulates the sources: together, or each on its own."""
+    if apart or sources.skip_bad or sources.information or sources.workers > 1:
         return partial(accumulate_sources, sources)
     return partial(
         accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint

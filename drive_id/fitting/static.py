@@ -70,8 +70,6 @@ class StaticSources:
             raise ConfigurationError(
                 f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
             )
-        if sources.cluster:
-            raise ConfigurationError("Method static reads logs in this process: leave the cluster out.")
         logs: list[OperatingLog] = []
         refused: list[DriveIdError] = []
         for number, path in enumerate(sources.paths):

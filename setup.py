@@ -29,10 +29,10 @@ EXECUTABLES = [
 
 def version() -> str:
     """Read the version from the source text: importing it would need the dependencies."""
-    text = Path(NAME, "__init__.py").read_text(encoding="utf-8")
-    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    text = Path(NAME, "version.py").read_text(encoding="utf-8")
+    found = re.search(r'^VERSION = "([^"]+)"$', text, re.MULTILINE)
     if found is None:
-        raise SystemExit(f'{NAME}/__init__.py has no line __version__ = "...": add it.')
+        raise SystemExit(f'{NAME}/version.py has no line VERSION = "...": add it.')
     return found.group(1)
 
 

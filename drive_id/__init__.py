@@ -10,8 +10,11 @@ Names are loaded when they are first used, so that ``import drive_id`` takes no 
 
 from typing import TYPE_CHECKING
 
+from drive_id.version import VERSION
+
 if TYPE_CHECKING:
-    from drive_id.analysis.analyze import Analysis, analyze
+    from drive_id.analysis.analyze import analyze
+    from drive_id.analysis.folder import Analysis
     from drive_id.analysis.machine import MachineModel
     from drive_id.analysis.settings import AnalysisSettings
     from drive_id.bench.settings import SimulationSettings
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
     from drive_id.fitting.sources import read_bag
     from drive_id.types import MachineMap, Samples
 
-__version__ = "0.1.0"
+__version__ = VERSION
 __all__ = [
     "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
     "MachineModel", "OperatingData", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag",

@@ -15,7 +15,8 @@ from drive_id.errors import ConfigurationError, ResultError
 from drive_id.exchange.imports.importing import import_map
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.folder import MARKER
-from drive_id.fitting.fit import fit_bags, provenance_of
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.provenance import provenance_of
 from drive_id.fitting.sources import Sources
 from drive_id.origins import METHODS, ORIGINS, origin_named
 from drive_id.report.page.content import Content, content_of

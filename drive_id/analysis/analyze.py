@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,16 +16,17 @@ from drive_id.analysis.field_weakening import (
     sigma_envelope,
     top_speed,
 )
+from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import Trajectory, characteristic_current, mtpa, mtpv
-from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.fitting.result import Identification, InverterCurve, load
-from drive_id.types import BoolArray, FloatArray
+from drive_id.fitting.result import Identification, load
+from drive_id.temperature import REFERENCE_TEMPERATURE
+from drive_id.types import BoolArray
 
 _RPM = math.pi / 30
 _REACH = 1.25
@@ -42,107 +41,6 @@ _UNKNOWN_RESISTANCE = (
     "The resistance is unknown: voltages neglect it, and losses, efficiency and ki are NaN; import the map with "
     "--resistance."
 )
-
-
-class Figure(NamedTuple):
-    """A number with its standard error (NaN if unknown), its unit, and whether it rests on data."""
-
-    value: float
-    sigma: float
-    unit: str
-    inside: bool
-
-
-@dataclass(frozen=True, eq=False)
-class SpeedRange:
-    """Capability of the drive over speed at one DC-link voltage.
-
-    Parameters
-    ----------
-    u_dc : float
-        V.
-    limits : Limits
-    corner : float
-        Speed up to which the largest torque needs no field weakening, rad/s.
-    motoring, braking : Operation
-        (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
-    sigma_torque : (S,) float
-        Standard error of the largest torque, Nm.
-    requested : (N,) float
-        Torques of the table of references, Nm.
-    references : Operation
-        (R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
-        where no operation is possible.
-    errors : OperationErrors
-        Of the references.
-    """
-
-    u_dc: float
-    limits: Limits
-    corner: float
-    motoring: Operation
-    braking: Operation
-    sigma_torque: FloatArray
-    requested: FloatArray
-    references: Operation
-    errors: OperationErrors
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Analysis:
-    """What :func:`drive_id.analyze` returns.
-
-    Parameters
-    ----------
-    result : Identification
-    settings : AnalysisSettings
-    model : MachineModel
-        The drive as functions of the current: torque, inductances, inverse map.
-    figures : dict of str to Figure
-        Single numbers by name.
-    mtpa, mtpv : Trajectory
-    speed_ranges : tuple of SpeedRange
-        One for each DC-link voltage.
-    maps : CurrentMaps
-    compensation : InverterCurve
-        Voltage to add to each phase over its current.
-    statements : tuple of str
-        Sentences: what the figures include, and where they rest on no data.
-    """
-
-    result: Identification
-    settings: AnalysisSettings
-    model: MachineModel
-    figures: dict[str, Figure]
-    mtpa: Trajectory
-    mtpv: Trajectory
-    speed_ranges: tuple[SpeedRange, ...]
-    maps: CurrentMaps
-    compensation: InverterCurve
-    statements: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
-        return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
-
-    def save(self, directory: str | Path, *, force: bool = False) -> None:
-        """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.
-
-        Parameters
-        ----------
-        directory : path
-            Created when missing; an earlier analysis in it is replaced.
-        force : bool
-            Write into a folder that holds other files.
-
-        Raises
-        ------
-        OutputError
-            When the folder is not ours to write, or cannot be written.
-        """
-        from drive_id.analysis.folder import write_analysis  # noqa: PLC0415  # it imports this module
-
-        write_analysis(Path(directory), self, force=force)
 
 
 def analyze(result: Identification | str | Path, settings: AnalysisSettings | None = None) -> Analysis:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import drive_id
 from drive_id.cli.analyze import analyze
 from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
@@ -42,6 +41,7 @@ from drive_id.cli.options import (
 from drive_id.cli.plan import plan_experiment
 from drive_id.cli.report import report_result
 from drive_id.errors import DriveIdError
+from drive_id.version import VERSION
 
 if TYPE_CHECKING:
     from drive_id.fitting.result import Identification
@@ -89,7 +89,7 @@ def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"drive-id {drive_id.__version__}")
+        typer.echo(f"drive-id {VERSION}")
         raise typer.Exit
 
 

@@ -10,8 +10,6 @@ from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
-REFERENCE_TEMPERATURE = 20.0
-"""Degrees Celsius at which resistance and flux map are given where temperatures are known."""
 
 
 @dataclass(frozen=True)

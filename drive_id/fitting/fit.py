@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
@@ -18,21 +15,21 @@ from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import diagnose
-from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.result.identify import identify, score
+from drive_id.core.result.identify import identify
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import Provenance, write_results
+from drive_id.files.results.identification import write_results
 from drive_id.files.results.information import check_information_output, write_information
+from drive_id.fitting.provenance import known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
-from drive_id.origins import METHODS, ORIGINS, STATIC
-from drive_id.types import GroundTruth, Progress, Samples, silent
+from drive_id.origins import ORIGINS, STATIC
+from drive_id.types import Progress, Samples, silent
 
 StrPath = str | os.PathLike[str]
 Draw = Callable[[Identification], Mapping[str, bytes]]
@@ -40,7 +37,6 @@ Draw = Callable[[Identification], Mapping[str, bytes]]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
-_YEAR_2000 = 946_684_800_000_000_000
 """Stamps before it are not times of day, ns."""
 
 
@@ -286,81 +282,6 @@ def _fit_static(
         drawn = draw(result) if draw else {}
         write_results(output, result.drive, result.provenance, force=force, pictures=drawn)
     return result
-
-
-def known_pole_pairs(
-    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
-) -> int | None:
-    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
-    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
-
-
-def provenance_of(
-    drive: IdentifiedDrive,
-    settings: FitSettings,
-    *,
-    excerpts: Sequence[Samples],
-    duration: float,
-    last_stamp: int,
-    truth: GroundTruth | None = None,
-    signals: SignalMap | None = None,
-    inputs: Mapping[str, str] | None = None,
-    warnings: tuple[str, ...] = (),
-) -> Provenance:
-    """Gather what is known of an experiment besides the identified drive.
-
-    Parameters
-    ----------
-    drive : drive_id.core.result.identification.IdentifiedDrive
-    settings : FitSettings
-    excerpts : sequence of Samples
-        From which the range of speeds is taken.
-    duration : float
-        s.
-    last_stamp : int
-        ns.
-    truth : GroundTruth, optional
-        The drive is scored against it.
-    signals : SignalMap, optional
-        Knows the pole pairs where the recorded angle is mechanical.
-    inputs : mapping of str to str, optional
-        File to its sha256.
-    warnings : tuple of str
-        About the recording.
-
-    Returns
-    -------
-    Provenance
-        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
-    """
-    nrmse = score(drive, truth) if truth else None
-    u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
-    told = truth.details.get("u_dc") if truth else None
-    when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
-    if idle := settings.idle():
-        others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
-        remedy = f", or use method {' or '.join(', '.join(others).rsplit(', ', 1))}" if others else ""
-        them = "it" if len(idle) == 1 else "them"
-        warnings += (f"Method {settings.method} ignores {', '.join(idle)}: remove {them}{remedy}.",)
-    if nrmse and not np.isfinite(nrmse).all():
-        warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
-    return Provenance(
-        inputs=inputs or {},
-        settings=settings,
-        machine=truth.machine if truth else "",
-        nrmse=nrmse,
-        warnings=warnings,
-        pole_pairs=known_pole_pairs(settings, truth, signals),
-        u_dc=u_dc or (float(told) if told else None),
-        speed_range=(
-            min(float(part.speed.min()) for part in excerpts),
-            max(float(part.speed.max()) for part in excerpts),
-        )
-        if excerpts
-        else None,
-        duration=duration,
-        date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
-    )
 
 
 def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:

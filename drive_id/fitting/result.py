@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine
+from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine, TorqueFit
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.caption import Caption
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
-    from drive_id.core.result.torque import TorqueFit
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""

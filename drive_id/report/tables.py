@@ -12,10 +12,9 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from drive_id.analysis.analyze import Figure
+    from drive_id.analysis.folder import Figure
     from drive_id.core.planning.planner import Plan
-    from drive_id.core.result.identification import IdentifiedDrive
-    from drive_id.core.result.torque import TorqueFit
+    from drive_id.core.result.identification import IdentifiedDrive, TorqueFit
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation

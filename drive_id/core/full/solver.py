@@ -36,7 +36,7 @@ from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from drive_id.core.full.window_sums import WindowSums
+    from drive_id.core.full.window_sums import WindowSums, with_products
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
@@ -324,14 +324,6 @@ class _Normal:
     def penalty(self, weight: float) -> sparse.csr_array:
         """Return the penalty (M, M) for a weight of the map's roughness."""
         return sparse.csr_array(self.ridge + weight * self.rough)
-
-
-def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:
-    """Put the products (size, EFFECT_COLUMNS) of the effects with all columns into Z'Z, if there are any."""
-    if products is not None:
-        matrix[model.effects, :] = products.T
-        matrix[:, model.effects] = products
-    return matrix
 
 
 def predictable(errors: FloatArray) -> BoolArray:

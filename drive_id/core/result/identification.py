@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
-    from drive_id.core.result.torque import TorqueFit
     from drive_id.core.validation.simulated_current import SimulatedCurrent
 
 Outside = Literal["nan", "raise"]
@@ -300,6 +299,69 @@ class LinearMachine:
     sigma_l_d: float
     l_q: float
     sigma_l_q: float
+
+
+@dataclass(frozen=True)
+class Cogging:
+    """One harmonic of the cogging torque.
+
+    Parameters
+    ----------
+    order : int
+        Electrical.
+    amplitude, sigma : float
+        And its standard error, Nm.
+    """
+
+    order: int
+    amplitude: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class TorqueFit:
+    """What the shaft torque says of a flux map.
+
+    The model is ``T = g 3/2 p (psi_d i_q - psi_q i_d) - T_f sign(w) - b w - T_c(theta) + T_0`` with the mechanical
+    speed w; b and T_0 only where the speeds in the recording tell them from T_f.
+
+    Parameters
+    ----------
+    gain, sigma_gain : float
+        g and its standard error. A common gain error of voltages or currents, which the electrical signals do not show,
+        makes it differ from 1.
+    friction, sigma_friction : float
+        T_f and its standard error, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
+        where ``offset`` is None, it includes the offset of the torque sensor.
+    viscous_friction, sigma_viscous_friction : float or None
+        b and its standard error, Nm s/rad.
+    offset, sigma_offset : float or None
+        T_0 of the torque sensor and its standard error, Nm.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    rms_map : float
+        Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
+        offset, Nm.
+    rms_residual : float
+        The same with the gain, Nm.
+    pole_pairs : int
+    samples : int
+        In the fit.
+    """
+
+    gain: float
+    sigma_gain: float
+    friction: float
+    sigma_friction: float
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    offset: float | None
+    sigma_offset: float | None
+    cogging: tuple[Cogging, ...]
+    rms_map: float
+    rms_residual: float
+    pole_pairs: int
+    samples: int
 
 
 @dataclass(frozen=True, eq=False)

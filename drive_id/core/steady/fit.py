@@ -16,11 +16,9 @@ from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasi
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved
 from drive_id.errors import CoverageError, StandstillError
+from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
-COPPER = 0.00393
-"""Temperature coefficient of the resistance, 1/K, at the reference temperature."""
-REFERENCE_TEMPERATURE = 20.0
 REACH = 1.05
 """Half width of the map by i_max."""
 MAP_POINTS = 15

@@ -22,7 +22,8 @@ from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.fit import Draw, fit_bags, known_pole_pairs, provenance_of
+from drive_id.fitting.fit import Draw, fit_bags
+from drive_id.fitting.provenance import known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation

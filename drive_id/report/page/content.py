@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.diagnostics import Comparison
 from drive_id.files.results.identification import results_tree
@@ -18,6 +17,7 @@ from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.report.page.operation import TorqueMap
 from drive_id.report.page.wording import NOT_STORED
 from drive_id.types import FloatArray
+from drive_id.version import VERSION
 
 GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
 _LEAST_CURRENT = 0.01
@@ -445,7 +445,7 @@ def _paragraph(result: Identification) -> str:
     what = f"of the machine {result.machine}" if result.machine else "of the machine"
     data = f" from {number(result.duration)} s of data" if result.duration else ""
     speed = f" at an electrical speed of {_speed(result)}" if result.speed_range else ""
-    version = result.provenance.versions.get("drive_id", drive_id.__version__)
+    version = result.provenance.versions.get("drive_id", VERSION)
     drop = ""
     if origin.inverter:
         value = with_error(result.voltage_error, result.sigma_voltage_error)

@@ -11,10 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-import drive_id
 from drive_id.report.page.content import Content, Table
 from drive_id.report.page.html import GENERATOR
 from drive_id.report.page.wording import SECTIONS
+from drive_id.version import VERSION
 
 _WIDTH, _HEIGHT, _MARGIN = 8.27, 11.69, 0.7
 """Of a page (A4), inches."""
@@ -148,10 +148,10 @@ class _Sheets:
     def saved(self, title: str) -> bytes:
         """Return the file, its pages numbered."""
         stream = io.BytesIO()
-        told = {"Title": _printable(title), "Creator": f"{GENERATOR} {drive_id.__version__}"}
+        told = {"Title": _printable(title), "Creator": f"{GENERATOR} {VERSION}"}
         with PdfPages(stream, metadata=told) as pdf:
             for number, page in enumerate(self._pages, start=1):
-                foot = f"{GENERATOR} {drive_id.__version__}, page {number} of {len(self._pages)}"
+                foot = f"{GENERATOR} {VERSION}, page {number} of {len(self._pages)}"
                 page.text(0.5, 0.4 / _HEIGHT, foot, fontsize=_SMALL, ha="center", color="0.4")
                 pdf.savefig(page, dpi=_DPI)
         return stream.getvalue()

@@ -163,7 +163,7 @@ def test_settings_reach_the_tables(result):
     assert found.figures["resistance"].value == pytest.approx(0.3 * (1 + 3.93e-3 * 80))
     assert found.mtpa.current[-1] == 20.0
     text = " ".join(found.statements)
-    assert "assumed, as the fit was given no temperatures" in text
+    assert "assumed, as no temperatures are known" in text
     assert "magnet was not identified" in text
 
 

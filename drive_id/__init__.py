@@ -10,8 +10,6 @@ Names are loaded when they are first used, so that ``import drive_id`` takes no 
 
 from typing import TYPE_CHECKING
 
-from drive_id.version import VERSION
-
 if TYPE_CHECKING:
     from drive_id.analysis.analyze import analyze
     from drive_id.analysis.folder import Analysis
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from drive_id.fitting.sources import read_bag
     from drive_id.types import MachineMap, Samples
 
-__version__ = VERSION
+__version__: str
 __all__ = [
     "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
     "MachineModel", "OperatingData", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag",
@@ -36,7 +34,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for each home
     home: object
     if name in ("Analysis", "AnalysisSettings", "MachineModel", "analyze"):
         from drive_id.analysis import analyze as home
@@ -60,9 +58,11 @@ def __getattr__(name: str) -> object:
         from drive_id.fitting import fit as home
     elif name == "simulate":
         from drive_id.fitting import simulated as home
+    elif name == "__version__":
+        from drive_id import version as home
     else:
         raise AttributeError(f"module 'drive_id' has no attribute '{name}'")
-    found: object = getattr(home, name)
+    found: object = getattr(home, "VERSION" if name == "__version__" else name)
     globals()[name] = found
     return found
 

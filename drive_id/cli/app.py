@@ -364,12 +364,12 @@ app.command(name="compare", epilog="Example: drive-id compare monday tuesday --o
 
 @app.command()
 def reproduce(
-    output: Annotated[Path | None, typer.Option(help="Folder for the tables and figures.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Folder for the tables, as text and JSON.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Reproduce the paper's tables and figures with the shipped simulated drives."""
+    """Reproduce the paper's tables with the shipped simulated drives."""
     from drive_id.report.reproduction import check_reproduction_output, write_reproduction
     from drive_id.report.reproduction import reproduce as run
 

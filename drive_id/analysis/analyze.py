@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.analysis.bands import combined
 from drive_id.analysis.field_weakening import (
-    Limits,
+    DriveLimits,
     corner_speed,
     envelope,
     references,
@@ -22,7 +22,7 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
-from drive_id.analysis.trajectories import Trajectory, characteristic_current, mtpa, mtpv
+from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpv
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.fitting.result import Identification, load
 from drive_id.temperature import REFERENCE_TEMPERATURE
@@ -86,7 +86,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     at_most = mtpa(model, i_max, chosen.current_points)
     _check(model, found, at_most, i_max)
     beyond = mtpv(model, i_max, chosen.current_points)
-    limits = [Limits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
+    limits = [DriveLimits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
     ranges = tuple(_speed_range(model, chosen, u_dc, limit) for u_dc, limit in zip(voltages, limits, strict=True))
     ripple = TorqueRipple.of(model, found.flux_map, found.harmonics, _REACH * max(i_max, found.i_max))
     maps = CurrentMaps.of(model, ripple, found.flux_map.i_d, found.flux_map.i_q, chosen.bandwidth)
@@ -104,7 +104,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     )
 
 
-def _check(model: MachineModel, found: Identification, at_most: Trajectory, i_max: float) -> None:
+def _check(model: MachineModel, found: Identification, at_most: CurrentLocus, i_max: float) -> None:
     """Refuse maps of the wrong sign or order of axes, and machines without torque."""
     grid = found.flux_map.grid()[found.flux_map.inside]
     slopes = model.inductances(grid[:, 0], grid[:, 1])
@@ -119,7 +119,7 @@ def _check(model: MachineModel, found: Identification, at_most: Trajectory, i_ma
         raise DataError(f"No current up to {i_max:.4g} A gives a torque with this map: check the map and i_max.")
 
 
-def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, limits: Limits) -> SpeedRange:
+def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, limits: DriveLimits) -> SpeedRange:
     corner = corner_speed(model, limits)
     if settings.speed is not None:
         highest = settings.speed * _RPM
@@ -147,7 +147,7 @@ def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, l
 
 
 def _figures(
-    model: MachineModel, found: Identification, at_most: Trajectory, of_speed: SpeedRange, settings: AnalysisSettings
+    model: MachineModel, found: Identification, at_most: CurrentLocus, of_speed: SpeedRange, settings: AnalysisSettings
 ) -> dict[str, Figure]:
     zero = bool(model.inside(0.0, 0.0))
     slopes, errors = model.inductances(0.0, 0.0), model.sigma_inductances(0.0, 0.0)
@@ -225,8 +225,8 @@ def _statements(
     model: MachineModel,
     found: Identification,
     settings: AnalysisSettings,
-    at_most: Trajectory,
-    beyond: Trajectory,
+    at_most: CurrentLocus,
+    beyond: CurrentLocus,
     ranges: tuple[SpeedRange, ...],
 ) -> tuple[str, ...]:
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]

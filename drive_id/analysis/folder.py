@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drive_id.analysis.field_weakening import Limits
+from drive_id.analysis.field_weakening import DriveLimits
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.settings import AnalysisSettings
-from drive_id.analysis.trajectories import Trajectory
+from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
 from drive_id.fitting.result import Identification, InverterCurve
 from drive_id.types import FloatArray
@@ -53,7 +53,7 @@ class SpeedRange:
     ----------
     u_dc : float
         V.
-    limits : Limits
+    limits : DriveLimits
     corner : float
         Speed up to which the largest torque needs no field weakening, rad/s.
     motoring, braking : Operation
@@ -70,7 +70,7 @@ class SpeedRange:
     """
 
     u_dc: float
-    limits: Limits
+    limits: DriveLimits
     corner: float
     motoring: Operation
     braking: Operation
@@ -92,7 +92,7 @@ class Analysis:
         The drive as functions of the current: torque, inductances, inverse map.
     figures : dict of str to Figure
         Single numbers by name.
-    mtpa, mtpv : Trajectory
+    mtpa, mtpv : CurrentLocus
     speed_ranges : tuple of SpeedRange
         One for each DC-link voltage.
     maps : CurrentMaps
@@ -106,8 +106,8 @@ class Analysis:
     settings: AnalysisSettings
     model: MachineModel
     figures: dict[str, Figure]
-    mtpa: Trajectory
-    mtpv: Trajectory
+    mtpa: CurrentLocus
+    mtpv: CurrentLocus
     speed_ranges: tuple[SpeedRange, ...]
     maps: CurrentMaps
     compensation: InverterCurve
@@ -201,7 +201,7 @@ def tables(analysis: Analysis) -> dict[str, Columns]:
     }
 
 
-def _trajectory(points: Trajectory) -> Columns:
+def _trajectory(points: CurrentLocus) -> Columns:
     names = ("current", "i_d", "i_q", "psi_d", "psi_q", "torque", "sigma_torque", "sigma_angle", "inside")
     return {name: getattr(points, name) for name in names}
 

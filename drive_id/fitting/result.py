@@ -29,7 +29,10 @@ _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
 _ENOUGH_SPEED = 3000.0
 """rpm at which the DC link of a machine map, where unknown, just drives the largest flux."""
-_LEAST_ANGLES, _ANGLES_PER_PERIOD = 24, 12
+_LEAST_ANGLES = 24
+"""Of the rotor positions of a machine map."""
+_ANGLES_PER_PERIOD = 12
+"""Rotor positions per period of the highest harmonic, so that cubics between them are off by 0.02 % of it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.maps.support import Support
+from drive_id.core.methods.method import CURVE_POINTS
 from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
 from drive_id.core.steady.effects import DELAY, IRON_LOSS
 from drive_id.core.steady.fit import (
@@ -27,12 +28,12 @@ from drive_id.errors import UnexplainedError
 from drive_id.origins import STATIC
 from drive_id.types import BoolArray, FloatArray
 
-_CURVE_POINTS = 201
 _THIN = 0.01
 """Width of the points, by their length, up to which they count as on a line."""
 _NO_INFORMATION = 2.0
 """Standard error, by what voltages and currents suggest, from which a quantity counts as unknown."""
-_UNEXPLAINED, _REFUSED = 0.05, 0.2
+_REFUSED = 0.2
+"""Share of the voltage that the model leaves, beyond which there is no map: as for method full."""
 _WRONG_SIGN = 4.0
 _LARGE_MISFIT = 1.5
 _VAGUE_RESISTANCE = 0.1
@@ -68,7 +69,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
     resistance, sigma_resistance = fit.coefficient(0)
     ohm, _ = scales(fit.points)
     error, sigma_error = fit.coefficient(-1)
-    current = np.linspace(-i_max, i_max, _CURVE_POINTS)
+    current = np.linspace(-i_max, i_max, CURVE_POINTS)
     drop, sigma_drop = fit.drop_curve(current)
     linear = _linear(fit)
     unknown = not sigma_resistance < _NO_INFORMATION * ohm

@@ -47,7 +47,12 @@ _PASSES = 2
 _MISFIT = 1.25
 _RARE = 3e-5
 """Probability with which chance alone makes an effect seem significant."""
-_OUTLYING, _MOST_OUTLYING, _FEW = 6.0, 0.1, 20
+_OUTLYING = 6.0
+"""Size of a whitened residual, in typical ones, from which a point is left out: Gaussian ones exceed it with 1.5e-8."""
+_MOST_OUTLYING = 0.1
+"""Share of the points: if more are far away, it is the model that is wrong."""
+_FEW = 20
+"""Points below which the typical size is not known well enough to leave any out."""
 _FLOOR = 1e-6
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 

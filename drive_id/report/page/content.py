@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.diagnostics import Comparison
+from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import results_tree
 from drive_id.fitting.result import Identification
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
@@ -28,7 +28,7 @@ _ONE_SPEED = 0.1
 
 
 @dataclass(frozen=True)
-class Figure:
+class Merit:
     """A figure of merit at a glance.
 
     Parameters
@@ -47,7 +47,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of text below a header.
 
     Parameters
@@ -69,12 +69,12 @@ class Content:
     Parameters
     ----------
     title, subtitle : str
-    figures : tuple of Figure
+    figures : tuple of Merit
         Quality at a glance.
     warnings : tuple of str
     knowledge : dict of str to tuple of str
         Sentences by their heading: what the result states, what the data leave open, and what to do next.
-    values, methods, operation, calibrations, settings, inputs, versions : Table
+    values, methods, operation, calibrations, settings, inputs, versions : TextTable
     comparison : str
         A sentence on what modelling the inverter changes; empty where it is not known.
     paragraph : str
@@ -87,16 +87,16 @@ class Content:
 
     title: str
     subtitle: str
-    figures: tuple[Figure, ...]
+    figures: tuple[Merit, ...]
     warnings: tuple[str, ...]
     knowledge: dict[str, tuple[str, ...]]
-    values: Table
-    methods: Table
-    calibrations: Table
-    settings: Table
-    inputs: Table
-    versions: Table
-    operation: Table
+    values: TextTable
+    methods: TextTable
+    calibrations: TextTable
+    settings: TextTable
+    inputs: TextTable
+    versions: TextTable
+    operation: TextTable
     comparison: str
     paragraph: str
     missing: dict[str, str]
@@ -121,12 +121,12 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
         methods=_methods(result),
         calibrations=_calibrations(result),
         settings=_settings(result),
-        inputs=Table(
+        inputs=TextTable(
             f"Files that were {'fitted' if result.origin.fitted else 'imported'}, and their digests",
             ("File", "SHA-256"),
             tuple(result.provenance.inputs.items()),
         ),
-        versions=Table(
+        versions=TextTable(
             "Software that made the result", ("Software", "Version"), tuple(map(_texts, twin["versions"].items()))
         ),
         comparison=_comparison(result),
@@ -159,16 +159,16 @@ def single_speed(result: Identification) -> bool:
     return high - low <= _ONE_SPEED * max(abs(low), abs(high))
 
 
-def _figures(result: Identification) -> tuple[Figure, ...]:
+def _figures(result: Identification) -> tuple[Merit, ...]:
     metrics, origin = result.metrics, result.origin
     flux, sigma = largest_flux(result), flux_sigma(result)
     count = len(result.warnings)
     found = [
-        Figure(
+        Merit(
             "Warnings", str(count), GOOD if not count else FAIR if count < 3 else WEAK,
             "Each is a sentence below that says what to do.",
         ),
-        Figure(
+        Merit(
             "Disc covered", percent(metrics["coverage"]), level(1 - metrics["coverage"], 0.05, 0.2),
             f"Share of the disc of {number(result.i_max)} A with data. Good from 95 %, weak below 80 %.",
         ),
@@ -176,7 +176,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
     if origin.fitted or math.isfinite(sigma):
         share = sigma / flux
         found.append(
-            Figure(
+            Merit(
                 "Standard error of the flux", percent(share), level(share, 0.002, 0.01),
                 "Median over the map, of the largest flux. Good up to 0.2 %, weak above 1 %.",
             )
@@ -184,7 +184,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
     if origin.fitted:
         known = result.sigma_resistance / max(abs(result.resistance), 1e-12)
         found.append(
-            Figure(
+            Merit(
                 "Standard error of R", percent(known), level(known, 0.02, 0.1),
                 f"R = {with_error(result.resistance * 1e3, result.sigma_resistance * 1e3)} mΩ. Good up to 2 %, weak "
                 "above 10 %.",
@@ -193,7 +193,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
     if origin.diagnostics:
         mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
         found.append(
-            Figure(
+            Merit(
                 "Simulated current", percent(mad), level(mad, 0.01, 0.03),
                 "Mean deviation of the open-loop simulation from the measurement, of i_max: "
                 f"{number(metrics['mad_d'])} A in d, {number(metrics['mad_q'])} A in q. Good up to 1 %, weak above "
@@ -202,7 +202,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
         )  # fmt: skip
     if origin.inverter:
         found.append(
-            Figure(
+            Merit(
                 "Inverter drop", f"{with_error(result.voltage_error, result.sigma_voltage_error)} V", "",
                 "Of one phase at large current, without its linear part, which is in R.",
             )
@@ -210,7 +210,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
     if math.isfinite(metrics["nrmse_d"]):
         worst = max(metrics["nrmse_d"], metrics["nrmse_q"])
         found.append(
-            Figure(
+            Merit(
                 "Error against the simulation's truth", percent(worst), level(worst, 0.002, 0.01),
                 f"NRMSE {percent(metrics['nrmse_d'])} in ψ_d, {percent(metrics['nrmse_q'])} in ψ_q. Good up to 0.2 %, "
                 "weak above 1 %.",
@@ -226,7 +226,7 @@ def level(value: float, good: float, weak: float) -> str:
     return GOOD if value <= good else FAIR if value <= weak else WEAK
 
 
-def _values(result: Identification) -> Table:
+def _values(result: Identification) -> TextTable:
     drive, metrics = result.drive, result.metrics
     rows = [
         ("Machine", result.machine or "unknown", ""),
@@ -252,7 +252,7 @@ def _values(result: Identification) -> Table:
     ]
     if not result.origin.fitted:
         rows.append(("Points read", str(metrics["samples_read"]), ""))
-        return Table("Values in the file", ("Quantity", "Value", "Standard error"), tuple(rows))
+        return TextTable("Values in the file", ("Quantity", "Value", "Standard error"), tuple(rows))
     rows += [
         ("Electrical speed", _speed(result), ""),
         ("Duration of the data", f"{number(result.duration)} s" if result.duration else "unknown", ""),
@@ -263,7 +263,7 @@ def _values(result: Identification) -> Table:
         else ("Unknowns", str(metrics["parameters"]), ""),
         ("Condition number", number(metrics["condition"], 3), ""),
     ]
-    return Table("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
+    return TextTable("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
 
 
 def _resistance(result: Identification) -> str:
@@ -285,12 +285,12 @@ def _speed(result: Identification) -> str:
     )
 
 
-def _methods(result: Identification) -> Table:
+def _methods(result: Identification) -> TextTable:
     """Lay out the result beside the paper's methods."""
     rows: list[tuple[str, ...]] = []
     judged, metrics = result.diagnostics, result.metrics
     if judged is not None:
-        own = Comparison(
+        own = ComparedMethod(
             method=result.method,
             samples=int(metrics["samples_used"]),
             resistance=result.resistance,
@@ -305,14 +305,14 @@ def _methods(result: Identification) -> Table:
         )
         every = sorted([own, *judged.comparisons], key=lambda found: list(ORIGINS).index(found.method))
         rows = [_method_row(found, own=found is own) for found in every] if judged.comparisons else []
-    return Table(
+    return TextTable(
         "The same data with and without a model of the inverter",
         ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
         tuple(rows),
     )
 
 
-def _method_row(found: Comparison, *, own: bool) -> tuple[str, ...]:
+def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
     origin = origin_named(found.method)
     name = f"{origin.title}{' (this result)' if own else ''}"
     if found.failure:
@@ -346,33 +346,33 @@ def _comparison(result: Identification) -> str:
     )
 
 
-def map_difference(result: Identification, other: Comparison) -> tuple[FloatArray, FloatArray]:
+def map_difference(result: Identification, other: ComparedMethod) -> tuple[FloatArray, FloatArray]:
     """Return psi_d and psi_q (D, Q) of another method minus those of the result, Wb."""
     assert other.psi_d is not None
     assert other.psi_q is not None
     return other.psi_d - result.flux_map.psi_d, other.psi_q - result.flux_map.psi_q
 
 
-def _calibrations(result: Identification) -> Table:
+def _calibrations(result: Identification) -> TextTable:
     rows = []
     for found in result.calibrations:
         unit = "" if found.unit == "1" else found.unit
         done = "corrected" if found.applied else "not corrected"
         rows.append((found.name, f"{number(found.value)} {unit}".strip(), sigma_text(found.sigma, unit), done))
-    return Table(
+    return TextTable(
         "Sensor faults and effects of the drive", ("Name", "Value", "Standard error", "In the map"), tuple(rows)
     )
 
 
-def _settings(result: Identification) -> Table:
+def _settings(result: Identification) -> TextTable:
     usual = FitSettings()
     rows: list[tuple[str, ...]] = []
     if not result.origin.fitted:
-        return Table("Settings of the fit", ("Setting", "Value", "Origin"), ())
+        return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), ())
     for name, value in vars(result.provenance.settings).items():
         changed = "default" if value == getattr(usual, name) else "set"
         rows.append((name, _setting(value), changed))
-    return Table("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
+    return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
 
 
 def _setting(value: object) -> str:
@@ -381,7 +381,7 @@ def _setting(value: object) -> str:
     return "automatic" if value is None else str(value)
 
 
-def _operation(operation: TorqueMap | None) -> Table:
+def _operation(operation: TorqueMap | None) -> TextTable:
     """Lay out a few points of the lines of operation."""
     rows = []
     for line in operation.lines if operation else ():
@@ -395,7 +395,7 @@ def _operation(operation: TorqueMap | None) -> Table:
             at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
             rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
     header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
-    return Table("Points of the lines of operation, where there are data", header, tuple(rows))
+    return TextTable("Points of the lines of operation, where there are data", header, tuple(rows))
 
 
 def _advice(result: Identification) -> tuple[str, ...]:

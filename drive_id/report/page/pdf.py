@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from drive_id.report.page.content import Content, Table
+from drive_id.report.page.content import Content, TextTable
 from drive_id.report.page.html import GENERATOR
 from drive_id.report.page.wording import SECTIONS
 from drive_id.version import VERSION
@@ -40,7 +40,7 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.text(content.subtitle)
     sheets.heading(SECTIONS["glance"])
     rows = tuple((f.name, f.value, f.level or "–", f.meaning) for f in content.figures)
-    sheets.table(Table("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
+    sheets.table(TextTable("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
     sheets.heading(SECTIONS["warnings"])
     for warning in content.warnings or ("None.",):
         sheets.text(f"• {warning}", colour=_WARNING if content.warnings else "black")
@@ -112,7 +112,7 @@ class _Sheets:
             self._write(_MARGIN, self._take(_line(size)), line, size, bold=bold, colour=colour)
         self._left -= 0.05
 
-    def table(self, table: Table, shares: Sequence[float]) -> None:
+    def table(self, table: TextTable, shares: Sequence[float]) -> None:
         """Write a table with columns of these shares of the width; nothing for one without rows."""
         if not table.rows:
             return

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drive_id.core.methods.parameters import Parameters
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.origins import ORIGINS, Origin
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -16,9 +17,6 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from scipy.interpolate import RectBivariateSpline
 
-    from drive_id.core.full.calibration import Calibration
-    from drive_id.core.maps.error_modes import ErrorModes
-    from drive_id.core.maps.flux_models import FluxModel
     from drive_id.core.validation.simulated_current import SimulatedCurrent
 
 Outside = Literal["nan", "raise"]
@@ -364,9 +362,9 @@ class TorqueFit:
     samples: int
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedDrive:
-    """An identified drive: the numbers, without their origin.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IdentifiedDrive(Parameters):
+    """An identified drive: the parameters, the map and how good they are, without their origin.
 
     Parameters
     ----------
@@ -374,35 +372,12 @@ class IdentifiedDrive:
         ``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool.
     i_max : float
         Radius of the current disc of the experiment, A.
-    resistance, sigma_resistance : float
-        The paper's R, which includes the linear part of the inverter's drop, and its standard error, ohm.
-    voltage_error, sigma_voltage_error : float
-        u_e in the drop convention (positive for a physical inverter) and its standard error, V; 0 for ``psm``.
-    inverter_current, inverter_voltage : (C,) float
-        The identified drop of one phase, V, over its current, A.
     flux_map : FluxMap
     report : FitReport
-    model : FluxModel or None
-        With ``gamma``, the flux map as the function that was fitted; None when the result was read from files.
-    gamma : (P,) float or None
-        Coefficients, Wb.
-    sigma_inverter_voltage : (C,) float or None
-        Standard error of ``inverter_voltage``, V; method ``full``.
-    phase_voltages : (C, 3) float or None
-        The identified drop of each phase, V, when each has a curve of its own.
     harmonics : tuple of HarmonicMap
         Of the rotor position; method ``full``.
-    calibrations : tuple of Calibration
-        Sensor faults; method ``full``.
-    magnet_coefficient : (float, float) or None
-        Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
-    statements : tuple of str
-        What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     torque : TorqueFit or None
         The recorded shaft torque against that of the map.
-    error_modes : ErrorModes or None
-        Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
-        that did not keep them.
     simulated : SimulatedCurrent or None
         Where the MAD comes from; None when the result was read from files.
     linear : LinearMachine or None
@@ -411,24 +386,10 @@ class IdentifiedDrive:
 
     method: str
     i_max: float
-    resistance: float
-    sigma_resistance: float
-    voltage_error: float
-    sigma_voltage_error: float
-    inverter_current: FloatArray
-    inverter_voltage: FloatArray
     flux_map: FluxMap
     report: FitReport
-    model: FluxModel | None = None
-    gamma: FloatArray | None = None
-    sigma_inverter_voltage: FloatArray | None = None
-    phase_voltages: FloatArray | None = None
     harmonics: tuple[HarmonicMap, ...] = ()
-    calibrations: tuple[Calibration, ...] = ()
-    magnet_coefficient: tuple[float, float] | None = None
-    statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
-    error_modes: ErrorModes | None = None
     simulated: SimulatedCurrent | None = None
     linear: LinearMachine | None = None
 

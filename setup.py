@@ -10,8 +10,6 @@ from setuptools import find_packages, setup
 
 NAME = "drive_id"
 
-# For "drive-id fit --dask": a cluster is not everyone's.
-FLEET = ["distributed>=2024.1"]
 # For logs that are not bags: CSV and Parquet, MDF4, TDMS, HDF5 and MATLAB 7.3.
 CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
 # Programs that the tests read exported maps with.
@@ -31,10 +29,10 @@ EXECUTABLES = [
 
 def version() -> str:
     """Read the version from the source text: importing it would need the dependencies."""
-    text = Path(NAME, "__init__.py").read_text(encoding="utf-8")
-    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    text = Path(NAME, "version.py").read_text(encoding="utf-8")
+    found = re.search(r'^VERSION = "([^"]+)"$', text, re.MULTILINE)
     if found is None:
-        raise SystemExit(f'{NAME}/__init__.py has no line __version__ = "...": add it.')
+        raise SystemExit(f'{NAME}/version.py has no line VERSION = "...": add it.')
     return found.group(1)
 
 
@@ -97,7 +95,6 @@ setup(
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
     extras_require={
         "containers": CONTAINERS,
-        "fleet": FLEET,
         "test": [
             "hypothesis>=6.98",
             "jsonschema>=4.18",
@@ -105,7 +102,6 @@ setup(
             "pytest-xdist>=3.5",
             "selenium>=4.16",
             *CONTAINERS,
-            *FLEET,
             *READERS,
         ],
     },

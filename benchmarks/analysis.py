@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.trajectories import Trajectory, mtpa, mtpv
+from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
 from drive_id.bench.machine import Machine
 from drive_id.bench.settings import SimulationSettings
 from drive_id.exchange.imports.importing import import_map
@@ -91,7 +91,7 @@ def true_angles(machine: Machine, current: FloatArray) -> FloatArray:
     return np.asarray(angle[best] + _SCAN * 0.5 * (left - right) / (left - 2 * middle + right))
 
 
-def angles(trajectory: Trajectory) -> FloatArray:
+def angles(trajectory: CurrentLocus) -> FloatArray:
     """Return the angles (N,), rad."""
     return np.asarray(np.arctan2(trajectory.i_q, trajectory.i_d))
 

@@ -15,13 +15,13 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
 import fitting
+import fleet
 import nodes
 import processes
 import streams
 from reporting import Section, machine, show, write
 from rich.console import Console
 
-FLEET = Path(__file__).parent / "fleet.py"
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
 LENGTHS = [10.0, 60.0, 600.0]
 HOUR = 3600.0
@@ -31,7 +31,7 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
     """Return what can be measured, by name."""
     repeats = 1 if options.quick else options.repeats
     lengths = (LENGTHS[:2] if options.quick else LENGTHS) + ([HOUR] if options.hour else [])
-    found: dict[str, Callable[[], Section]] = {
+    return {
         "process": lambda: processes.against_plain(folder, repeats),
         "cold": lambda: processes.cold(folder, repeats),
         "growth": lambda: processes.growth(folder, lengths, repeats),
@@ -39,12 +39,8 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
         "nodes": lambda: nodes.section(repeats),
+        "fleet": lambda: fleet.section(folder, repeats, 60.0 if options.quick else fleet.SECONDS),
     }
-    if FLEET.exists():
-        import fleet  # noqa: PLC0415  # needs the extra "fleet"
-
-        found["fleet"] = lambda: fleet.section(folder, repeats, 60.0 if options.quick else fleet.SECONDS)
-    return found
 
 
 def _command(options: argparse.Namespace) -> str:

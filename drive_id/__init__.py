@@ -11,7 +11,8 @@ Names are loaded when they are first used, so that ``import drive_id`` takes no 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from drive_id.analysis.analyze import Analysis, analyze
+    from drive_id.analysis.analyze import analyze
+    from drive_id.analysis.folder import Analysis
     from drive_id.analysis.machine import MachineModel
     from drive_id.analysis.settings import AnalysisSettings
     from drive_id.bench.settings import SimulationSettings
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from drive_id.fitting.sources import read_bag
     from drive_id.types import MachineMap, Samples
 
-__version__ = "0.1.0"
+__version__: str
 __all__ = [
     "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
     "MachineModel", "OperatingData", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag",
@@ -33,7 +34,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for each home
     home: object
     if name in ("Analysis", "AnalysisSettings", "MachineModel", "analyze"):
         from drive_id.analysis import analyze as home
@@ -57,9 +58,11 @@ def __getattr__(name: str) -> object:
         from drive_id.fitting import fit as home
     elif name == "simulate":
         from drive_id.fitting import simulated as home
+    elif name == "__version__":
+        from drive_id import version as home
     else:
         raise AttributeError(f"module 'drive_id' has no attribute '{name}'")
-    found: object = getattr(home, name)
+    found: object = getattr(home, "VERSION" if name == "__version__" else name)
     globals()[name] = found
     return found
 

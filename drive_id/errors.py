@@ -49,10 +49,10 @@ class ExperimentError(DriveIdError):
     code = "experiment"
 
 
-class ClusterError(DriveIdError):
-    """The Dask cluster cannot be reached, or was lost."""
+class WorkerError(DriveIdError):
+    """A process that reads recordings has died."""
 
-    code = "cluster"
+    code = "worker"
 
 
 class BagError(DriveIdError):

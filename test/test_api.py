@@ -134,7 +134,7 @@ def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
         ([None], {}, "neither all paths nor all Samples"),
         ("none.info", {}, "none.info cannot be read"),
         ("none", {"signals": "none.yaml"}, "none.yaml"),
-        ("none", {"cluster": "somewhere"}, "is not the address of a Dask scheduler"),
+        ("none", {"workers": 0}, "The number of workers is 0: give 1 or more."),
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_one_sentence(recordings, options, said):

@@ -16,7 +16,6 @@ import pytest
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
-from drive_id.live.identification.identifier import PROVISIONAL
 
 DEFINITIONS = Path(__file__).parent.parent / "msg_defs"
 
@@ -37,7 +36,7 @@ CONTRACT = {
         "uint32[] harmonic_orders; float64[] harmonic_psi_d_cos; float64[] harmonic_psi_d_sin; "
         "float64[] harmonic_psi_q_cos; float64[] harmonic_psi_q_sin; string[] calibration_names; "
         "float64[] calibration_values; float64[] calibration_sigmas; string[] calibration_units; "
-        "bool[] calibration_applied"
+        "bool[] calibration_applied; bool provisional"
     ),
     "msg/OperatingPoint": "std_msgs/Header header; float64 i_d; float64 i_q; float64 speed",
     "msg/FitReport": (
@@ -121,16 +120,12 @@ OURS = {"ok", "busy", "cancelled", "time_limit", "internal"}
 def test_the_codes_and_methods_are_constants(name):
     """Every error that a request can lead to has a constant, which is named after it."""
     codes = constants(name, "CODE_")
-    never = {"error", "cluster", "experiment"}  # the base, and what no node uses
+    never = {"error", "worker", "experiment"}  # the base, and what no node uses
     assert set(codes.values()) == {error.code for error in subclasses(DriveIdError)} - never | OURS
     assert all(f"CODE_{code.upper()}" == found for found, code in codes.items())
     methods = FitSettings.__dataclass_fields__["method"].metadata["choices"]
     assert sorted(constants(name, "METHOD_").values()) == sorted(set(methods) - {"static"})  # of files, not of nodes
     assert constants("msg/FluxMap", "METHOD_") == constants(name, "METHOD_")
-
-
-def test_the_suffix_of_provisional_maps_is_a_constant():
-    assert constants("msg/FluxMap", "PROVISIONAL_") == {"PROVISIONAL_SUFFIX": f" ({PROVISIONAL})"}
 
 
 def test_the_action_answers_as_the_service_does():

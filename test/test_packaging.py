@@ -40,8 +40,6 @@ LIBRARIES: dict[str, tuple[str, str | None]] = {
 }
 OPTIONAL = {
     "asammdf": "containers",
-    "dask": "fleet",
-    "distributed": "fleet",
     "h5py": "containers",
     "nptdms": "containers",
     "pandas": "containers",

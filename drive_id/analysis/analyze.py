@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from drive_id.analysis.bands import combined
 from drive_id.analysis.field_weakening import (
-    Limits,
+    DriveLimits,
     corner_speed,
     envelope,
     references,
     sigma_envelope,
     top_speed,
 )
+from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
-from drive_id.analysis.trajectories import Trajectory, characteristic_current, mtpa, mtpv
-from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
+from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpv
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.fitting.result import Identification, InverterCurve, load
-from drive_id.types import BoolArray, FloatArray
+from drive_id.fitting.result import Identification, load
+from drive_id.temperature import REFERENCE_TEMPERATURE
+from drive_id.types import BoolArray
 
 _RPM = math.pi / 30
 _REACH = 1.25
@@ -42,107 +41,6 @@ _UNKNOWN_RESISTANCE = (
     "The resistance is unknown: voltages neglect it, and losses, efficiency and ki are NaN; import the map with "
     "--resistance."
 )
-
-
-class Figure(NamedTuple):
-    """A number with its standard error (NaN if unknown), its unit, and whether it rests on data."""
-
-    value: float
-    sigma: float
-    unit: str
-    inside: bool
-
-
-@dataclass(frozen=True, eq=False)
-class SpeedRange:
-    """Capability of the drive over speed at one DC-link voltage.
-
-    Parameters
-    ----------
-    u_dc : float
-        V.
-    limits : Limits
-    corner : float
-        Speed up to which the largest torque needs no field weakening, rad/s.
-    motoring, braking : Operation
-        (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
-    sigma_torque : (S,) float
-        Standard error of the largest torque, Nm.
-    requested : (N,) float
-        Torques of the table of references, Nm.
-    references : Operation
-        (R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
-        where no operation is possible.
-    errors : OperationErrors
-        Of the references.
-    """
-
-    u_dc: float
-    limits: Limits
-    corner: float
-    motoring: Operation
-    braking: Operation
-    sigma_torque: FloatArray
-    requested: FloatArray
-    references: Operation
-    errors: OperationErrors
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Analysis:
-    """What :func:`drive_id.analyze` returns.
-
-    Parameters
-    ----------
-    result : Identification
-    settings : AnalysisSettings
-    model : MachineModel
-        The drive as functions of the current: torque, inductances, inverse map.
-    figures : dict of str to Figure
-        Single numbers by name.
-    mtpa, mtpv : Trajectory
-    speed_ranges : tuple of SpeedRange
-        One for each DC-link voltage.
-    maps : CurrentMaps
-    compensation : InverterCurve
-        Voltage to add to each phase over its current.
-    statements : tuple of str
-        Sentences: what the figures include, and where they rest on no data.
-    """
-
-    result: Identification
-    settings: AnalysisSettings
-    model: MachineModel
-    figures: dict[str, Figure]
-    mtpa: Trajectory
-    mtpv: Trajectory
-    speed_ranges: tuple[SpeedRange, ...]
-    maps: CurrentMaps
-    compensation: InverterCurve
-    statements: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
-        return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
-
-    def save(self, directory: str | Path, *, force: bool = False) -> None:
-        """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.
-
-        Parameters
-        ----------
-        directory : path
-            Created when missing; an earlier analysis in it is replaced.
-        force : bool
-            Write into a folder that holds other files.
-
-        Raises
-        ------
-        OutputError
-            When the folder is not ours to write, or cannot be written.
-        """
-        from drive_id.analysis.folder import write_analysis  # noqa: PLC0415  # it imports this module
-
-        write_analysis(Path(directory), self, force=force)
 
 
 def analyze(result: Identification | str | Path, settings: AnalysisSettings | None = None) -> Analysis:
@@ -188,7 +86,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     at_most = mtpa(model, i_max, chosen.current_points)
     _check(model, found, at_most, i_max)
     beyond = mtpv(model, i_max, chosen.current_points)
-    limits = [Limits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
+    limits = [DriveLimits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
     ranges = tuple(_speed_range(model, chosen, u_dc, limit) for u_dc, limit in zip(voltages, limits, strict=True))
     ripple = TorqueRipple.of(model, found.flux_map, found.harmonics, _REACH * max(i_max, found.i_max))
     maps = CurrentMaps.of(model, ripple, found.flux_map.i_d, found.flux_map.i_q, chosen.bandwidth)
@@ -206,7 +104,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     )
 
 
-def _check(model: MachineModel, found: Identification, at_most: Trajectory, i_max: float) -> None:
+def _check(model: MachineModel, found: Identification, at_most: CurrentLocus, i_max: float) -> None:
     """Refuse maps of the wrong sign or order of axes, and machines without torque."""
     grid = found.flux_map.grid()[found.flux_map.inside]
     slopes = model.inductances(grid[:, 0], grid[:, 1])
@@ -221,7 +119,7 @@ def _check(model: MachineModel, found: Identification, at_most: Trajectory, i_ma
         raise DataError(f"No current up to {i_max:.4g} A gives a torque with this map: check the map and i_max.")
 
 
-def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, limits: Limits) -> SpeedRange:
+def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, limits: DriveLimits) -> SpeedRange:
     corner = corner_speed(model, limits)
     if settings.speed is not None:
         highest = settings.speed * _RPM
@@ -249,7 +147,7 @@ def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, l
 
 
 def _figures(
-    model: MachineModel, found: Identification, at_most: Trajectory, of_speed: SpeedRange, settings: AnalysisSettings
+    model: MachineModel, found: Identification, at_most: CurrentLocus, of_speed: SpeedRange, settings: AnalysisSettings
 ) -> dict[str, Figure]:
     zero = bool(model.inside(0.0, 0.0))
     slopes, errors = model.inductances(0.0, 0.0), model.sigma_inductances(0.0, 0.0)
@@ -327,8 +225,8 @@ def _statements(
     model: MachineModel,
     found: Identification,
     settings: AnalysisSettings,
-    at_most: Trajectory,
-    beyond: Trajectory,
+    at_most: CurrentLocus,
+    beyond: CurrentLocus,
     ranges: tuple[SpeedRange, ...],
 ) -> tuple[str, ...]:
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
@@ -404,19 +302,19 @@ def _on_iron(model: MachineModel) -> str:
 
 
 def _on_inverter(found: Identification) -> str:
-    if found.drive.has_inverter and np.any(found.inverter_curve.voltage):
+    if found.origin.inverter and np.any(found.inverter_curve.voltage):
         return (
             "The inverter's drop is included in voltages and losses, with its linear part in the resistance; its "
             "switching losses are not."
         )
-    return "No drop of the inverter is known, so none is included beyond the linear part in the resistance."
+    return "No drop of the inverter is known, so none is included beyond what the resistance contains."
 
 
 def _on_temperature(model: MachineModel, found: Identification) -> list[str]:
     out = []
     if model.temperature is not None:
         known = bool(found.provenance.settings.temperatures)
-        since = "" if known else ", which is assumed, as the fit was given no temperatures"
+        since = "" if known else ", which is assumed, as no temperatures are known"
         out.append(
             f"The resistance holds at {model.temperature:g} degC, by copper's coefficient from its value at "
             f"{REFERENCE_TEMPERATURE:g} degC{since}."

@@ -35,7 +35,7 @@ _DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
-class Limits:
+class DriveLimits:
     """Largest amplitudes of stator current, A, and of voltage, V."""
 
     i_max: float
@@ -57,7 +57,7 @@ class Limits:
         return [str(word) for word in np.where(np.isfinite(points.current), words, "unreachable")]
 
 
-def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: float = 1.0) -> Operation:
+def envelope(model: MachineModel, limits: DriveLimits, speed: FloatArray, *, sign: float = 1.0) -> Operation:
     """Return the points of largest torque (``sign`` 1) or most negative torque (-1) at mechanical speeds (N,), rad/s.
 
     NaN where no current within its limit keeps the voltage.
@@ -84,7 +84,7 @@ def envelope(model: MachineModel, limits: Limits, speed: FloatArray, *, sign: fl
 
 def _last_kept(
     model: MachineModel,
-    limits: Limits,
+    limits: DriveLimits,
     i_d: FloatArray,
     rows: tuple[FloatArray, BoolArray],
     speed: FloatArray,
@@ -105,7 +105,7 @@ def _last_kept(
 
 
 def _best_line(
-    model: MachineModel, limits: Limits, i_d: FloatArray, i_q: FloatArray, speed: FloatArray, sign: float
+    model: MachineModel, limits: DriveLimits, i_d: FloatArray, i_q: FloatArray, speed: FloatArray, sign: float
 ) -> FloatArray:
     """Return the currents (S, 2) of largest torque of a sign among (S, D); some current where none keeps the limits."""
     torque = sign * model.torque(i_d, np.nan_to_num(i_q))
@@ -116,7 +116,7 @@ def _best_line(
 
 
 def references(
-    model: MachineModel, limits: Limits, torque: FloatArray, motoring: Operation, braking: Operation
+    model: MachineModel, limits: DriveLimits, torque: FloatArray, motoring: Operation, braking: Operation
 ) -> Operation:
     """Return the points of least stator current for torques (N,), Nm, at mechanical speeds (S,), rad/s, as (S, N).
 
@@ -125,7 +125,7 @@ def references(
     Parameters
     ----------
     model : MachineModel
-    limits : Limits
+    limits : DriveLimits
     torque : (N,) float
         Nm.
     motoring, braking : Operation
@@ -143,7 +143,7 @@ def references(
     return _kept(limits, Operation.at(model, i_dq, np.broadcast_to(speed[:, None], wanted.shape)))
 
 
-def corner_speed(model: MachineModel, limits: Limits) -> float:
+def corner_speed(model: MachineModel, limits: DriveLimits) -> float:
     """Return the mechanical speed up to which the largest torque within the current limit needs no field weakening."""
     point = envelope(model, limits, np.zeros(1))
     if not np.isfinite(point.torque[0]) or limits.active(point)[1][0]:
@@ -162,7 +162,7 @@ def corner_speed(model: MachineModel, limits: Limits) -> float:
     return low
 
 
-def top_speed(model: MachineModel, limits: Limits, most: float) -> float:
+def top_speed(model: MachineModel, limits: DriveLimits, most: float) -> float:
     """Return the mechanical speed up to ``most``, rad/s, at which positive torque is still possible."""
 
     def possible(speed: float) -> bool:
@@ -178,7 +178,7 @@ def top_speed(model: MachineModel, limits: Limits, most: float) -> float:
     return low
 
 
-def sigma_envelope(model: MachineModel, limits: Limits, points: Operation) -> FloatArray:
+def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) -> FloatArray:
     """Return the standard errors of the largest torques (N,), Nm: those at fixed limits, not at fixed currents.
 
     With the gradients of torque, voltage and current by the map's current, the torque changes to first order by its own
@@ -202,7 +202,7 @@ def sigma_envelope(model: MachineModel, limits: Limits, points: Operation) -> Fl
 
 
 def _gradients(
-    model: MachineModel, limits: Limits, i_dq: FloatArray, speed: FloatArray
+    model: MachineModel, limits: DriveLimits, i_dq: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives (N, 2) of torque, voltage and current with respect to the map's current (N, 2), A."""
     step = _DIFFERENCE * limits.i_max
@@ -215,7 +215,7 @@ def _gradients(
     return slopes("torque"), slopes("voltage"), slopes("current")
 
 
-def _candidates(model: MachineModel, limits: Limits, sign: float) -> tuple[FloatArray, FloatArray]:
+def _candidates(model: MachineModel, limits: DriveLimits, sign: float) -> tuple[FloatArray, FloatArray]:
     """Return currents on a grid over the half plane (D, Q, 2), A, and their fluxes."""
     reach = limits.i_max * (_IRON_REACH if model.iron.known else 1.0)
     i_d = np.linspace(-reach, reach, _LINES)
@@ -224,7 +224,7 @@ def _candidates(model: MachineModel, limits: Limits, sign: float) -> tuple[Float
     return i_dq, np.stack(model.psi_dq(i_dq[..., 0], i_dq[..., 1]), axis=-1)
 
 
-def _kept(limits: Limits, points: Operation) -> Operation:
+def _kept(limits: DriveLimits, points: Operation) -> Operation:
     """Return points, NaN where a limit is exceeded."""
     good = limits.broken(points) == 0
     fields = {name: np.asarray(getattr(points, name)) for name in Operation.__dataclass_fields__ if name != "speed"}
@@ -233,7 +233,7 @@ def _kept(limits: Limits, points: Operation) -> Operation:
 
 
 def _least_current(
-    model: MachineModel, limits: Limits, torque: FloatArray, speed: FloatArray, sign: float
+    model: MachineModel, limits: DriveLimits, torque: FloatArray, speed: FloatArray, sign: float
 ) -> FloatArray:
     """Return currents of the map (S, N, 2), A, that give torques of one sign with the least stator current.
 
@@ -261,7 +261,7 @@ def _least_current(
     return best
 
 
-def _rank(limits: Limits, points: Operation) -> FloatArray:
+def _rank(limits: DriveLimits, points: Operation) -> FloatArray:
     broken = limits.broken(points)
     rank = np.where(broken > 0, _BROKEN * (1 + broken), points.current / limits.i_max)
     return np.where(np.isfinite(rank), rank, np.inf)

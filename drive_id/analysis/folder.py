@@ -1,4 +1,4 @@
-"""Files of an analysis: ``analysis.json``, tables as CSV with a header row, and ``maps.npz``; SI units throughout."""
+"""An analysis and its files: ``analysis.json``, tables as CSV with a header row, ``maps.npz``; SI units throughout."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-import drive_id
-from drive_id.analysis.analyze import Analysis, SpeedRange
+from drive_id.analysis.field_weakening import DriveLimits
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.operation import Operation
-from drive_id.analysis.trajectories import Trajectory
+from drive_id.analysis.maps import CurrentMaps
+from drive_id.analysis.operation import Operation, OperationErrors
+from drive_id.analysis.settings import AnalysisSettings
+from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
+from drive_id.fitting.result import Identification, InverterCurve
+from drive_id.types import FloatArray
+from drive_id.version import VERSION
 
 FORMAT, MARKER = "drive_id/analysis", "analysis.json"
 FORMAT_VERSION = 1
@@ -28,7 +32,107 @@ _UNITS = {
     "resistance": "ohm",
 }  # fmt: skip
 _DIGITS = 12
+_RPM = math.pi / 30
 Columns = Mapping[str, Iterable[Any]]
+
+
+class Figure(NamedTuple):
+    """A number with its standard error (NaN if unknown), its unit, and whether it rests on data."""
+
+    value: float
+    sigma: float
+    unit: str
+    inside: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedRange:
+    """Capability of the drive over speed at one DC-link voltage.
+
+    Parameters
+    ----------
+    u_dc : float
+        V.
+    limits : DriveLimits
+    corner : float
+        Speed up to which the largest torque needs no field weakening, rad/s.
+    motoring, braking : Operation
+        (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
+    sigma_torque : (S,) float
+        Standard error of the largest torque, Nm.
+    requested : (N,) float
+        Torques of the table of references, Nm.
+    references : Operation
+        (R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
+        where no operation is possible.
+    errors : OperationErrors
+        Of the references.
+    """
+
+    u_dc: float
+    limits: DriveLimits
+    corner: float
+    motoring: Operation
+    braking: Operation
+    sigma_torque: FloatArray
+    requested: FloatArray
+    references: Operation
+    errors: OperationErrors
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis:
+    """What :func:`drive_id.analyze` returns.
+
+    Parameters
+    ----------
+    result : Identification
+    settings : AnalysisSettings
+    model : MachineModel
+        The drive as functions of the current: torque, inductances, inverse map.
+    figures : dict of str to Figure
+        Single numbers by name.
+    mtpa, mtpv : CurrentLocus
+    speed_ranges : tuple of SpeedRange
+        One for each DC-link voltage.
+    maps : CurrentMaps
+    compensation : InverterCurve
+        Voltage to add to each phase over its current.
+    statements : tuple of str
+        Sentences: what the figures include, and where they rest on no data.
+    """
+
+    result: Identification
+    settings: AnalysisSettings
+    model: MachineModel
+    figures: dict[str, Figure]
+    mtpa: CurrentLocus
+    mtpv: CurrentLocus
+    speed_ranges: tuple[SpeedRange, ...]
+    maps: CurrentMaps
+    compensation: InverterCurve
+    statements: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
+        return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
+
+    def save(self, directory: str | Path, *, force: bool = False) -> None:
+        """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.
+
+        Parameters
+        ----------
+        directory : path
+            Created when missing; an earlier analysis in it is replaced.
+        force : bool
+            Write into a folder that holds other files.
+
+        Raises
+        ------
+        OutputError
+            When the folder is not ours to write, or cannot be written.
+        """
+        write_analysis(Path(directory), self, force=force)
 
 
 def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) -> None:
@@ -81,7 +185,7 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
         "settings": asdict(settings),
         "files": [*tables(analysis), "maps.npz"],
         "units": _UNITS,
-        "version": drive_id.__version__,
+        "version": VERSION,
     }  # fmt: skip
 
 
@@ -97,7 +201,7 @@ def tables(analysis: Analysis) -> dict[str, Columns]:
     }
 
 
-def _trajectory(points: Trajectory) -> Columns:
+def _trajectory(points: CurrentLocus) -> Columns:
     names = ("current", "i_d", "i_q", "psi_d", "psi_q", "torque", "sigma_torque", "sigma_angle", "inside")
     return {name: getattr(points, name) for name in names}
 

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import ModelErrors, combined
 from drive_id.analysis.surfaces import Surfaces
-from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
-from drive_id.core.full.model import COPPER
 from drive_id.core.maps.continuation import LongerGrid, typical_slope
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:

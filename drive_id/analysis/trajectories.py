@@ -23,7 +23,7 @@ _ANGLE_STEP = np.deg2rad(1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class CurrentLocus:
     """Points (N,) on circles of constant current amplitude.
 
     Parameters
@@ -56,7 +56,7 @@ class Trajectory:
         return len(self.current)
 
 
-def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1.0) -> Trajectory:
+def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1.0) -> CurrentLocus:
     """Return the largest torque on circles of current amplitude, 0 to ``i_max`` (A).
 
     Parameters
@@ -73,7 +73,7 @@ def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1
     return _trajectory(model, current, angle, _mtpa_error(model, current, angle))
 
 
-def mtpv(model: MachineModel, i_max: float, points: int = 41) -> Trajectory:
+def mtpv(model: MachineModel, i_max: float, points: int = 41) -> CurrentLocus:
     """Return the points of largest torque at a given flux (voltage, without resistance), by current amplitude.
 
     On each circle it is the point beyond the MTPA angle, towards less flux, where torque and flux have parallel
@@ -184,11 +184,11 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
     return np.where(exists, 0.5 * (low + high), np.nan)
 
 
-def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sigma_angle: FloatArray) -> Trajectory:
+def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sigma_angle: FloatArray) -> CurrentLocus:
     i_d, i_q = current * np.cos(angle) + 0.0, current * np.sin(angle) + 0.0  # no negative zeros
     psi_d, psi_q = model.psi_dq(i_d, i_q)
     inside = model.inside(i_d, i_q)
-    return Trajectory(
+    return CurrentLocus(
         current=current,
         i_d=i_d,
         i_q=i_q,

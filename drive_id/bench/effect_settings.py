@@ -9,9 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from drive_id.settings import setting
-
-REFERENCE_TEMPERATURE = 20.0
-"""Temperature at which resistance and flux map of the machine hold, degrees Celsius."""
+from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 
 MOST_ORDERS = 8
 """Most orders of the eccentricity and of each kind of resolver error."""
@@ -51,7 +49,7 @@ class MachineEffects:
     )
     copper_time_constant: float = setting(60.0, "Cooling of the winding to ambient_temperature", unit="s", minimum=1e-3)
     copper_coefficient: float = setting(
-        3.93e-3, "Change of resistance with winding temperature", unit="1/K", minimum=0.0, maximum=0.1
+        COPPER, "Change of resistance with winding temperature", unit="1/K", minimum=0.0, maximum=0.1
     )
     magnet_temperature: float = setting(
         REFERENCE_TEMPERATURE, "Magnet temperature at the start", unit="degC", minimum=-60.0, maximum=300.0

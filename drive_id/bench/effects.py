@@ -12,10 +12,11 @@ import math
 import numpy as np
 
 from drive_id.bench import kernels
-from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, MOST_ORDERS, REFERENCE_TEMPERATURE
+from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, MOST_ORDERS
 from drive_id.bench.machine import Machine
 from drive_id.bench.parameters import DriveState, Plant
 from drive_id.bench.settings import SimulationSettings
+from drive_id.temperature import REFERENCE_TEMPERATURE
 
 EFFECTS = np.dtype(
     [

@@ -6,10 +6,10 @@ import numpy as np
 
 from drive_id.bench.machine import Machine
 from drive_id.bench.settings import SimulationSettings
+from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import SCALARS, FloatArray
 
 SCALAR_SETTINGS = ("log_scalars", "scalar_rate", "temperature_rate")
-_TEMPERATURE = 20.0  # degrees Celsius, of a drive that does not heat up
 
 
 def logged_scalars(
@@ -42,7 +42,7 @@ def logged_scalars(
         Of winding and magnet, degrees Celsius. Default: 20.
     """
     if temperature is None:
-        temperature = np.full((len(i_dq), 2), _TEMPERATURE)
+        temperature = np.full((len(i_dq), 2), REFERENCE_TEMPERATURE)
     found = {}
     for name in settings.log_scalars:
         if name == "dc_link_voltage":

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import drive_id
 from drive_id.cli.analyze import analyze
 from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
@@ -19,7 +18,6 @@ from drive_id.cli.exporting import export_result
 from drive_id.cli.importing import import_file
 from drive_id.cli.options import (
     BagsArgument,
-    ClusterOption,
     FigureFormat,
     FigureFormatOption,
     FitConfigOption,
@@ -31,6 +29,7 @@ from drive_id.cli.options import (
     SignalsOption,
     SkipFlag,
     SourcesArgument,
+    WorkersOption,
     err,
     merged_settings,
     out,
@@ -42,6 +41,7 @@ from drive_id.cli.options import (
 from drive_id.cli.plan import plan_experiment
 from drive_id.cli.report import report_result
 from drive_id.errors import DriveIdError
+from drive_id.version import VERSION
 
 if TYPE_CHECKING:
     from drive_id.fitting.result import Identification
@@ -89,7 +89,7 @@ def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"drive-id {drive_id.__version__}")
+        typer.echo(f"drive-id {VERSION}")
         raise typer.Exit
 
 
@@ -169,7 +169,7 @@ def fit(
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
     settings: SetOption = None,
-    cluster: ClusterOption = "",
+    workers: WorkersOption = 1,
     skip_bad: SkipFlag = False,
     figure_format: FigureFormatOption = FigureFormat.png,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html into the result folder.")] = False,
@@ -186,7 +186,7 @@ def fit(
     from drive_id.fitting.result import pictures
     from drive_id.report.tables import fit_table
 
-    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
+    sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
     with working(quiet or as_json) as tell:
@@ -200,11 +200,11 @@ def fit(
         say(f"Results in {output}")
 
 
-def _sources(paths: list[Path], signals: Path | None, namespace: str, cluster: str, *, skip_bad: bool) -> "Sources":
+def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: int, *, skip_bad: bool) -> "Sources":
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.fitting.sources import Sources
 
-    return Sources(paths, read_signals(signals) if signals else None, namespace, cluster, skip_bad)
+    return Sources(paths, read_signals(signals) if signals else None, namespace, workers, skip_bad)
 
 
 def _comment(result: "Identification") -> None:
@@ -229,7 +229,7 @@ def accumulate(
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
     settings: SetOption = None,
-    cluster: ClusterOption = "",
+    workers: WorkersOption = 1,
     skip_bad: SkipFlag = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -240,7 +240,7 @@ def accumulate(
     from drive_id.fitting.fit import accumulate_bags
 
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
-    sources = _sources(bags, signals, namespace, cluster, skip_bad=skip_bad)
+    sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     with working(quiet or as_json) as tell:
         result = accumulate_bags(sources, output, chosen, tell)
     if as_json:
@@ -364,12 +364,12 @@ app.command(name="compare", epilog="Example: drive-id compare monday tuesday --o
 
 @app.command()
 def reproduce(
-    output: Annotated[Path | None, typer.Option(help="Folder for the tables and figures.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Folder for the tables, as text and JSON.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Reproduce the paper's tables and figures with the shipped simulated drives."""
+    """Reproduce the paper's tables with the shipped simulated drives."""
     from drive_id.report.reproduction import check_reproduction_output, write_reproduction
     from drive_id.report.reproduction import reproduce as run
 

@@ -43,10 +43,7 @@ FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit s
 RadiusOption = Annotated[
     float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
 ]
-ClusterOption = Annotated[
-    str,
-    typer.Option("--dask", metavar="ADDRESS|local[:N]", help="Use a Dask cluster, or N processes of this machine."),
-]
+WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
 
 
 class FigureFormat(str, Enum):

@@ -5,21 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from drive_id.errors import ConfigurationError
+from drive_id.origins import METHODS, ORIGINS
 from drive_id.settings import check, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
-REFERENCE_TEMPERATURE = 20.0
-"""Degrees Celsius at which resistance and flux map are given where temperatures are known."""
-_OF_FULL = (
-    "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
-    "calibrate_angle", "calibrate_currents", "temperatures", "u_dc", "u_dc_reference", "voltage_delay",
-)  # fmt: skip
-_OF_OTHERS = (
-    "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale",
-)  # fmt: skip
-_OF_STATIC = ("rows_are_points",)
-_ALSO_OF_STATIC = ("temperatures", "u_dc", "u_dc_reference")
 
 
 @dataclass(frozen=True)
@@ -30,7 +20,7 @@ class FitSettings:
         "full",
         "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
         "an inverter curve and calibration; static: operating points of slow logs in d and q",
-        choices=("psm", "joint", "full", "static"),
+        choices=METHODS,
     )
     flux_model: str = setting(
         "spline",
@@ -124,12 +114,8 @@ class FitSettings:
 
     def idle(self) -> list[str]:
         """Return the settings that differ from their defaults but do not affect the method."""
-        if self.method == "static":
-            names = tuple(name for name in (*_OF_FULL, *_OF_OTHERS, "monotone") if name not in _ALSO_OF_STATIC)
-        else:
-            names = (*(_OF_OTHERS if self.method == "full" else _OF_FULL), *_OF_STATIC)
         defaults = type(self)()
-        return [name for name in names if getattr(self, name) != getattr(defaults, name)]
+        return [name for name in ORIGINS[self.method].ignores if getattr(self, name) != getattr(defaults, name)]
 
     def check_recordings(self, count: int) -> None:
         """Check that temperatures and DC-link voltages match the number of recordings.

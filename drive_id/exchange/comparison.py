@@ -163,7 +163,7 @@ def compare(first: Identification, second: Identification) -> Comparison:
 
 
 def _curves(first: Identification, second: Identification) -> tuple[FloatArray | None, FloatArray | None]:
-    if not (first.drive.has_inverter and second.drive.has_inverter):
+    if not (first.origin.inverter and second.origin.inverter):
         return None, None
     curves = (first.inverter_curve, second.inverter_curve)
     reach = min(float(np.abs(curve.current).max()) for curve in curves)

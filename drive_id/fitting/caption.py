@@ -17,7 +17,8 @@ class Caption:
     ----------
     machine : str
         Or another name of what was identified.
-    method : str
+    origin : str
+        Such as ``method joint``.
     date : str
         Of the recording.
     resistance, sigma_resistance : float
@@ -31,7 +32,7 @@ class Caption:
     """
 
     machine: str = ""
-    method: str = ""
+    origin: str = ""
     date: str = ""
     resistance: float = math.nan
     sigma_resistance: float = math.nan
@@ -41,13 +42,13 @@ class Caption:
 
     def __str__(self) -> str:
         """Return one line without formulas and without the time of day."""
-        resistance, current = f"R = {1e3 * self.resistance:.4g} mΩ", f"i_max = {self.i_max:.4g} A"
-        said = (self.machine, f"method {self.method}", self.date[:10], resistance, self._speed(), current)
+        resistance = f"R = {1e3 * self.resistance:.4g} mΩ" if math.isfinite(self.resistance) else ""
+        said = (self.machine, self.origin, self.date[:10], resistance, self._speed(), f"i_max = {self.i_max:.4g} A")
         return ", ".join(filter(None, said))
 
     def text(self) -> str:
         """Return two lines, formulas as mathtext: what was identified, and how."""
-        what = [_plain(self.machine[:_LONGEST_NAME]), f"method {self.method}" if self.method else "", self.date]
+        what = [_plain(self.machine[:_LONGEST_NAME]), self.origin, self.date]
         how = []
         if math.isfinite(self.resistance):
             how.append(rf"$R$ = {_with_error(1e3 * self.resistance, 1e3 * self.sigma_resistance)} m$\Omega$")

@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
@@ -18,20 +15,21 @@ from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import diagnose
-from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.result.identify import identify, score
+from drive_id.core.result.identify import identify
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import Provenance, write_results
+from drive_id.files.results.identification import write_results
 from drive_id.files.results.information import check_information_output, write_information
+from drive_id.fitting.provenance import known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
-from drive_id.types import GroundTruth, Progress, Samples, silent
+from drive_id.origins import ORIGINS, STATIC
+from drive_id.types import Progress, Samples, silent
 
 StrPath = str | os.PathLike[str]
 Draw = Callable[[Identification], Mapping[str, bytes]]
@@ -39,7 +37,6 @@ Draw = Callable[[Identification], Mapping[str, bytes]]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
-_YEAR_2000 = 946_684_800_000_000_000
 """Stamps before it are not times of day, ns."""
 
 
@@ -53,7 +50,7 @@ def fit(
     settings: FitSettings | None = None,
     output: StrPath | None = None,
     force: bool = False,
-    cluster: str = "",
+    workers: int = 1,
     skip_bad: bool = False,
     tell: Progress = silent,
 ) -> Identification:
@@ -80,8 +77,8 @@ def fit(
         Write a result folder with pictures, too, as :meth:`Identification.save` does.
     force : bool
         Let ``output`` be a folder that holds other files.
-    cluster : str
-        Dask cluster that accumulates the recordings: its address, ``local`` or ``local:N``.
+    workers : int
+        Processes that read the recordings; a script that asks for several needs ``if __name__ == "__main__":``.
     skip_bad : bool
         Leave out recordings that cannot be used, with a warning for each.
     tell : callable, optional
@@ -117,12 +114,12 @@ def fit(
         name: value for name, value in (("method", method), ("i_max", i_max)) if value is not None
     }
     if slow and settings is None:
-        chosen.setdefault("method", "static")
+        chosen.setdefault("method", STATIC.name)
     if samples:
-        if signals or namespace or cluster or skip_bad:
-            raise ConfigurationError("signals, namespace, cluster and skip_bad are about bags: leave them out.")
+        if signals or namespace or workers > 1 or skip_bad:
+            raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
-        if own.method == "static":
+        if not ORIGINS[own.method].live:
             return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
         fast = [part for part in samples if isinstance(part, Samples)]
         if slow:
@@ -130,7 +127,7 @@ def fit(
                 f"Method {own.method} needs samples of phase quantities: fit OperatingData by method static."
             )
         return _fit_samples(fast, target, own, force=force, tell=tell)
-    sources = Sources(paths, signal_map, namespace, cluster, skip_bad)
+    sources = Sources(paths, signal_map, namespace, workers, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
 
@@ -202,7 +199,7 @@ def fit_bags(
     DriveIdError
         Nothing is written then.
     """
-    if settings.method == "static":
+    if not ORIGINS[settings.method].live:
         return _fit_static(sources, output, settings, force=force, draw=draw, tell=tell)
     if output is not None:
         check_output(output, force=force)
@@ -287,79 +284,6 @@ def _fit_static(
     return result
 
 
-def known_pole_pairs(
-    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
-) -> int | None:
-    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
-    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
-
-
-def provenance_of(
-    drive: IdentifiedDrive,
-    settings: FitSettings,
-    *,
-    excerpts: Sequence[Samples],
-    duration: float,
-    last_stamp: int,
-    truth: GroundTruth | None = None,
-    signals: SignalMap | None = None,
-    inputs: Mapping[str, str] | None = None,
-    warnings: tuple[str, ...] = (),
-) -> Provenance:
-    """Gather what is known of an experiment besides the identified drive.
-
-    Parameters
-    ----------
-    drive : drive_id.core.result.identification.IdentifiedDrive
-    settings : FitSettings
-    excerpts : sequence of Samples
-        From which the range of speeds is taken.
-    duration : float
-        s.
-    last_stamp : int
-        ns.
-    truth : GroundTruth, optional
-        The drive is scored against it.
-    signals : SignalMap, optional
-        Knows the pole pairs where the recorded angle is mechanical.
-    inputs : mapping of str to str, optional
-        File to its sha256.
-    warnings : tuple of str
-        About the recording.
-
-    Returns
-    -------
-    Provenance
-        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
-    """
-    nrmse = score(drive, truth) if truth else None
-    u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
-    told = truth.details.get("u_dc") if truth else None
-    when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
-    if idle := ", ".join(settings.idle()):
-        other = "full" if settings.method != "full" else "joint or psm"
-        warnings += (f"Method {settings.method} ignores {idle}: remove it, or use method {other}.",)
-    if nrmse and not np.isfinite(nrmse).all():
-        warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
-    return Provenance(
-        inputs=inputs or {},
-        settings=settings,
-        machine=truth.machine if truth else "",
-        nrmse=nrmse,
-        warnings=warnings,
-        pole_pairs=known_pole_pairs(settings, truth, signals),
-        u_dc=u_dc or (float(told) if told else None),
-        speed_range=(
-            min(float(part.speed.min()) for part in excerpts),
-            max(float(part.speed.max()) for part in excerpts),
-        )
-        if excerpts
-        else None,
-        duration=duration,
-        date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
-    )
-
-
 def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:
     """Accumulate bags of one drive, each on its own, and write an information file.
 
@@ -386,12 +310,8 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
 def _accumulator(
     sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
 ) -> Callable[..., Accumulated]:
-    """Return what accumulates the sources: together, or each on its own, here or on a cluster."""
-    if sources.cluster:
-        from drive_id.fitting.cluster import accumulate_on_cluster  # noqa: PLC0415  # asyncio takes a while
-
-        return partial(accumulate_on_cluster, sources)
-    if apart or sources.skip_bad or sources.information:
+    """Return what accumulates the sources: together, or each on its own."""
+    if apart or sources.skip_bad or sources.information or sources.workers > 1:
         return partial(accumulate_sources, sources)
     return partial(
         accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine
+from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine, TorqueFit
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.caption import Caption
+from drive_id.origins import Origin
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
@@ -23,13 +24,15 @@ if TYPE_CHECKING:
 
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
-    from drive_id.core.result.torque import TorqueFit
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
 _ENOUGH_SPEED = 3000.0
 """rpm at which the DC link of a machine map, where unknown, just drives the largest flux."""
-_LEAST_ANGLES, _ANGLES_PER_PERIOD = 24, 12
+_LEAST_ANGLES = 24
+"""Of the rotor positions of a machine map."""
+_ANGLES_PER_PERIOD = 12
+"""Rotor positions per period of the highest harmonic, so that cubics between them are off by 0.02 % of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +87,13 @@ class Identification:
 
     @property
     def method(self) -> str:
-        """``psm``, ``joint``, ``full`` or ``static``."""
+        """``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool."""
         return self.drive.method
+
+    @property
+    def origin(self) -> Origin:
+        """What results of this method hold, and the words for it."""
+        return self.drive.origin
 
     @property
     def machine(self) -> str:
@@ -267,7 +275,7 @@ class Identification:
         """Return machine, method, date, R, speed and i_max; ``name`` stands for an unknown machine."""
         return Caption(
             machine=self.machine or name,
-            method=self.method,
+            origin=self.origin.caption,
             date=f"{self.date[:16].replace('T', ' ')} UTC" if self.date else "",
             resistance=self.resistance,
             sigma_resistance=self.sigma_resistance,
@@ -348,12 +356,12 @@ class Identification:
         metrics = self.metrics
         rows = {
             "Machine": self.machine,
-            "Method": self.method,
-            "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ"),
-            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.drive.has_inverter else "",
+            "Origin": self.origin.caption,
+            "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ") if math.isfinite(self.resistance) else "",
+            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.origin.inverter else "",
             "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
             "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
-            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A" if self.linear is None else "",
+            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A" if self.origin.diagnostics else "",
             **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
         }
         cells = (f"<tr><th>{name}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text)

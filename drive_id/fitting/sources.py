@@ -1,16 +1,17 @@
 """What to fit from, and how several sources become one: each is accumulated on its own, then all are merged.
 
-The steps run here one after the other, or on the processes of a Dask cluster (``cluster``). The order of merging is
-fixed, so both give the same result.
+The sources are read here one after the other, or on further processes (``workers``). The order of merging is fixed, so
+both give the same result.
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,6 +29,7 @@ from drive_id.files.read.reader import find_topics, read_recordings
 from drive_id.files.results.information import read_information
 from drive_id.files.results.information_name import is_information
 from drive_id.files.storage.bag import open_bag
+from drive_id.fitting.processes import in_processes
 from drive_id.fitting.streaming import accumulate
 from drive_id.types import Progress, Samples, silent
 
@@ -46,26 +48,28 @@ class Sources:
         Where the signals are in bags with other messages than ours.
     namespace : str
         Of the drive, when a bag holds several.
-    cluster : str
-        Dask cluster that accumulates: address of a scheduler, ``local`` or ``local:N``; empty: this process.
+    workers : int
+        Processes that read the sources; 1: this one.
     skip_bad : bool
         Leave out sources that cannot be used, with a warning for each.
 
     Raises
     ------
     ConfigurationError
-        When there is no path.
+        When there is no path, or no worker.
     """
 
     paths: Sequence[Path]
     signals: SignalMap | None = None
     namespace: str = ""
-    cluster: str = ""
+    workers: int = 1
     skip_bad: bool = False
 
     def __post_init__(self) -> None:
         if not self.paths:
             raise ConfigurationError("No bag is given: name at least one.")
+        if self.workers < 1:
+            raise ConfigurationError(f"The number of workers is {self.workers}: give 1 or more.")
 
     @property
     def information(self) -> list[Path]:
@@ -206,12 +210,11 @@ def _combine_last(stack: list[tuple[int, Item]], combine: Callable[[Item, Item],
 
 
 def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress = silent) -> Accumulated:
-    """Accumulate each source on its own, one after the other, and merge them.
+    """Accumulate each source on its own, and merge them.
 
     Parameters
     ----------
     sources : Sources
-        Its ``cluster`` is ignored.
     settings : FitSettings
         Without i_max, it is that of the first information file, or else of the recorded references.
     tell : callable, optional
@@ -221,20 +224,26 @@ def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress =
     DriveIdError
         When a source cannot be used, or information files were accumulated differently.
     """
-    job = Job(settings, sources)
+    workers = min(sources.workers, len(sources.paths))
+    job = Job(settings, sources, threads=workers == 1)  # else a process is a core's
     if settings.i_max is None:
-        job = with_radius(job, [radius_of(path, job) for path in sources.paths])
-    share = 1 / len(sources.paths)
-    parts = (_told(path, job.of(number), tell, number * share) for number, path in enumerate(sources.paths))
-    return pairwise(parts, Part.merged).result(job.settings)
+        job = with_radius(job, list(in_processes(partial(radius_of, job=job), sources.paths, workers)))
+    jobs = ((path, job.of(number)) for number, path in enumerate(sources.paths))
+    with closing(in_processes(_part, jobs, workers)) as parts:
+        return pairwise(_told(parts, sources, tell), Part.merged).result(job.settings)
 
 
-def _told(path: Path, job: Job, tell: Progress, share: float) -> Part:
-    tell("Accumulating", share)
-    part = part_of(path, job)
-    if part.refused and not job.sources.skip_bad:
-        raise part.refused[0]
-    return part
+def _part(source: tuple[Path, Job]) -> Part:
+    return part_of(*source)
+
+
+def _told(parts: Iterable[Part], sources: Sources, tell: Progress) -> Iterator[Part]:
+    tell("Accumulating", 0.0)
+    for done, part in enumerate(parts, start=1):
+        if part.refused and not sources.skip_bad:
+            raise part.refused[0]
+        tell("Accumulating", done / len(sources.paths))
+        yield part
 
 
 def with_radius(job: Job, radii: Sequence[float | DriveIdError | None]) -> Job:

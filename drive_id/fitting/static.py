@@ -18,7 +18,7 @@ from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.operating_log import OperatingLog, read_operating_log
 from drive_id.files.results.identification import Provenance
-from drive_id.fitting.fit import provenance_of
+from drive_id.fitting.provenance import provenance_of
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.types import GroundTruth, Progress, Samples, silent
@@ -70,8 +70,6 @@ class StaticSources:
             raise ConfigurationError(
                 f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
             )
-        if sources.cluster:
-            raise ConfigurationError("Method static reads logs in this process: leave the cluster out.")
         logs: list[OperatingLog] = []
         refused: list[DriveIdError] = []
         for number, path in enumerate(sources.paths):

@@ -31,6 +31,14 @@ _NAME = 0.1
 """Share of the voltage, unexplained, that weighs as much as one hint of a name."""
 _PERIODS = (5e-7, 0.05)
 _LEAST_LINK = 5.0
+_COLUMN, _TABLE = 2.0, 1.0
+"""Points for a meaning that the name of a column suggests, and of its table: a column is named for what it holds."""
+_EXCLUDED = 4.0
+"""Points against what its names exclude: more than a column and a table together give."""
+_SURE = (1.5, 1.0)
+"""Points of currents and voltages whose names leave little doubt, so that a good fit of them ends the search."""
+_PREFERRED, _PER_COLUMN = 0.5, 0.1
+"""Points that decide among equals only: for phase quantities, and for each column that is there."""
 _MOST_THERE = 0.8
 """Least share of rows with a value for which missing values of a column are interpolated."""
 _REGULAR = 1e-3
@@ -207,24 +215,24 @@ def _angles(table: Table) -> Iterator[AngleColumn]:
 
 
 def _hints(found: PhaseGroup, meaning: str) -> float:
-    return 2.0 * suggests(found.group.stem, meaning) + 1.0 * suggests(found.table.name, meaning)
+    return _COLUMN * suggests(found.group.stem, meaning) + _TABLE * suggests(found.table.name, meaning)
 
 
 def _as_current(found: PhaseGroup) -> float:
     common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
     score = _hints(found, "current") - _hints(found, "voltage") - 2 * _hints(found, "reference")
-    score -= 4.0 * (found.group.frame == "line_to_line")
+    score -= _EXCLUDED * (found.group.frame == "line_to_line")
     return score + (len(found.values.T) == 3) * (common < 0.05) + (found.group.frame == "abc")
 
 
 def _as_voltage(found: PhaseGroup) -> float:
     score = _hints(found, "voltage") - _hints(found, "current")
-    return score + 0.5 * (found.group.frame == "abc") + 0.1 * len(found.values.T)
+    return score + _PREFERRED * (found.group.frame == "abc") + _PER_COLUMN * len(found.values.T)
 
 
 def _as_angle(found: AngleColumn) -> float:
-    name = suggests(found.name, "angle") + 0.5 * suggests(found.table.name, "angle")
-    return 2 * name + found.like.certain + found.like.wraps
+    name = _COLUMN * suggests(found.name, "angle") + _TABLE * suggests(found.table.name, "angle")
+    return name + found.like.certain + found.like.wraps
 
 
 def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
@@ -239,7 +247,8 @@ def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
             alone = (
                 x.std() > 0 and x.min() > 0 and not any(suggests(name, what) for what in ("current", "speed", "time"))
             )
-            score = 4.0 * suggests(name, "dc") + 2.0 * suggests(table.name, "dc") + likely + 0.5 * alone
+            score = 2 * (_COLUMN * suggests(name, "dc") + _TABLE * suggests(table.name, "dc"))
+            score += likely + _PREFERRED * alone
             if (named or likely or alone) and score > 0 and (best is None or score > best[0]):
                 best = (score, table, name)
     return best and (best[1], best[2])
@@ -281,7 +290,7 @@ def _chosen(
             likely = found.reading.unexplained - _NAME * (_as_current(i) + _as_voltage(u) + _as_angle(angle))
             if best is None or likely < best[0]:
                 best = likely, found
-            if found.reading.unexplained < _GOOD and _as_current(i) > 1.5 and _as_voltage(u) > 1:
+            if found.reading.unexplained < _GOOD and _as_current(i) > _SURE[0] and _as_voltage(u) > _SURE[1]:
                 return best[1]
     return best and best[1]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -60,9 +61,9 @@ def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTrut
     name(axes, "Inverter voltage drop of one phase", "phase current / A", "drop / V")
     axes.set_xlim(current[0], current[-1])
     _grid(axes)
-    if not identification.has_inverter:
+    if not identification.origin.inverter:
         axes.set_yticks([])
-        _say(axes, "not modelled by method psm")
+        _say(axes, textwrap.fill(identification.origin.no_inverter, 40))
         return
     sigma = identification.sigma_inverter_voltage
     if sigma is None:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.fitting.caption import NO_CAPTION, Caption
-from drive_id.report.diagnostics import draw_diagnostics, draw_inverter
+from drive_id.report.diagnostics import draw_diagnostics
 from drive_id.report.panels import NORMAL, Disc, add_key, draw_flux, place
-from drive_id.types import FloatArray, GroundTruth, Samples
+from drive_id.types import FloatArray, Samples
 
 FORMATS = ("png", "svg", "pdf")
 WIDTH = 7.2
@@ -77,19 +77,6 @@ def draw_flux_maps(
         draw_flux(place(figure, left, 1.05, 2.3, 2.4), disc, component, i_dq)
     add_key(figure, disc, i_dq, height=0.57)
     add_caption(figure, caption)
-    return figure
-
-
-def draw_result(
-    identification: IdentifiedDrive, samples: Sequence[Samples], truth: GroundTruth | None = None
-) -> Figure:
-    """Draw both fluxes, the trajectory and the inverter's curve, beside the true one of a simulation, in one figure."""
-    figure = Figure(figsize=(10.4, 3.55))
-    disc, i_dq = Disc(identification.flux_map, identification.i_max), trajectory(samples)
-    for left, component in zip((0.65, 4.22), "dq", strict=True):
-        draw_flux(place(figure, left, 0.65, 2.5, 2.6), disc, component, i_dq)
-    draw_inverter(place(figure, 7.8, 0.7, 2.45, 2.5), identification, truth)
-    add_key(figure, disc, i_dq, height=0.2)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""The paper's tables, claims and figures, on simulated drives of known truth."""
+"""The paper's tables and claims, on simulated drives of known truth."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ METHODS = {"psm": "PSM identification", "joint": "Joint identification", "full":
 SECONDS = 10.0
 FORMAT = "drive_id/reproduction"
 _MARKER = "reproduction.json"
-_DPI = 140
-"""Makes the figure of a result 1456 pixels wide and less than 400 kB."""
 
 SIMULATION = SimulationSettings(inverter="dead_time", current_noise=1e-3)
 """The paper's experiment: 10 s at 10 kHz and 500 rpm, rotor harmonics and an uncompensated inverter."""
@@ -80,13 +78,10 @@ class Reproduction:
     rows : tuple of Row
     agreement : dict of str to float
         Experiment to the largest difference between the maps of psm and joint, as a share of the largest flux.
-    figures : dict of str to bytes
-        PNG files by name.
     """
 
     rows: tuple[Row, ...]
     agreement: Mapping[str, float]
-    figures: Mapping[str, bytes]
 
     def select(self, experiment: str) -> list[Row]:
         """Return the rows of one experiment."""
@@ -117,7 +112,7 @@ class Reproduction:
         return sentences
 
     def tree(self) -> dict[str, Any]:
-        """Return everything but the figures as plain values; what diverged is null."""
+        """Return everything as plain values; what diverged is null."""
         rows = [asdict(row) for row in self.rows]
         for row in rows:
             row |= {name: None for name in ("mad_d", "mad_q") if not np.isfinite(row[name])}
@@ -132,7 +127,7 @@ def reproduce(tell: Progress = silent, machines: Sequence[str] = MACHINES, secon
     tell : callable, optional
         Called with what is being done and how much is done.
     machines : sequence of str
-        Shipped machines; the first one also serves the claims and the figures.
+        Shipped machines; the first one also serves the claims.
     seconds : float
         Duration of each experiment, s; the paper's is 10 s.
     """
@@ -145,20 +140,17 @@ def reproduce(tell: Progress = silent, machines: Sequence[str] = MACHINES, secon
     ]
     rows: list[Row] = []
     agreement: dict[str, float] = {}
-    figures: dict[str, bytes] = {}
     for done, (experiment, name, settings) in enumerate(experiments):
         tell(f"{name}, {experiment}", done / len(experiments))
         simulation = run_experiment(machine_map(name), settings, seconds=seconds)
         fits = {method: identify([simulation.samples], FitSettings(method=method)) for method in METHODS}
         rows += [_row(experiment, name, identification, simulation) for identification in fits.values()]
         agreement.setdefault(experiment, _difference(fits["psm"], fits["joint"]))
-        if not figures:
-            figures = _draw(fits, simulation)
-    return Reproduction(tuple(rows), agreement, figures)
+    return Reproduction(tuple(rows), agreement)
 
 
 def write_reproduction(output: Path, results: Reproduction, *, force: bool = False) -> None:
-    """Write tables (text and JSON) and figures to a folder.
+    """Write the tables to a folder, as text and JSON.
 
     Raises
     ------
@@ -171,9 +163,8 @@ def write_reproduction(output: Path, results: Reproduction, *, force: bool = Fal
         console.print(table)
     for sentence in results.claims():
         console.print(sentence, highlight=False)
-    files = dict(results.figures)
-    files["tables.txt"] = text.getvalue().encode()
-    files[_MARKER] = (json.dumps(results.tree(), indent=1, allow_nan=False) + "\n").encode()
+    tree = json.dumps(results.tree(), indent=1, allow_nan=False) + "\n"
+    files = {"tables.txt": text.getvalue().encode(), _MARKER: tree.encode()}
     replace_folder(output, files, marker=_MARKER, kind=FORMAT, force=force)
 
 
@@ -215,20 +206,6 @@ def _difference(first: IdentifiedDrive, second: IdentifiedDrive) -> float:
     one = np.stack([first.flux_map.psi_d[inside], first.flux_map.psi_q[inside]])
     other = np.stack([second.flux_map.psi_d[inside], second.flux_map.psi_q[inside]])
     return float(np.abs(one - other).max() / np.abs(other).max())
-
-
-def _draw(fits: Mapping[str, IdentifiedDrive], simulation: Simulation) -> dict[str, bytes]:
-    from drive_id.report.comparison import draw_comparison  # noqa: PLC0415  # matplotlib is slow to import
-    from drive_id.report.plots import draw_result, rendered  # noqa: PLC0415
-
-    figures = {
-        f"flux_comparison_{component}.png": rendered(
-            draw_comparison(fits["joint"], fits["psm"], simulation.truth, component, fits["full"]), dpi=120
-        )
-        for component in "qd"
-    }
-    figures["result.png"] = rendered(draw_result(fits["full"], [simulation.samples], simulation.truth), dpi=_DPI)
-    return figures
 
 
 def _nrmse(row: Row) -> tuple[str, str]:

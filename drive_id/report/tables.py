@@ -12,9 +12,9 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from drive_id.analysis.analyze import Figure
+    from drive_id.analysis.folder import Figure
     from drive_id.core.planning.planner import Plan
-    from drive_id.core.result.identification import IdentifiedDrive
+    from drive_id.core.result.identification import IdentifiedDrive, TorqueFit
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
@@ -25,10 +25,11 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 def fit_table(fit: Identification) -> Table:
     """Lay out a result: values, standard errors, and the ground truth where the recording carries it."""
     identification, report, truth, known = fit.drive, fit.drive.report, fit.truth, fit.provenance
-    if identification.method == "imported":
+    origin = identification.origin
+    if not origin.fitted:
         return _imported_table(fit)
     numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
-    table = _table(f"Identified drive, method {identification.method}", ["Quantity"], numbers)
+    table = _table(f"{origin.heading}, {origin.caption}", ["Quantity"], numbers)
 
     def row(name: str, value: str, sigma: str = "", true: str = "") -> None:
         table.add_row(name, value, sigma, *([true] if truth else []))
@@ -39,7 +40,7 @@ def fit_table(fit: Identification) -> Table:
         _number(identification.sigma_resistance * 1e3, "mohm"),
         _number(truth.resistance * 1e3, "mohm") if truth else "",
     )
-    if identification.has_inverter:
+    if origin.inverter:
         row(
             "u_e (drop, opposes the current)",
             _number(identification.voltage_error, "V"),
@@ -51,37 +52,45 @@ def fit_table(fit: Identification) -> Table:
         if math.isfinite(found.sigma):
             unit = found.unit if found.unit != "1" else ""
             row(f"{found.name} ({applied})", _number(found.value, unit), _number(found.sigma, unit))
-    if identification.torque is not None:
-        torque = identification.torque
-        row("Shaft torque / torque of the map", f"{torque.gain:.5g}", f"{torque.sigma_gain:.2g}")
-        row("Friction torque", _number(torque.friction, "Nm"), _number(torque.sigma_friction, "Nm"))
-        if torque.viscous_friction is not None:
-            sigma = _number(torque.sigma_viscous_friction or 0.0, "Nm s/rad")
-            row("Viscous friction", _number(torque.viscous_friction, "Nm s/rad"), sigma)
-        for harmonic in torque.cogging:
-            sigma = _number(harmonic.sigma, "Nm")
-            row(f"Cogging torque, order {harmonic.order}", _number(harmonic.amplitude, "Nm"), sigma)
-        row("Torque error of the map, rms", _number(torque.rms_map, "Nm"))
-    for cells in _by_method(identification):
+    for cells in (*_torque_rows(identification.torque), *_by_method(identification)):
         row(*cells)
     if fit.provenance.nrmse:
         row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
-    if identification.method != "static":  # which simulates nothing
+    if origin.diagnostics:
         row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
     row("Residual voltage, rms", _number(report.residual_rms, "V"))
     row(f"Disc of {identification.i_max:.4g} A covered", f"{100 * report.coverage:.1f} %")
-    unseen = f" ({report.unseen} without any data)" if report.unseen else ""
-    row("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}")
+    if origin.live:
+        unseen = f" ({report.unseen} without any data)" if report.unseen else ""
+        row("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}")
     row("Condition number", f"{report.condition:.3g}")
     row("Experiment", ", ".join(_experiment(known)))
     row("Samples used", f"{report.samples_used} of {report.samples_read}")
-    row("Gaps", str(report.gaps))
+    if origin.live:
+        row("Gaps", str(report.gaps))
     return table
+
+
+def _torque_rows(torque: TorqueFit | None) -> list[tuple[str, ...]]:
+    if torque is None:
+        return []
+    viscous, sigma_viscous = torque.viscous_friction, torque.sigma_viscous_friction or 0.0
+    unit = "Nm s/rad"
+    return [
+        ("Shaft torque / torque of the map", f"{torque.gain:.5g}", f"{torque.sigma_gain:.2g}"),
+        ("Friction torque", _number(torque.friction, "Nm"), _number(torque.sigma_friction, "Nm")),
+        *([] if viscous is None else [("Viscous friction", _number(viscous, unit), _number(sigma_viscous, unit))]),
+        *(
+            (f"Cogging torque, order {found.order}", _number(found.amplitude, "Nm"), _number(found.sigma, "Nm"))
+            for found in torque.cogging
+        ),
+        ("Torque error of the map, rms", _number(torque.rms_map, "Nm")),
+    ]
 
 
 def _by_method(identification: IdentifiedDrive) -> list[tuple[str, ...]]:
     """Return rows that only one method has: rotor harmonics, or magnet flux and inductances with standard errors."""
-    if identification.method == "full":
+    if identification.origin.harmonics:
         orders = ", ".join(str(harmonic.order) for harmonic in identification.harmonics)
         return [("Rotor-position harmonics", orders or "none")]
     linear = identification.linear
@@ -97,7 +106,7 @@ def _by_method(identification: IdentifiedDrive) -> list[tuple[str, ...]]:
 def _imported_table(imported: Identification) -> Table:
     """Lay out an imported map: what is known of the machine."""
     drive = imported.drive
-    table = _table("Imported map", ["Quantity"], ["Value"])
+    table = _table(drive.origin.heading, ["Quantity"], ["Value"])
     known = math.isfinite(drive.resistance)
     table.add_row("R", _number(drive.resistance * 1e3, "mohm", 6) if known else "unknown")
     table.add_row("Machine", ", ".join(_experiment(imported.provenance)))

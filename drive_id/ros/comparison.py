@@ -23,7 +23,7 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     drop = "" if truth is None else f"{truth.inverter_voltage[-1]:.4g} V"
     rows = [
         ("R", [f"{1e3 * m.resistance:.4g} mohm" for m in maps], truth and f"{1e3 * truth.resistance:.4g} mohm"),
-        ("u_e", [f"{m.voltage_error:.4g} V" if m.method != "psm" else "not modelled" for m in maps], drop),
+        ("u_e", [f"{m.voltage_error:.4g} V" if len(m.inverter_current) else "not modelled" for m in maps], drop),
         ("MAD of i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),
         ("Samples used", [f"{r.samples_used} of {r.samples_read}" for r in reports], ""),

@@ -13,7 +13,7 @@ from exact_results import exact_result
 from machine_kinds import mean_torque
 
 import drive_id
-from drive_id.analysis.field_weakening import Limits
+from drive_id.analysis.field_weakening import DriveLimits
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.bench.machines import MACHINES, machine_map
@@ -157,13 +157,13 @@ def test_settings_reach_the_tables(result):
     found = drive_id.analyze(result, chosen)
     assert [entry.u_dc for entry in found.speed_ranges] == [300.0, 540.0]
     assert [entry.limits for entry in found.speed_ranges] == [
-        Limits(20.0, 0.9 * 300 / np.sqrt(3)), Limits(20.0, 0.9 * 540 / np.sqrt(3))
+        DriveLimits(20.0, 0.9 * 300 / np.sqrt(3)), DriveLimits(20.0, 0.9 * 540 / np.sqrt(3))
     ]  # fmt: skip
     assert found.speed_ranges[0].motoring.speed[-1] == pytest.approx(1500 * np.pi / 30)
     assert found.figures["resistance"].value == pytest.approx(0.3 * (1 + 3.93e-3 * 80))
     assert found.mtpa.current[-1] == 20.0
     text = " ".join(found.statements)
-    assert "assumed, as the fit was given no temperatures" in text
+    assert "assumed, as no temperatures are known" in text
     assert "magnet was not identified" in text
 
 

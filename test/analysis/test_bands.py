@@ -10,7 +10,7 @@ from exact_results import exact_result
 from machine_kinds import KINDS, mean_torque
 
 import drive_id
-from drive_id.analysis.field_weakening import Limits, envelope, sigma_envelope
+from drive_id.analysis.field_weakening import DriveLimits, envelope, sigma_envelope
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.trajectories import characteristic_current, mtpa, mtpv
@@ -18,7 +18,7 @@ from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.types import MachineMap
 
 MACHINE = KINDS["surface magnets"]
-LIMITS = Limits(MACHINE.i_max, MACHINE.u_dc / np.sqrt(3))
+LIMITS = DriveLimits(MACHINE.i_max, MACHINE.u_dc / np.sqrt(3))
 
 
 def with_modes(result, size):

@@ -5,7 +5,7 @@ import pytest
 from exact_results import exact_result
 from machine_kinds import KINDS, mean_flux, mean_torque
 
-from drive_id.analysis.field_weakening import Limits, corner_speed, envelope, references, top_speed
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation
 from drive_id.core.full.calibration import Calibration
@@ -18,7 +18,7 @@ def drop(i):
 @pytest.fixture(scope="module", params=KINDS)
 def known(request):
     machine = KINDS[request.param]
-    limits = Limits(machine.i_max, machine.u_dc / np.sqrt(3))
+    limits = DriveLimits(machine.i_max, machine.u_dc / np.sqrt(3))
     return MachineModel.of(exact_result(machine.to_map(), drop=drop)), machine, limits
 
 
@@ -98,7 +98,7 @@ def test_power_is_balanced_also_with_iron_loss():
     ]
     found = tuple(Calibration(name, value, 0.01, unit, True, "") for name, value, unit in losses)
     model = MachineModel.of(exact_result(machine.to_map(), drop=drop, calibrations=found))
-    limits = Limits(machine.i_max, machine.u_dc / np.sqrt(3))
+    limits = DriveLimits(machine.i_max, machine.u_dc / np.sqrt(3))
     i_dq = np.array([[-120.0, 180.0], [-200.0, -90.0], [-150.0, 0.0]])
     points = Operation.at(model, i_dq, np.array([300.0, 700.0, 900.0]))
     assert (points.iron > 10.0).all()
@@ -128,7 +128,7 @@ def test_power_is_balanced_also_with_iron_loss():
 def test_a_machine_that_cannot_weaken_its_magnet_has_a_highest_speed():
     machine = KINDS["surface magnets"]
     model = MachineModel.of(exact_result(machine.to_map()))
-    limits = Limits(machine.i_max, machine.u_dc / np.sqrt(3))
+    limits = DriveLimits(machine.i_max, machine.u_dc / np.sqrt(3))
     highest = top_speed(model, limits, 1e5)
     smallest = np.hypot(*mean_flux(machine, -machine.i_max, 0.0))[0]
     drop_of_r = machine.resistance * machine.i_max

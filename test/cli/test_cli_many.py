@@ -1,4 +1,4 @@
-"""The command line with information files, and with a Dask cluster."""
+"""The command line with information files, and with several processes."""
 
 from __future__ import annotations
 
@@ -86,9 +86,6 @@ def test_bad_input_is_told_in_one_sentence_and_leaves_nothing(run, bag, simulati
         (("fit", "none.info", "--output", "out"), "none.info cannot be read (No such file or directory)"),
         (("fit", bag, tmp_path / "cut.info", "--output", "out"), "cut.info is not an information file"),
         (("info", tmp_path / "cut.info"), "cut.info is not an information file"),
-        (("fit", bag, "--output", "out", "--dask", "local:0"), "write local or local:N"),
-        (("fit", bag, "--output", "out", "--dask", "here"), "is not the address of a Dask scheduler"),
-        (("fit", bag, "--output", "out", "--dask", "127.0.0.1:1"), "no Dask scheduler at 127.0.0.1:1"),
     ):
         assert_one_sentence(run(*arguments), said)
     assert tree(tmp_path) == before
@@ -103,17 +100,16 @@ def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
     assert warnings[0].startswith(f"Left out: {tmp_path / 'bad.mcap'} is neither")
 
 
-def test_a_cluster(run, bag, other, tmp_path):
+def test_several_processes(run, bag, other, tmp_path):
     """The way the workers are started by the command itself."""
-    pytest.importorskip("distributed", reason="the extra 'fleet' is not installed")
     (tmp_path / "bad.mcap").write_text("no bag")
     fit = ("fit", bag, other, "--i-max", 300, "--output", tmp_path / "out", "--json", *JOINT)
     alone = run(*fit)
-    ran = test_cli.script(*fit, "--dask", "local:2", cwd=tmp_path)
+    ran = test_cli.script(*fit, "--workers", "2", cwd=tmp_path)
     assert (ran.returncode, ran.stderr) == (0, "")
     results = [json.loads(text) for text in (alone.out, ran.stdout)]
     for name in ("resistance", "sigma_resistance", "voltage_error", "inputs", "i_max", "versions"):
         assert results[0][name] == results[1][name], name
-    ran = test_cli.script("fit", bag, "bad.mcap", "--dask", "local:1", "--output", "new", cwd=tmp_path)
+    ran = test_cli.script("fit", bag, "bad.mcap", "--workers", "2", "--output", "new", cwd=tmp_path)
     assert_one_sentence(test_cli.Ran(ran.returncode, ran.stdout, ran.stderr), "bad.mcap is neither")
     assert not (tmp_path / "new").exists()

@@ -15,7 +15,7 @@ from scipy.io import loadmat, netcdf_file
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
-from drive_id.exchange.exports.formats import ALIASES, EXPORTS, export_format
+from drive_id.exchange.exports.formats import ALIASES, EXPORTS, ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.writers.gradnet import GradNet
 from drive_id.exchange.imports.importing import ImportOptions, import_map
@@ -413,3 +413,26 @@ def test_errors(tmp_path):
 @pytest.mark.parametrize(("name", "known"), [*ALIASES.items(), ("SyR-e", "syre"), ("C_Header", "c-header")])
 def test_formats_have_other_names(name, known):
     assert export_format(name) is EXPORTS[known]
+
+
+OF_A_LAB = ExportFormat("table of a lab", ".lab", lambda table, _options: f"{table.psi[0].size} points".encode())
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """An installed package that adds a format, and an entry that is none."""
+    (tmp_path / "a_lab.py").write_text(f"from {__name__} import OF_A_LAB\nNO_FORMAT = 3\n")
+    told = tmp_path / "a_lab-1.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: a-lab\nVersion: 1\n")
+    (told / "entry_points.txt").write_text("[drive_id.exporters]\nlab = a_lab:OF_A_LAB\nnone = a_lab:NO_FORMAT\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("lab")
+def test_another_package_adds_a_format():
+    assert content("lab") == f"{len(AXIS_D) * len(AXIS_Q)} points".encode()
+    with pytest.raises(ConfigurationError, match=r"'none' \(a_lab:NO_FORMAT\) is no ExportFormat"):
+        export_format("none")
+    with pytest.raises(ConfigurationError, match=r"There is no export format 'labs': choose csv.* lab, none"):
+        export_format("labs")

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +19,11 @@ from drive_bags import TRAJECTORY, with_arrays
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
+from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError, WorkerError
 from drive_id.files.results.information import read_information, write_information
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.processes import in_processes
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
 
@@ -210,3 +216,86 @@ def test_pairs_are_those_of_a_tree_and_few_are_kept(count):
 def test_paths_may_be_relative(bags, together, monkeypatch):
     monkeypatch.chdir(bags[0].parent)
     assert_same_fit(fit_bags(Sources([Path(bag.name) for bag in bags], skip_bad=True), None, RADIUS), together)
+
+
+def assert_same_bits(one, other) -> None:
+    states = [accumulated.evidence.state() for accumulated in (one, other)]
+    assert set(states[0]) == set(states[1])
+    for name, array in states[0].items():
+        np.testing.assert_array_equal(array, states[1][name], err_msg=name)
+    for name in ("warnings", "digests", "samples", "last_stamp"):
+        assert getattr(one, name) == getattr(other, name), name
+    for first, second in zip(one.validation, other.validation, strict=True):
+        np.testing.assert_array_equal(first.i_abc, second.i_abc)
+
+
+@pytest.mark.parametrize("settings", [RADIUS, JOINT])
+def test_the_result_of_several_processes_is_that_of_one(bags, infos, settings):
+    told = []
+    sources = [bags[0], infos[1], bags[2]] if settings is RADIUS else bags
+    found = accumulate_sources(
+        Sources(sources, workers=2), settings, tell=lambda what, share: told.append((what, share))
+    )  # fmt: skip
+    assert_same_bits(found, accumulate_sources(Sources(sources), settings))
+    assert [share for what, share in told if what == "Accumulating"] == pytest.approx([0, 1 / 3, 2 / 3, 1])
+    assert not multiprocessing.active_children()
+
+
+def test_a_bad_bag_ends_the_processes_or_is_left_out(bags, tmp_path):
+    (tmp_path / "bad.mcap").write_text("no bag")
+    sources = [bags[0], tmp_path / "bad.mcap", *bags[1:]]
+    with pytest.raises(DriveIdError, match=r"bad\.mcap is neither"):
+        accumulate_sources(Sources(sources, workers=2), RADIUS)
+    assert not multiprocessing.active_children()
+    found = accumulate_sources(Sources(sources, workers=2, skip_bad=True), RADIUS)
+    assert found.warnings[0].startswith(f"Left out: {tmp_path / 'bad.mcap'} is neither")
+
+
+def die(number):
+    os.kill(os.getpid(), signal.SIGKILL if number == 3 else 0)
+    return number
+
+
+def test_a_process_that_dies_is_told():
+    with pytest.raises(WorkerError, match="has died, probably for lack of memory: use fewer --workers"):
+        list(in_processes(die, range(8), 2))
+    assert not multiprocessing.active_children()
+
+
+def test_results_come_in_order_and_do_not_pile_up():
+    taken = []
+    found = in_processes(abs, (taken.append(n) or -n for n in range(20)), 2)
+    assert [next(found) for _ in range(3)] == [0, 1, 2]
+    assert len(taken) <= 3 + 4
+    found.close()
+    assert not multiprocessing.active_children()
+
+
+def test_an_interrupt_leaves_neither_processes_nor_tracebacks(bags, tmp_path):
+    """Ctrl-C goes to all processes of a terminal."""
+    script = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from drive_id.cli.app import main\n"
+        "if __name__ == '__main__':\n"
+        "    sys.argv = ['drive-id', 'fit', *sys.argv[1:]]\n"
+        "    main()\n"
+    )
+    (tmp_path / "fit.py").write_text(script)
+    command = [sys.executable, tmp_path / "fit.py", *bags, "--workers", "2", "--i-max", "300", "--output", "out"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        until = time.monotonic() + 60
+        while len(children.read_text().split()) < 3 and time.monotonic() < until:  # two, and the resource tracker
+            time.sleep(0.01)
+        workers = [Path("/proc") / pid for pid in children.read_text().split()]
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert "interrupted" in said
+    while any(worker.exists() for worker in workers) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not any(worker.exists() for worker in workers)

@@ -74,6 +74,35 @@ def test_a_signal_that_comes_again_and_again_does_no_harm(ros, module):
     assert "Traceback" not in process.output
 
 
+TOLD_WHILE_STARTING = """
+import os
+import signal
+from rclpy.node import Node
+from drive_id.nodes.support.runtime import run
+
+class Told(Node):
+    def __init__(self):
+        super().__init__("told")
+        sorted(range(3), key=lambda _: os.kill(os.getpid(), signal.{number}) or 0)  # while compiled code calls Python
+        print("made", flush=True)
+
+    def close(self):
+        print("closed", flush=True)
+
+run(Told)
+"""
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+def test_a_node_that_is_told_to_stop_while_it_starts_is_made_and_closed(tmp_path, number):
+    ended = subprocess.run(
+        [sys.executable, "-c", TOLD_WHILE_STARTING.replace("{number}", number)],
+        env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOG_DIR": str(tmp_path)},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=DEADLINE, check=False,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stdout) == (0, "made\nclosed\n")
+
+
 def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
     """A bench that has always something to do, for its clock runs as fast as it can."""
     process = ros.start(BENCH, parameters={"time_scale": 100.0})

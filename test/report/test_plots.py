@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import struct
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -15,19 +17,26 @@ from matplotlib.text import Text
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.fitting.caption import Caption
-from drive_id.report.comparison import draw_comparison
 from drive_id.report.diagnostics import draw_diagnostics
 from drive_id.report.panels import Disc, levels
 from drive_id.report.plots import (
     FORMATS,
     draw_flux_maps,
-    draw_result,
     rendered,
     result_pictures,
     trajectory,
 )
 
 NAMES = ["diagnostics.png", "flux_map.png"]
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """The benchmark that draws the paper's figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        yield importlib.import_module("paper_figures")
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +60,8 @@ def diagnostics(drive, excerpts):
 
 
 @pytest.fixture(scope="module")
-def overview(drive, excerpts, simulation):
-    return draw_result(drive, excerpts, simulation.truth)
+def overview(paper, drive, excerpts, simulation):
+    return paper.draw_result(drive, excerpts, simulation.truth)
 
 
 def size(png: bytes) -> tuple[int, int]:
@@ -321,8 +330,9 @@ def test_the_inverter_curve_has_its_band(drive):
     assert "±1.96 σ ≤ 0.2 V" in texts(figure)
     three = np.stack([drive.inverter_voltage * factor for factor in (0.9, 1.0, 1.1)], axis=1)
     assert {"phase a", "phase b", "phase c"} <= set(texts(draw_diagnostics(replace(drive, phase_voltages=three), [])))
-    psm = texts(draw_diagnostics(replace(drive, method="psm"), []))
-    assert "not modelled by method psm" in psm
+    for method, why in (("psm", "Method psm does not model the inverter"), ("imported", "The map was imported")):
+        found = texts(draw_diagnostics(replace(drive, method=method), []))
+        assert any(why in " ".join(text.split()) for text in found)
 
 
 def test_sections_along_the_axes_are_those_of_the_map(diagnostics, drive):
@@ -372,7 +382,7 @@ def test_the_result_in_one_figure(overview):
     assert "true" in texts(overview)
 
 
-def test_unused_memory_in_surfaces_is_no_reason_to_warn(drive, simulation, monkeypatch):
+def test_unused_memory_in_surfaces_is_no_reason_to_warn(paper, drive, simulation, monkeypatch):
     """Matplotlib pads faces of fewer corners with whatever the memory held before."""
     empty = np.empty
 
@@ -383,15 +393,15 @@ def test_unused_memory_in_surfaces_is_no_reason_to_warn(drive, simulation, monke
         return array
 
     monkeypatch.setattr(np, "empty", dirty)
-    figure = draw_comparison(drive, drive, simulation.truth, "d")
+    figure = paper.draw_comparison(drive, drive, simulation.truth, "d")
     assert size(rendered(figure, dpi=120)) == (1320, 1080)
 
 
 @pytest.mark.parametrize("component", ["d", "q"])
-def test_the_comparison(drive, simulation, component):
+def test_the_comparison(paper, drive, simulation, component):
     worse = replace(drive.flux_map, psi_d=1.1 * drive.flux_map.psi_d)
     psm = replace(drive, flux_map=worse)
-    figure = draw_comparison(drive, psm, simulation.truth, component)
+    figure = paper.draw_comparison(drive, psm, simulation.truth, component)
     assert size(rendered(figure, dpi=120)) == (1320, 1080)
     flat = [axes for axes in figure.axes if axes.child_axes]
     assert len(flat) == 2

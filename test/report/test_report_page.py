@@ -49,9 +49,11 @@ def imported(fitted):
     report = replace(fitted.drive.report, mad_d=np.nan, mad_q=np.nan, residual_rms=np.nan, condition=np.inf)
     drive = replace(
         fitted.drive,
+        method="imported",
         flux_map=flux_map,
         report=report,
-        sigma_resistance=np.inf,
+        resistance=np.nan,
+        sigma_resistance=np.nan,
         voltage_error=0.0,
         inverter_voltage=np.zeros_like(fitted.drive.inverter_voltage),
         error_modes=None,
@@ -203,10 +205,10 @@ def test_a_full_result_shows_bands_phases_and_faults(full_like):
 def test_an_imported_map_has_a_report(imported):
     page = page_of(imported)
     for name in ("comparison", "residuals", "currents"):
-        assert "holds no diagnostics.npz" in page.by_id(name).text(), name
+        assert "no recording to compare" in page.by_id(name).text(), name
     assert "pole pairs is unknown" in page.by_id("operation").text()
-    assert "no inverter drop" in page.by_id("inverter").text()
-    assert "unknown" in page.by_id("glance").text()
+    assert "no curve of an inverter" in page.by_id("inverter").text()
+    assert "unknown" not in page.by_id("glance").text()
     assert "nan" not in re.sub(r"[^a-z ]", " ", page.by_id("main").text().lower()).split()
     charts = page.data("charts")
     assert charts["inverter"] is charts["residuals"] is charts["currents"] is charts["operation"] is None
@@ -308,7 +310,7 @@ def test_the_levels_follow_the_figures(fitted):
     assert cards["Disc covered"].attributes["class"] == "weak"
     assert "50 %" in cards["Disc covered"].text()
     assert cards["Simulated current"].attributes["class"] == "weak"
-    assert "fills the disc" in page.by_id("identifiable").text()
+    assert "50 % of it has none" in page.by_id("identifiable").text()
 
 
 def test_the_deviation_over_time_is_the_mad(fitted):

@@ -121,12 +121,7 @@ def test_what_diverged_is_said_and_is_null(results):
 
 def test_the_files(results, tmp_path):
     write_reproduction(tmp_path / "out", results)
-    names = ["flux_comparison_d.png", "flux_comparison_q.png", "reproduction.json", "result.png", "tables.txt"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
-    for name in (*names[:2], "result.png"):
-        png = (tmp_path / "out" / name).read_bytes()
-        assert png.startswith(b"\x89PNG\r\n\x1a\n")
-        assert len(png) > 50_000
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["reproduction.json", "tables.txt"]
     tree = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert tree == json.loads(json.dumps(results.tree()))
     assert tree["format"] == "drive_id/reproduction"

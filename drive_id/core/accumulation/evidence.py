@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core import frames
-from drive_id.core.fit_settings import REFERENCE_TEMPERATURE, FitSettings
+from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.registry import method_named
@@ -20,6 +20,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import difference_square, mark_rests
 from drive_id.errors import ConfigurationError
+from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, Finding, FloatArray, Samples
 
 DOMAIN_MARGIN = 1.05

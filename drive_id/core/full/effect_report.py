@@ -12,9 +12,10 @@ from drive_id.core.full.effect_search import Taken
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.lack_of_fit import LEAST_TOLD
-from drive_id.core.full.model import COPPER, RESISTANCE
+from drive_id.core.full.model import RESISTANCE
 from drive_id.core.full.windows import LAGS
 from drive_id.core.maps.flux_models import jacobian
+from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
 NOUNS = {

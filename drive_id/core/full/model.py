@@ -29,6 +29,7 @@ from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import BasisRows, ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
+from drive_id.temperature import COPPER
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
@@ -40,8 +41,6 @@ VOLTAGE, RESISTANCE = 0, 1
 CONSTANT = slice(2, 4)
 SHIFT = slice(4, 4 + len(SHIFTS))
 MAGNET = SHIFT.stop
-COPPER = 3.93e-3
-"""Temperature coefficient of the winding's resistance at 20 degrees Celsius, 1/K."""
 
 MOST_RUNS, MOST_RECORDINGS = 4, 8
 """Most runs with separate mechanical angles, and most recordings with separate temperatures."""

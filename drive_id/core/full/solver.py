@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg, sparse
@@ -29,14 +28,12 @@ from drive_id.core.full.model import (
     roughness,
     sum_basis,
 )
+from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import congruent, factorize, increased, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from drive_id.core.full.window_sums import WindowSums
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
@@ -327,14 +324,6 @@ class _Normal:
     def penalty(self, weight: float) -> sparse.csr_array:
         """Return the penalty (M, M) for a weight of the map's roughness."""
         return sparse.csr_array(self.ridge + weight * self.rough)
-
-
-def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:
-    """Put the products (size, EFFECT_COLUMNS) of the effects with all columns into Z'Z, if there are any."""
-    if products is not None:
-        matrix[model.effects, :] = products.T
-        matrix[:, model.effects] = products
-    return matrix
 
 
 def predictable(errors: FloatArray) -> BoolArray:

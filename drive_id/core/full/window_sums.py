@@ -14,7 +14,6 @@ from scipy import linalg
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, SENSOR_ORDERS, FullModel
 from drive_id.core.full.resolution import Resolution
-from drive_id.core.full.solver import with_products
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
@@ -421,3 +420,11 @@ class _KeptProducts:
     def none(cls, model: FullModel) -> _KeptProducts:
         size = model.summed.size
         return cls([np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)], np.zeros(FOLDS))
+
+
+def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:
+    """Put the products (size, EFFECT_COLUMNS) of the effects with all columns into Z'Z, if there are any."""
+    if products is not None:
+        matrix[model.effects, :] = products.T
+        matrix[:, model.effects] = products
+    return matrix

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.fit_settings import REFERENCE_TEMPERATURE
 from drive_id.core.frames import ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
+from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)

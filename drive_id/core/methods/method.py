@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits
-from drive_id.core.maps.error_modes import ErrorModes
-from drive_id.core.maps.flux_models import FluxModel, TensorSpline
+from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.methods.parameters import Parameters
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.types import BoolArray, Finding, FloatArray, Samples
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
-    from drive_id.core.full.calibration import Calibration
     from drive_id.core.full.fit import EarlierFit
     from drive_id.core.full.window_sums import WindowSums
 
@@ -100,21 +99,12 @@ class SimulationModel:
     effects: EffectVoltages | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What a method finds.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimate(Parameters):
+    """What a method finds: the parameters, the map on the grid of the visits, and how good they are.
 
     Parameters
     ----------
-    resistance, sigma_resistance : float
-        Ohm; sigma is infinite when it cannot be estimated.
-    voltage_error, sigma_voltage_error : float
-        u_e in the drop convention, V.
-    inverter_current, inverter_voltage : (C,) float
-        The inverter's drop of one phase, V, over its current, A.
-    model : FluxModel
-    gamma : (P,) float
-        Wb.
     psi, sigma : (D, Q, 2) float
         Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
     simulation : SimulationModel
@@ -131,22 +121,12 @@ class Estimate:
         Where samples stand out from all others, in time of data, s.
     warnings : tuple of str
         Of this method only.
-    sigma_inverter_voltage, phase_voltages, harmonics, calibrations, magnet_coefficient, statements
-        See ``IdentifiedDrive``; harmonics as order and amplitudes (D, Q, 2) of cosine and sine, Wb.
+    harmonics : tuple of (int, (D, Q, 2) float, (D, Q, 2) float)
+        Order, and amplitudes of cosine and sine, Wb.
     fit : EarlierFit or None
         What a fit of further samples can take over; only of method ``full``.
-    error_modes : ErrorModes or None
-        The joint errors; None when the standard errors are not known.
     """
 
-    resistance: float
-    sigma_resistance: float
-    voltage_error: float
-    sigma_voltage_error: float
-    inverter_current: FloatArray
-    inverter_voltage: FloatArray
-    model: FluxModel
-    gamma: FloatArray
     psi: FloatArray
     sigma: FloatArray
     simulation: SimulationModel
@@ -161,14 +141,8 @@ class Estimate:
     unexplained: float
     outlying_time: float | None
     warnings: tuple[str, ...]
-    sigma_inverter_voltage: FloatArray | None = None
-    phase_voltages: FloatArray | None = None
     harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
-    calibrations: tuple[Calibration, ...] = ()
-    magnet_coefficient: tuple[float, float] | None = None
-    statements: tuple[str, ...] = ()
     fit: EarlierFit | None = None
-    error_modes: ErrorModes | None = None
 
 
 class Method(Protocol):

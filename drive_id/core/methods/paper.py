@@ -18,6 +18,7 @@ from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
 from drive_id.core.validation.current_simulation import typical_inductances
+from drive_id.origins import JOINT, PSM
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
@@ -127,7 +128,7 @@ class PaperMethod:
         return tuple(warnings)
 
 
-PAPER_METHODS = {"psm": PaperMethod(inverter=False), "joint": PaperMethod(inverter=True)}
+PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}
 
 
 def regression_sums(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> RegressionSums:

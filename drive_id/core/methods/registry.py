@@ -5,6 +5,7 @@ from __future__ import annotations
 from drive_id.core.methods.method import Method
 from drive_id.core.methods.paper import PAPER_METHODS
 from drive_id.errors import ConfigurationError
+from drive_id.origins import FULL, ORIGINS
 
 
 def method_named(name: str) -> Method:
@@ -17,12 +18,12 @@ def method_named(name: str) -> Method:
     ConfigurationError
         For ``static``, which sums nothing over samples.
     """
-    if name == "static":
+    if not ORIGINS[name].live:
         raise ConfigurationError(
             "Method static fits operating points of whole logs, not accumulated or live samples: use drive-id fit LOG "
             "--method static, or drive_id.fit."
         )
-    if name == "full":
+    if name == FULL.name:
         from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # scipy takes longer than the other methods
 
         return FullMethod()

@@ -110,24 +110,11 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     drive = IdentifiedDrive(
         method=evidence.settings.method,
         i_max=evidence.i_max,
-        resistance=estimate.resistance,
-        sigma_resistance=estimate.sigma_resistance,
-        voltage_error=estimate.voltage_error,
-        sigma_voltage_error=estimate.sigma_voltage_error,
-        inverter_current=estimate.inverter_current,
-        inverter_voltage=estimate.inverter_voltage,
-        model=estimate.model,
-        gamma=estimate.gamma,
         flux_map=flux_map,
         report=report,
-        sigma_inverter_voltage=estimate.sigma_inverter_voltage,
-        phase_voltages=estimate.phase_voltages,
         harmonics=tuple(HarmonicMap(h, a[..., 0], b[..., 0], a[..., 1], b[..., 1]) for h, a, b in estimate.harmonics),
-        calibrations=estimate.calibrations,
-        magnet_coefficient=estimate.magnet_coefficient,
-        statements=estimate.statements,
-        error_modes=estimate.error_modes,
         simulated=simulated,
+        **estimate.by_name(),
     )
     return Conclusion(drive, estimate.fit, mad, complete, simulated)
 

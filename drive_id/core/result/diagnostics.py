@@ -29,16 +29,17 @@ from drive_id.core.validation.residuals import (
 )
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import DataError
+from drive_id.origins import JOINT, PSM
 from drive_id.types import FloatArray, GroundTruth, Samples
 
-COMPARED = ("psm", "joint")
+COMPARED = (PSM.name, JOINT.name)
 """Methods that are run beside the one that was asked for: the paper's, without and with the inverter."""
 _TRAJECTORY = 4000
 """Points of the trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ComparedMethod:
     """What another method makes of the same data.
 
     Parameters
@@ -95,7 +96,7 @@ class Diagnostics:
         Measured i_dq, A, decimated; NaN after each gap-free run.
     simulated : SimulatedCurrent or None
         None where no current was simulated.
-    comparisons : tuple of Comparison
+    comparisons : tuple of ComparedMethod
         The paper's methods, except the result's own one.
     """
 
@@ -104,7 +105,7 @@ class Diagnostics:
     residual_rms: float
     trajectory: FloatArray
     simulated: SimulatedCurrent | None = None
-    comparisons: tuple[Comparison, ...] = ()
+    comparisons: tuple[ComparedMethod, ...] = ()
 
 
 def diagnose(
@@ -193,14 +194,14 @@ def _comparisons(
     excerpts: Sequence[Samples],
     truth: GroundTruth | None,
     evidence: Evidence | None,
-) -> tuple[Comparison, ...]:
+) -> tuple[ComparedMethod, ...]:
     methods = [method for method in COMPARED if method != drive.method]
     with one_blas_thread(with_scipy=False):
         if evidence is None and excerpts:
             try:
                 evidence = gather(excerpts, replace(settings, method=methods[0]))
             except DataError as error:
-                return tuple(Comparison(method, failure=str(error)) for method in methods)
+                return tuple(ComparedMethod(method, failure=str(error)) for method in methods)
         if evidence is None:
             return ()
         return tuple(_compared(drive, method, evidence, excerpts, truth) for method in methods)
@@ -208,17 +209,17 @@ def _comparisons(
 
 def _compared(
     drive: IdentifiedDrive, method: str, evidence: Evidence, excerpts: Sequence[Samples], truth: GroundTruth | None
-) -> Comparison:
+) -> ComparedMethod:
     try:
         found = conclude(evidence.copy(replace(evidence.settings, method=method, monotone=False)), excerpts)
     except DataError as error:
-        return Comparison(method, failure=str(error))
+        return ComparedMethod(method, failure=str(error))
     nrmse_d, nrmse_q = score(found, truth) if truth else (math.nan, math.nan)
     psi = np.stack([found.flux_map.psi_d, found.flux_map.psi_q], axis=-1)
     own = (drive.flux_map.i_d, drive.flux_map.i_q)
     if not all(map(np.array_equal, own, (found.flux_map.i_d, found.flux_map.i_q))):  # of excerpts only
         psi = found.flux_map.continued(drive.flux_map.grid())
-    return Comparison(
+    return ComparedMethod(
         method=method,
         samples=found.report.samples_used,
         resistance=found.resistance,

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drive_id.core.methods.parameters import Parameters
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.origins import ORIGINS, Origin
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from scipy.interpolate import RectBivariateSpline
 
-    from drive_id.core.full.calibration import Calibration
-    from drive_id.core.maps.error_modes import ErrorModes
-    from drive_id.core.maps.flux_models import FluxModel
-    from drive_id.core.result.torque import TorqueFit
     from drive_id.core.validation.simulated_current import SimulatedCurrent
 
 Outside = Literal["nan", "raise"]
@@ -301,9 +299,72 @@ class LinearMachine:
     sigma_l_q: float
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedDrive:
-    """An identified drive: the numbers, without their origin.
+@dataclass(frozen=True)
+class Cogging:
+    """One harmonic of the cogging torque.
+
+    Parameters
+    ----------
+    order : int
+        Electrical.
+    amplitude, sigma : float
+        And its standard error, Nm.
+    """
+
+    order: int
+    amplitude: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class TorqueFit:
+    """What the shaft torque says of a flux map.
+
+    The model is ``T = g 3/2 p (psi_d i_q - psi_q i_d) - T_f sign(w) - b w - T_c(theta) + T_0`` with the mechanical
+    speed w; b and T_0 only where the speeds in the recording tell them from T_f.
+
+    Parameters
+    ----------
+    gain, sigma_gain : float
+        g and its standard error. A common gain error of voltages or currents, which the electrical signals do not show,
+        makes it differ from 1.
+    friction, sigma_friction : float
+        T_f and its standard error, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
+        where ``offset`` is None, it includes the offset of the torque sensor.
+    viscous_friction, sigma_viscous_friction : float or None
+        b and its standard error, Nm s/rad.
+    offset, sigma_offset : float or None
+        T_0 of the torque sensor and its standard error, Nm.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    rms_map : float
+        Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
+        offset, Nm.
+    rms_residual : float
+        The same with the gain, Nm.
+    pole_pairs : int
+    samples : int
+        In the fit.
+    """
+
+    gain: float
+    sigma_gain: float
+    friction: float
+    sigma_friction: float
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    offset: float | None
+    sigma_offset: float | None
+    cogging: tuple[Cogging, ...]
+    rms_map: float
+    rms_residual: float
+    pole_pairs: int
+    samples: int
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IdentifiedDrive(Parameters):
+    """An identified drive: the parameters, the map and how good they are, without their origin.
 
     Parameters
     ----------
@@ -311,35 +372,12 @@ class IdentifiedDrive:
         ``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool.
     i_max : float
         Radius of the current disc of the experiment, A.
-    resistance, sigma_resistance : float
-        The paper's R, which includes the linear part of the inverter's drop, and its standard error, ohm.
-    voltage_error, sigma_voltage_error : float
-        u_e in the drop convention (positive for a physical inverter) and its standard error, V; 0 for ``psm``.
-    inverter_current, inverter_voltage : (C,) float
-        The identified drop of one phase, V, over its current, A.
     flux_map : FluxMap
     report : FitReport
-    model : FluxModel or None
-        With ``gamma``, the flux map as the function that was fitted; None when the result was read from files.
-    gamma : (P,) float or None
-        Coefficients, Wb.
-    sigma_inverter_voltage : (C,) float or None
-        Standard error of ``inverter_voltage``, V; method ``full``.
-    phase_voltages : (C, 3) float or None
-        The identified drop of each phase, V, when each has a curve of its own.
     harmonics : tuple of HarmonicMap
         Of the rotor position; method ``full``.
-    calibrations : tuple of Calibration
-        Sensor faults; method ``full``.
-    magnet_coefficient : (float, float) or None
-        Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
-    statements : tuple of str
-        What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     torque : TorqueFit or None
         The recorded shaft torque against that of the map.
-    error_modes : ErrorModes or None
-        Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
-        that did not keep them.
     simulated : SimulatedCurrent or None
         Where the MAD comes from; None when the result was read from files.
     linear : LinearMachine or None
@@ -348,31 +386,17 @@ class IdentifiedDrive:
 
     method: str
     i_max: float
-    resistance: float
-    sigma_resistance: float
-    voltage_error: float
-    sigma_voltage_error: float
-    inverter_current: FloatArray
-    inverter_voltage: FloatArray
     flux_map: FluxMap
     report: FitReport
-    model: FluxModel | None = None
-    gamma: FloatArray | None = None
-    sigma_inverter_voltage: FloatArray | None = None
-    phase_voltages: FloatArray | None = None
     harmonics: tuple[HarmonicMap, ...] = ()
-    calibrations: tuple[Calibration, ...] = ()
-    magnet_coefficient: tuple[float, float] | None = None
-    statements: tuple[str, ...] = ()
     torque: TorqueFit | None = None
-    error_modes: ErrorModes | None = None
     simulated: SimulatedCurrent | None = None
     linear: LinearMachine | None = None
 
     @property
-    def has_inverter(self) -> bool:
-        """Whether the method models the inverter's drop: all but ``psm``; an imported map has none."""
-        return self.method not in ("psm", "imported")
+    def origin(self) -> Origin:
+        """What results of this method hold, and the words for it."""
+        return ORIGINS[self.method]
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

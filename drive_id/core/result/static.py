@@ -9,6 +9,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.maps.support import Support
+from drive_id.core.methods.method import CURVE_POINTS
 from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
 from drive_id.core.steady.effects import DELAY, IRON_LOSS
 from drive_id.core.steady.fit import (
@@ -24,14 +25,15 @@ from drive_id.core.steady.fit import (
 )
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.errors import UnexplainedError
+from drive_id.origins import STATIC
 from drive_id.types import BoolArray, FloatArray
 
-_CURVE_POINTS = 201
 _THIN = 0.01
 """Width of the points, by their length, up to which they count as on a line."""
 _NO_INFORMATION = 2.0
 """Standard error, by what voltages and currents suggest, from which a quantity counts as unknown."""
-_UNEXPLAINED, _REFUSED = 0.05, 0.2
+_REFUSED = 0.2
+"""Share of the voltage that the model leaves, beyond which there is no map: as for method full."""
 _WRONG_SIGN = 4.0
 _LARGE_MISFIT = 1.5
 _VAGUE_RESISTANCE = 0.1
@@ -67,7 +69,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
     resistance, sigma_resistance = fit.coefficient(0)
     ohm, _ = scales(fit.points)
     error, sigma_error = fit.coefficient(-1)
-    current = np.linspace(-i_max, i_max, _CURVE_POINTS)
+    current = np.linspace(-i_max, i_max, CURVE_POINTS)
     drop, sigma_drop = fit.drop_curve(current)
     linear = _linear(fit)
     unknown = not sigma_resistance < _NO_INFORMATION * ohm
@@ -87,7 +89,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         warnings=_warnings(fit, coverage, i_max),
     )
     return IdentifiedDrive(
-        method="static",
+        method=STATIC.name,
         i_max=i_max,
         resistance=resistance,
         sigma_resistance=float("inf") if unknown else sigma_resistance,
@@ -243,9 +245,9 @@ def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) 
         )
     if len(distinct_speeds(used)) == 1:
         found.append(
-            "All points are at one speed: R is told from the fluxes only because the maps are taken as reciprocal and "
-            "symmetric, so iron loss at this speed counts as R. Record points at another speed, in the other "
-            "direction, or at standstill."
+            "All points are at one speed, where R is separable from the fluxes only by assuming reciprocal, symmetric "
+            "maps, so iron loss at this speed counts as R: record points at another speed, in the other direction, or "
+            "at standstill."
         )
     if fit.coefficient(-1)[1] > fit.shapes.usual / 2:
         found.append(

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.types import FloatArray, Samples
 
 MOST_ORDER = 24
@@ -23,69 +23,6 @@ _LARGEST_GAIN_ERROR = 0.05
 _SPEEDS_APART = 1.2
 _SAMPLES_PER_PERIOD = 8.0
 """Samples of the torque signal per period of the highest order, so that interpolation takes away less than 5 %."""
-
-
-@dataclass(frozen=True)
-class Cogging:
-    """One harmonic of the cogging torque.
-
-    Parameters
-    ----------
-    order : int
-        Electrical.
-    amplitude, sigma : float
-        And its standard error, Nm.
-    """
-
-    order: int
-    amplitude: float
-    sigma: float
-
-
-@dataclass(frozen=True)
-class TorqueFit:
-    """What the shaft torque says of a flux map.
-
-    The model is ``T = g 3/2 p (psi_d i_q - psi_q i_d) - T_f sign(w) - b w - T_c(theta) + T_0`` with the mechanical
-    speed w; b and T_0 only where the speeds in the recording tell them from T_f.
-
-    Parameters
-    ----------
-    gain, sigma_gain : float
-        g and its standard error. A common gain error of voltages or currents, which the electrical signals do not show,
-        makes it differ from 1.
-    friction, sigma_friction : float
-        T_f and its standard error, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
-        where ``offset`` is None, it includes the offset of the torque sensor.
-    viscous_friction, sigma_viscous_friction : float or None
-        b and its standard error, Nm s/rad.
-    offset, sigma_offset : float or None
-        T_0 of the torque sensor and its standard error, Nm.
-    cogging : tuple of Cogging
-        The significant harmonics of T_c.
-    rms_map : float
-        Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
-        offset, Nm.
-    rms_residual : float
-        The same with the gain, Nm.
-    pole_pairs : int
-    samples : int
-        In the fit.
-    """
-
-    gain: float
-    sigma_gain: float
-    friction: float
-    sigma_friction: float
-    viscous_friction: float | None
-    sigma_viscous_friction: float | None
-    offset: float | None
-    sigma_offset: float | None
-    cogging: tuple[Cogging, ...]
-    rms_map: float
-    rms_residual: float
-    pole_pairs: int
-    samples: int
 
 
 def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs: int | None) -> IdentifiedDrive:

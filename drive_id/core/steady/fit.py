@@ -16,11 +16,9 @@ from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasi
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved
 from drive_id.errors import CoverageError, StandstillError
+from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
-COPPER = 0.00393
-"""Temperature coefficient of the resistance, 1/K, at the reference temperature."""
-REFERENCE_TEMPERATURE = 20.0
 REACH = 1.05
 """Half width of the map by i_max."""
 MAP_POINTS = 15
@@ -30,6 +28,7 @@ DISTINCT = 0.05
 _MAP_SPREAD = 0.3
 """Least range of i_d and of |i_q|, by i_max, for maps."""
 _SAME_SPEED = 0.05
+"""Distance, by the largest speed, within which points count as of one speed."""
 _STANDSTILL = 0.01
 """Speed, by the largest, below which the fluxes induce nothing to speak of and a drop is not averaged over a turn."""
 _NEAR_ZERO = 0.02
@@ -41,16 +40,25 @@ USUAL_DROP = 0.03
 _DROP_AT_REST = 0.3
 """Rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude."""
 _CELLS = 10
+"""Cells of the splines per axis; the penalty of the roughness, not their number, limits the detail."""
 _BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))
 """Bend and relief of the bases that compete where there are maps."""
 _VAGUE = 10.0
 """Width of the weak prior, in units of what the voltages and currents suggest."""
 _PASSES = 2
+"""Times that the weights, which depend on the map, are renewed by a solution."""
 _MISFIT = 1.25
+"""Residuals, by the noise of the points, from which the misfit of the model counts as noise, too."""
 _RARE = 3e-5
 """Probability with which chance alone makes an effect seem significant."""
-_OUTLYING, _MOST_OUTLYING, _FEW = 6.0, 0.1, 20
+_OUTLYING = 6.0
+"""Size of a whitened residual, in typical ones, from which a point is left out: Gaussian ones exceed it with 1.5e-8."""
+_MOST_OUTLYING = 0.1
+"""Share of the points: if more are far away, it is the model that is wrong."""
+_FEW = 20
+"""Points below which the typical size is not known well enough to leave any out."""
 _FLOOR = 1e-6
+"""Least noise, by the voltage: exact data must not give infinite weights."""
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.analysis.field_weakening import Limits, corner_speed, envelope, references, top_speed
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.table import MapTable
@@ -49,7 +49,7 @@ def control_table(table: MapTable) -> ControlTable:
     machine = table.machine
     machine.known_pole_pairs()
     table.known_resistance()
-    limits = Limits(machine.i_max, machine.known_u_dc() / math.sqrt(3))
+    limits = DriveLimits(machine.i_max, machine.known_u_dc() / math.sqrt(3))
     corner = corner_speed(machine, limits)
     if corner <= 0:
         raise ConfigurationError(

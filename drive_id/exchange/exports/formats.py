@@ -1,9 +1,10 @@
-"""The formats that can be exported: one writer each."""
+"""The formats that can be exported: one writer each, ours and those of other installed packages."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import Protocol
 
 from drive_id.errors import ConfigurationError
@@ -102,16 +103,26 @@ ALIASES: Mapping[str, str] = {
 """Other names under which a format is found; upper case and underscores do not matter."""
 
 
+GROUP = "drive_id.exporters"
+"""Entry points of other packages by which they add formats: each names an :class:`ExportFormat`."""
+
+
 def export_format(name: str) -> ExportFormat:
     """Return a format.
 
     Raises
     ------
     ConfigurationError
-        When there is none of this name; the message lists all.
+        When there is none of this name, and the message lists all; or when that of another package is none.
     """
     plain = name.lower().replace("_", "-").replace(" ", "-")
     known = ALIASES.get(plain, plain)
-    if known not in EXPORTS:
-        raise ConfigurationError(f"There is no export format '{name}': choose {', '.join(EXPORTS)}.")
-    return EXPORTS[known]
+    if known in EXPORTS:
+        return EXPORTS[known]
+    others = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if known not in others:
+        raise ConfigurationError(f"There is no export format '{name}': choose {', '.join([*EXPORTS, *others])}.")
+    found = others[known].load()
+    if not isinstance(found, ExportFormat):
+        raise ConfigurationError(f"The export format '{known}' ({others[known].value}) is no ExportFormat.")
+    return found

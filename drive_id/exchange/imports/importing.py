@@ -19,8 +19,8 @@ from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
+from drive_id.origins import IMPORTED
 
-METHOD = "imported"
 _COVERAGE_POINTS = 101
 OURS = Conventions()
 
@@ -118,7 +118,7 @@ def _result(
         statements.append(f"The torque in the file is that of {pairs:g} pole pairs.")
     i_max = scalars.get("i_max", _reach(found.flux_map))
     drive = IdentifiedDrive(
-        method=METHOD,
+        method=IMPORTED.name,
         i_max=i_max,
         resistance=scalars.get("resistance", np.nan),
         sigma_resistance=np.nan,

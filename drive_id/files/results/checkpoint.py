@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-import drive_id
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
@@ -27,6 +26,7 @@ from drive_id.files.inputs.archive import DAMAGED, LARGEST, read_arrays
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.storage.bag import storage_files
+from drive_id.version import VERSION
 
 FORMAT = "drive_id/checkpoint"
 FORMAT_VERSION = 4
@@ -138,5 +138,5 @@ def _task(bags: Sequence[Path], settings: FitSettings, signals: SignalMap, names
         for file in (file for bag in bags for file in storage_files(bag)[0]):
             state = file.stat()
             files.append((str(file.absolute()), state.st_size, state.st_mtime_ns))
-    told = json.dumps([drive_id.__version__, files, asdict(settings), repr(signals), namespace])
+    told = json.dumps([VERSION, files, asdict(settings), repr(signals), namespace])
     return hashlib.sha256(told.encode()).hexdigest()

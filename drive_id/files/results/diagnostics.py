@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.result.diagnostics import Comparison, Diagnostics
+from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.residuals import AngleBins, TimeBins
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import ResultError
@@ -107,14 +107,14 @@ def _diagnostics(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> 
     )
 
 
-def _comparison(arrays: Mapping[str, NDArray[Any]], number: int, shape: tuple[int, ...]) -> Comparison:
+def _comparison(arrays: Mapping[str, NDArray[Any]], number: int, shape: tuple[int, ...]) -> ComparedMethod:
     method = str(arrays["methods"][number])
     maps: dict[str, FloatArray] = {}
     if f"{method}_psi_d" in arrays:
         maps = {name: np.asarray(arrays[f"{method}_{name}"], np.float64) for name in ("psi_d", "psi_q")}
         if any(values.shape != shape for values in maps.values()):
             raise ResultError(f"the map of method {method} does not fit the flux map")
-    return Comparison(
+    return ComparedMethod(
         method=method,
         failure=str(arrays["failures"][number]),
         samples=int(arrays["samples"][number]),

@@ -18,18 +18,26 @@ from typing import Any
 
 import numpy as np
 
-import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.diagnostics import Diagnostics
-from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine
-from drive_id.core.result.torque import Cogging, TorqueFit
+from drive_id.core.result.identification import (
+    Cogging,
+    FitReport,
+    FluxMap,
+    HarmonicMap,
+    IdentifiedDrive,
+    LinearMachine,
+    TorqueFit,
+)
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import NotAFileError, open_input, read_text_input, reason
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
+from drive_id.origins import ORIGINS
 from drive_id.settings import from_mapping
+from drive_id.version import VERSION
 
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
@@ -154,7 +162,7 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
         if int(tree["format_version"]) > FORMAT_VERSION:
             raise ResultError(
                 f"{directory} was written by a newer drive_id (format {tree['format_version']}, and this "
-                f"drive_id, {drive_id.__version__}, knows format {FORMAT_VERSION}): update it."
+                f"drive_id, {VERSION}, knows format {FORMAT_VERSION}): update it."
             )
         flux_map = _read_flux_map(directory / _NPZ)
         harmonics = _read_harmonics(directory / _HARMONICS, flux_map.psi_d.shape) if tree["harmonics"] else ()
@@ -239,7 +247,7 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
         "method": identification.method,
         "machine": known.machine,
         "date": known.date,
-        "version": dict(known.versions).get("drive_id", drive_id.__version__),
+        "version": dict(known.versions).get("drive_id", VERSION),
         "units": json.dumps(_UNITS),
     }
     arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
@@ -327,8 +335,10 @@ def _identification(
         for entry in fields(FitReport)
         if entry.name != "warnings"
     }
+    if tree["method"] not in ORIGINS:
+        raise ValueError(f"method is {tree['method']!r:.40}")
     return IdentifiedDrive(
-        method=str(tree["method"]),
+        method=tree["method"],
         i_max=_positive(tree, "i_max"),
         resistance=_number(tree["resistance"]),  # unknown in some imported maps
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
@@ -415,7 +425,7 @@ def _finite(value: Any) -> Any:
 
 def _versions() -> dict[str, str]:
     return {
-        "drive_id": drive_id.__version__,
+        "drive_id": VERSION,
         "python": platform.python_version(),
         **{name: found for name in _DEPENDENCIES if (found := _version(name))},
     }

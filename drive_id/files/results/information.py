@@ -19,7 +19,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-import drive_id
 from drive_id.core.accumulation.accumulated import VALIDATION_PIECES, Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
@@ -32,6 +31,7 @@ from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.settings import from_mapping
 from drive_id.types import SCALARS, Samples
+from drive_id.version import VERSION
 
 FORMAT = "drive_id/information"
 FORMAT_VERSION = 6
@@ -117,7 +117,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
     header = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "software": drive_id.__version__,
+        "software": VERSION,
         "settings": asdict(evidence.settings),
         "i_max": evidence.i_max,
         "ranges": [[axis.low, axis.high] for axis in (evidence.d, evidence.q)],
@@ -207,7 +207,7 @@ def _check_version(header: Mapping[str, Any], where: str) -> None:
     if version > FORMAT_VERSION:
         raise InformationError(
             f"{where} was written by drive_id {header['software']} in version {version} of the "
-            f"format, and this drive_id, {drive_id.__version__}, knows it up to version {FORMAT_VERSION}: update it."
+            f"format, and this drive_id, {VERSION}, knows it up to version {FORMAT_VERSION}: update it."
         )
 
 

@@ -22,7 +22,8 @@ from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.fit import Draw, fit_bags, known_pole_pairs, provenance_of
+from drive_id.fitting.fit import Draw, fit_bags
+from drive_id.fitting.provenance import known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
@@ -37,8 +38,6 @@ from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.types import SCALARS, Progress
 
-PROVISIONAL = "provisional"
-"""Word in the method of a map that was not requested."""
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
 _log = logging.getLogger(__name__)
 
@@ -67,6 +66,8 @@ class Reply:
         What became of the live signals, also without success.
     refit : Refit or None
         The fit of the live samples, for later ones to start from.
+    provisional : bool
+        Whether nobody requested it: the result of a fit in the background.
     """
 
     code: str
@@ -78,6 +79,7 @@ class Reply:
     output: str = ""
     samples: JoinReport | None = None
     refit: Refit | None = None
+    provisional: bool = False
 
     @property
     def success(self) -> bool:
@@ -205,10 +207,9 @@ class Identifier:
             self.refits.take(refit)
 
     def provisional(self, refit: Refit) -> Reply:
-        """Return the map of a fit in the background; its method says that it is provisional."""
+        """Return the map of a fit in the background."""
         drive = refit.drive
-        marked = replace(drive, method=f"{drive.method} ({PROVISIONAL})")
-        return Reply("ok", _sentence(drive), marked, drive.report.warnings, stamp=refit.stamp)
+        return Reply("ok", _sentence(drive), drive, drive.report.warnings, stamp=refit.stamp, provisional=True)
 
     def health(
         self, doing: str, publishers: Sequence[Sequence[Publisher]], further: Sequence[Observation] = ()
@@ -381,7 +382,7 @@ def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
 
 def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
-    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.has_inverter else ""
+    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.origin.inverter else ""
     return (
         f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
         f"{identification.resistance * 1e3:.4g} mohm{drop}, {100 * report.coverage:.0f} % of the disc covered."

@@ -23,6 +23,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     message.header.stamp = Time(nanoseconds=reply.stamp).to_msg()
     message.header.frame_id = frame_id
     message.method = identification.method
+    message.provisional = reply.provisional
     message.machine = reply.machine
     flux_map = identification.flux_map
     for name in ("i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q"):
@@ -30,7 +31,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     message.inside = flux_map.inside.ravel().tolist()
     for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error"):
         setattr(message, name, getattr(identification, name))
-    if identification.has_inverter:
+    if identification.origin.inverter:
         message.inverter_current = _doubles(identification.inverter_current)
         message.inverter_voltage = _doubles(identification.inverter_voltage)
     message.i_max = identification.i_max

@@ -29,22 +29,19 @@ _WAKE_UP = 0.1  # s after which an idle node notices a signal at the latest
 
 
 class Stop:
-    """Records the first SIGINT or SIGTERM; before the node spins, raises KeyboardInterrupt.
+    """Records the first SIGINT or SIGTERM, and raises nothing: an exception anywhere in a start may end in a traceback.
 
     rclpy's own handlers invalidate the context before a node can publish its last messages.
     """
 
     def __init__(self) -> None:
         self.asked = False
-        self.spinning = False
         self._read_end, self._write_end = os.pipe()
         for number in SIGNALS:
             signal.signal(number, self._handle)
 
     def _handle(self, _number: int, _frame: FrameType | None) -> None:
         first, self.asked = not self.asked, True
-        if first and not self.spinning:
-            raise KeyboardInterrupt
         if first:
             os.write(self._write_end, b"!")  # takes no lock: the interrupted code may hold it
 
@@ -84,8 +81,8 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
         remedy = _POINT if isinstance(error, InvalidParameterTypeException) and "DOUBLE" in str(error) else ""
         sys.stderr.write(f"{make.__name__}: {error}{remedy}\n")
         code = 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # the usual end of a node
+    except ExternalShutdownException:
+        pass  # somebody else shut the context down
     finally:
         # Ctrl-C and a launcher often send one signal each: the second must not interrupt the shutdown.
         for number in SIGNALS:
@@ -121,7 +118,6 @@ def spin(node: Node, stop: Stop) -> None:
     executor.add_node(node)
     over: Future[None] = Future()
     stop.complete(over)  # a busy events executor never checks its timeout
-    stop.spinning = True
     while rclpy.ok() and not stop.asked:
         executor.spin_until_future_complete(over, _WAKE_UP)
 

@@ -102,7 +102,7 @@ def _comparison(result: Identification) -> dict[str, Any] | None:
 
 def _inverter(result: Identification) -> dict[str, Any] | None:
     curve = result.inverter_curve
-    if not result.drive.has_inverter or not np.any(curve.voltage):
+    if not result.origin.inverter or not np.any(curve.voltage):
         return None
     sigma = curve.sigma
     if sigma is None and result.voltage_error and np.isfinite(result.sigma_voltage_error):

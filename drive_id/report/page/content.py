@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-import drive_id
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.diagnostics import Comparison
+from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import results_tree
 from drive_id.fitting.result import Identification
+from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.report.page.operation import TorqueMap
-from drive_id.report.page.wording import CITATION, LIMITS, METHODS, METHODS_TEXT, NOT_STORED
+from drive_id.report.page.wording import NOT_STORED
 from drive_id.types import FloatArray
+from drive_id.version import VERSION
 
 GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
 _LEAST_CURRENT = 0.01
@@ -27,7 +28,7 @@ _ONE_SPEED = 0.1
 
 
 @dataclass(frozen=True)
-class Figure:
+class Merit:
     """A figure of merit at a glance.
 
     Parameters
@@ -46,7 +47,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of text below a header.
 
     Parameters
@@ -68,12 +69,12 @@ class Content:
     Parameters
     ----------
     title, subtitle : str
-    figures : tuple of Figure
+    figures : tuple of Merit
         Quality at a glance.
     warnings : tuple of str
-    identified, limits, advice : tuple of str
-        What the fit states, what no method can tell from such data, and what to record next.
-    values, methods, operation, calibrations, settings, inputs, versions : Table
+    knowledge : dict of str to tuple of str
+        Sentences by their heading: what the result states, what the data leave open, and what to do next.
+    values, methods, operation, calibrations, settings, inputs, versions : TextTable
     comparison : str
         A sentence on what modelling the inverter changes; empty where it is not known.
     paragraph : str
@@ -86,18 +87,16 @@ class Content:
 
     title: str
     subtitle: str
-    figures: tuple[Figure, ...]
+    figures: tuple[Merit, ...]
     warnings: tuple[str, ...]
-    identified: tuple[str, ...]
-    limits: tuple[str, ...]
-    advice: tuple[str, ...]
-    values: Table
-    methods: Table
-    calibrations: Table
-    settings: Table
-    inputs: Table
-    versions: Table
-    operation: Table
+    knowledge: dict[str, tuple[str, ...]]
+    values: TextTable
+    methods: TextTable
+    calibrations: TextTable
+    settings: TextTable
+    inputs: TextTable
+    versions: TextTable
+    operation: TextTable
     comparison: str
     paragraph: str
     missing: dict[str, str]
@@ -109,23 +108,25 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
     twin = results_tree(result.drive, result.provenance)
     machine = result.machine or "unnamed machine"
     return Content(
-        title=f"Identified drive: {machine}",
+        title=f"{result.origin.heading}: {machine}",
         subtitle=str(result.caption()),
         figures=_figures(result),
         warnings=result.warnings,
-        identified=tuple(sentence for sentence in result.statements if not sentence.startswith(_NEXT)),
-        limits=LIMITS,
-        advice=_advice(result),
+        knowledge={
+            "What the result states": tuple(text for text in result.statements if not text.startswith(_NEXT)),
+            "What such data leave open": result.origin.limits,
+            "What to do next": _advice(result),
+        },
         values=_values(result),
         methods=_methods(result),
         calibrations=_calibrations(result),
         settings=_settings(result),
-        inputs=Table(
-            "Files that were fitted, and their digests",
+        inputs=TextTable(
+            f"Files that were {'fitted' if result.origin.fitted else 'imported'}, and their digests",
             ("File", "SHA-256"),
             tuple(result.provenance.inputs.items()),
         ),
-        versions=Table(
+        versions=TextTable(
             "Software that made the result", ("Software", "Version"), tuple(map(_texts, twin["versions"].items()))
         ),
         comparison=_comparison(result),
@@ -158,39 +159,50 @@ def single_speed(result: Identification) -> bool:
     return high - low <= _ONE_SPEED * max(abs(low), abs(high))
 
 
-def _figures(result: Identification) -> tuple[Figure, ...]:
-    metrics, drive = result.metrics, result.drive
+def _figures(result: Identification) -> tuple[Merit, ...]:
+    metrics, origin = result.metrics, result.origin
     flux, sigma = largest_flux(result), flux_sigma(result)
-    mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
-    share, known = sigma / flux, result.sigma_resistance / max(abs(result.resistance), 1e-12)
     count = len(result.warnings)
     found = [
-        Figure(
+        Merit(
             "Warnings", str(count), GOOD if not count else FAIR if count < 3 else WEAK,
             "Each is a sentence below that says what to do.",
         ),
-        Figure(
+        Merit(
             "Disc covered", percent(metrics["coverage"]), level(1 - metrics["coverage"], 0.05, 0.2),
             f"Share of the disc of {number(result.i_max)} A with data. Good from 95 %, weak below 80 %.",
         ),
-        Figure(
-            "Standard error of the flux", percent(share), level(share, 0.002, 0.01),
-            "Median over the map, of the largest flux. Good up to 0.2 %, weak above 1 %.",
-        ),
-        Figure(
-            "Standard error of R", percent(known), level(known, 0.02, 0.1),
-            f"R = {with_error(result.resistance * 1e3, result.sigma_resistance * 1e3)} mΩ. Good up to 2 %, weak above "
-            "10 %.",
-        ),
-        Figure(
-            "Simulated current", percent(mad), level(mad, 0.01, 0.03),
-            f"Mean deviation of the open-loop simulation from the measurement, of i_max: {number(metrics['mad_d'])} A "
-            f"in d, {number(metrics['mad_q'])} A in q. Good up to 1 %, weak above 3 %.",
-        ),
     ]  # fmt: skip
-    if drive.has_inverter:
+    if origin.fitted or math.isfinite(sigma):
+        share = sigma / flux
         found.append(
-            Figure(
+            Merit(
+                "Standard error of the flux", percent(share), level(share, 0.002, 0.01),
+                "Median over the map, of the largest flux. Good up to 0.2 %, weak above 1 %.",
+            )
+        )  # fmt: skip
+    if origin.fitted:
+        known = result.sigma_resistance / max(abs(result.resistance), 1e-12)
+        found.append(
+            Merit(
+                "Standard error of R", percent(known), level(known, 0.02, 0.1),
+                f"R = {with_error(result.resistance * 1e3, result.sigma_resistance * 1e3)} mΩ. Good up to 2 %, weak "
+                "above 10 %.",
+            )
+        )  # fmt: skip
+    if origin.diagnostics:
+        mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
+        found.append(
+            Merit(
+                "Simulated current", percent(mad), level(mad, 0.01, 0.03),
+                "Mean deviation of the open-loop simulation from the measurement, of i_max: "
+                f"{number(metrics['mad_d'])} A in d, {number(metrics['mad_q'])} A in q. Good up to 1 %, weak above "
+                "3 %.",
+            )
+        )  # fmt: skip
+    if origin.inverter:
+        found.append(
+            Merit(
                 "Inverter drop", f"{with_error(result.voltage_error, result.sigma_voltage_error)} V", "",
                 "Of one phase at large current, without its linear part, which is in R.",
             )
@@ -198,7 +210,7 @@ def _figures(result: Identification) -> tuple[Figure, ...]:
     if math.isfinite(metrics["nrmse_d"]):
         worst = max(metrics["nrmse_d"], metrics["nrmse_q"])
         found.append(
-            Figure(
+            Merit(
                 "Error against the simulation's truth", percent(worst), level(worst, 0.002, 0.01),
                 f"NRMSE {percent(metrics['nrmse_d'])} in ψ_d, {percent(metrics['nrmse_q'])} in ψ_q. Good up to 0.2 %, "
                 "weak above 1 %.",
@@ -214,14 +226,14 @@ def level(value: float, good: float, weak: float) -> str:
     return GOOD if value <= good else FAIR if value <= weak else WEAK
 
 
-def _values(result: Identification) -> Table:
+def _values(result: Identification) -> TextTable:
     drive, metrics = result.drive, result.metrics
     rows = [
         ("Machine", result.machine or "unknown", ""),
-        ("Method", result.method, ""),
-        ("Resistance", f"{number(1e3 * result.resistance, 6)} mΩ", sigma_text(1e3 * result.sigma_resistance, "mΩ")),
+        ("Origin", result.origin.caption, ""),
+        ("Resistance", _resistance(result), sigma_text(1e3 * result.sigma_resistance, "mΩ")),
     ]
-    if drive.has_inverter:
+    if result.origin.inverter:
         voltage = f"{number(result.voltage_error, 5)} V"
         rows.append(("Inverter drop at large current", voltage, sigma_text(result.sigma_voltage_error, "V")))
     if drive.magnet_coefficient is not None:
@@ -236,15 +248,26 @@ def _values(result: Identification) -> Table:
         ("Radius of the current disc", f"{number(result.i_max)} A", ""),
         ("Pole pairs", str(result.pole_pairs or "unknown"), ""),
         ("DC link", f"{number(result.u_dc)} V" if result.u_dc else "unknown", ""),
+        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown", ""),
+    ]
+    if not result.origin.fitted:
+        rows.append(("Points read", str(metrics["samples_read"]), ""))
+        return TextTable("Values in the file", ("Quantity", "Value", "Standard error"), tuple(rows))
+    rows += [
         ("Electrical speed", _speed(result), ""),
         ("Duration of the data", f"{number(result.duration)} s" if result.duration else "unknown", ""),
-        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown", ""),
         ("Samples used", f"{metrics['samples_used']} of {metrics['samples_read']}", ""),
-        ("Gaps", str(metrics["gaps"]), ""),
-        ("Unknowns determined", f"{metrics['rank']} of {metrics['parameters']}", ""),
+        *([("Gaps", str(metrics["gaps"]), "")] if result.origin.live else []),
+        ("Unknowns determined", f"{metrics['rank']} of {metrics['parameters']}", "")
+        if result.origin.live
+        else ("Unknowns", str(metrics["parameters"]), ""),
         ("Condition number", number(metrics["condition"], 3), ""),
     ]
-    return Table("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
+    return TextTable("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
+
+
+def _resistance(result: Identification) -> str:
+    return f"{number(1e3 * result.resistance, 6)} mΩ" if math.isfinite(result.resistance) else "unknown"
 
 
 def _speed(result: Identification) -> str:
@@ -262,12 +285,12 @@ def _speed(result: Identification) -> str:
     )
 
 
-def _methods(result: Identification) -> Table:
+def _methods(result: Identification) -> TextTable:
     """Lay out the result beside the paper's methods."""
     rows: list[tuple[str, ...]] = []
     judged, metrics = result.diagnostics, result.metrics
     if judged is not None:
-        own = Comparison(
+        own = ComparedMethod(
             method=result.method,
             samples=int(metrics["samples_used"]),
             resistance=result.resistance,
@@ -280,25 +303,25 @@ def _methods(result: Identification) -> Table:
             nrmse_d=metrics["nrmse_d"],
             nrmse_q=metrics["nrmse_q"],
         )
-        order = {name: place for place, name in enumerate(METHODS)}
-        every = sorted([own, *judged.comparisons], key=lambda found: order.get(found.method, len(order)))
+        every = sorted([own, *judged.comparisons], key=lambda found: list(ORIGINS).index(found.method))
         rows = [_method_row(found, own=found is own) for found in every] if judged.comparisons else []
-    return Table(
+    return TextTable(
         "The same data with and without a model of the inverter",
         ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
         tuple(rows),
     )
 
 
-def _method_row(found: Comparison, *, own: bool) -> tuple[str, ...]:
-    name = f"{METHODS.get(found.method, found.method)}{' (this result)' if own else ''}"
+def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
+    origin = origin_named(found.method)
+    name = f"{origin.title}{' (this result)' if own else ''}"
     if found.failure:
         return name, f"no result: {found.failure}", "", "", "", ""
     pair = math.isfinite(found.nrmse_d)
     return (
         name,
         f"{with_error(1e3 * found.resistance, 1e3 * found.sigma_resistance)} mΩ",
-        f"{with_error(found.voltage_error, found.sigma_voltage_error)} V" if found.method != "psm" else "not modelled",
+        f"{with_error(found.voltage_error, found.sigma_voltage_error)} V" if origin.inverter else "not modelled",
         f"{number(found.residual_rms, 3)} V" if math.isfinite(found.residual_rms) else "unknown",
         f"{number(found.mad_d, 3)} / {number(found.mad_q, 3)} A" if math.isfinite(found.mad_d) else "unknown",
         f"{percent(found.nrmse_d)} / {percent(found.nrmse_q)}" if pair else "no truth known",
@@ -306,10 +329,10 @@ def _method_row(found: Comparison, *, own: bool) -> tuple[str, ...]:
 
 
 def _comparison(result: Identification) -> str:
-    """Say how far the map without a model of the inverter is from the one with it."""
+    """Say how far the map without a model of the inverter, or with one if this has none, is from the result."""
     judged = result.diagnostics
     every = {found.method: found for found in judged.comparisons} if judged else {}
-    other = every.get("joint" if result.method == "psm" else "psm")
+    other = every.get(PSM.name if result.origin.inverter else JOINT.name)
     if other is None or other.psi_d is None or other.psi_q is None:
         return ""
     apart = map_difference(result, other)
@@ -318,36 +341,38 @@ def _comparison(result: Identification) -> str:
     share = percent(largest / largest_flux(result))
     change = number(1e3 * abs(other.resistance - result.resistance), 3)
     return (
-        f"Modelling the inverter moves the flux by up to {number(1e3 * largest, 3)} mWb ({share} of the largest flux) "
-        f"and R by {change} mΩ."
+        f"The map of method {other.method} differs from this one by up to {number(1e3 * largest, 3)} mWb ({share} of "
+        f"the largest flux), and its R by {change} mΩ."
     )
 
 
-def map_difference(result: Identification, other: Comparison) -> tuple[FloatArray, FloatArray]:
+def map_difference(result: Identification, other: ComparedMethod) -> tuple[FloatArray, FloatArray]:
     """Return psi_d and psi_q (D, Q) of another method minus those of the result, Wb."""
     assert other.psi_d is not None
     assert other.psi_q is not None
     return other.psi_d - result.flux_map.psi_d, other.psi_q - result.flux_map.psi_q
 
 
-def _calibrations(result: Identification) -> Table:
+def _calibrations(result: Identification) -> TextTable:
     rows = []
     for found in result.calibrations:
         unit = "" if found.unit == "1" else found.unit
         done = "corrected" if found.applied else "not corrected"
         rows.append((found.name, f"{number(found.value)} {unit}".strip(), sigma_text(found.sigma, unit), done))
-    return Table(
+    return TextTable(
         "Sensor faults and effects of the drive", ("Name", "Value", "Standard error", "In the map"), tuple(rows)
     )
 
 
-def _settings(result: Identification) -> Table:
+def _settings(result: Identification) -> TextTable:
     usual = FitSettings()
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    if not result.origin.fitted:
+        return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), ())
     for name, value in vars(result.provenance.settings).items():
         changed = "default" if value == getattr(usual, name) else "set"
         rows.append((name, _setting(value), changed))
-    return Table("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
+    return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
 
 
 def _setting(value: object) -> str:
@@ -356,7 +381,7 @@ def _setting(value: object) -> str:
     return "automatic" if value is None else str(value)
 
 
-def _operation(operation: TorqueMap | None) -> Table:
+def _operation(operation: TorqueMap | None) -> TextTable:
     """Lay out a few points of the lines of operation."""
     rows = []
     for line in operation.lines if operation else ():
@@ -370,7 +395,7 @@ def _operation(operation: TorqueMap | None) -> Table:
             at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
             rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
     header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
-    return Table("Points of the lines of operation, where there are data", header, tuple(rows))
+    return TextTable("Points of the lines of operation, where there are data", header, tuple(rows))
 
 
 def _advice(result: Identification) -> tuple[str, ...]:
@@ -378,26 +403,19 @@ def _advice(result: Identification) -> tuple[str, ...]:
     found = [_capital(text.removeprefix(_NEXT)) for text in result.statements if text.startswith(_NEXT)]
     coverage = result.metrics["coverage"]
     if coverage < 0.95:
-        found.append(
-            f"A trajectory that fills the disc of {number(result.i_max)} A: {percent(1 - coverage)} has no data."
-        )
+        found.append(f"Data over the whole disc of {number(result.i_max)} A: {percent(1 - coverage)} of it has none.")
     if single_speed(result) and not found:
-        found.append(
-            "A second recording at another speed, ideally in the other direction: at one speed, R rests on the "
-            "transients alone."
-        )
+        found.append(f"A second recording at another speed, ideally in the other direction. {result.origin.one_speed}")
     if result.pole_pairs is None:
-        found.append("The number of pole pairs, as setting pole_pairs of the fit: without it there is no torque.")
-    if result.method != "full" and result.speed_range is not None:
-        found.append("The same recording by method full: it separates rotor harmonics and sensor faults from the map.")
-    return tuple(found)
+        found.append(f"The number of pole pairs, without which there is no torque: {result.origin.pole_pairs}.")
+    return tuple(filter(None, (*found, result.origin.advice)))
 
 
 def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, str]:
     """Say why a section has nothing to show."""
     judged, missing = result.diagnostics, {}
     if judged is None:
-        missing = {"comparison": NOT_STORED, "residuals": NOT_STORED, "currents": NOT_STORED}
+        missing = dict.fromkeys(("comparison", "residuals", "currents"), result.origin.no_diagnostics or NOT_STORED)
     else:
         if not judged.comparisons:
             missing["comparison"] = "The result was stored without a comparison: fit the recording again."
@@ -405,14 +423,13 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
             missing["residuals"] = "The recordings hold too few samples for a residual."
         if judged.simulated is None:
             missing["currents"] = "The simulated current diverged, or no samples were kept to simulate it."
-    if not result.drive.has_inverter:
-        missing["inverter"] = "Method psm does not model the inverter: its drop is in the flux map and in R."
+    if not result.origin.inverter:
+        missing["inverter"] = result.origin.no_inverter
     elif not np.any(result.drive.inverter_voltage):
         missing["inverter"] = "The result holds no inverter drop."
     if operation is None:
         missing["operation"] = (
-            "The number of pole pairs is unknown, and without it there is no torque: set pole_pairs in the fit, or in "
-            "the signals file."
+            f"The number of pole pairs is unknown, and without it there is no torque: {result.origin.pole_pairs}."
         )
     elif not any(line.name == "MTPV" for line in operation.lines):
         missing["mtpv"] = (
@@ -424,28 +441,29 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
 
 def _paragraph(result: Identification) -> str:
     """Write a paragraph of method with the result's own numbers, to be pasted into a paper or a test report."""
-    metrics, drive = result.metrics, result.drive
+    metrics, origin = result.metrics, result.origin
     what = f"of the machine {result.machine}" if result.machine else "of the machine"
     data = f" from {number(result.duration)} s of data" if result.duration else ""
     speed = f" at an electrical speed of {_speed(result)}" if result.speed_range else ""
-    version = result.provenance.versions.get("drive_id", drive_id.__version__)
+    version = result.provenance.versions.get("drive_id", VERSION)
     drop = ""
-    if drive.has_inverter:
+    if origin.inverter:
         value = with_error(result.voltage_error, result.sigma_voltage_error)
-        drop = f", the inverter's voltage drop at large current {value} V; R includes the linear part of this drop"
-    resistance = with_error(1e3 * result.resistance, 1e3 * result.sigma_resistance)
-    identified = (
-        f"The flux linkage maps and the resistance {what} were identified{data}{speed}, within a current disc of "
-        f"{number(result.i_max)} A, with drive_id {version}."
+        drop = f", the inverter's voltage drop at large current {value} V"
+    also, done = (" and the resistance", "identified") if origin.fitted else ("", "imported")
+    first = (
+        f"The flux linkage maps{also} {what} were {done}{data}{speed} with drive_id {version}; their current disc has "
+        f"a radius of {number(result.i_max)} A."
     )
-    sentences = [
-        identified,
-        METHODS_TEXT.get(result.method, f"The map was obtained by method {result.method}."),
-        f"R = {resistance} mΩ{drop} (± standard error).",
-    ]
+    sentences = [first, origin.summary]
+    if math.isfinite(result.resistance):
+        error = " (± standard error)" if math.isfinite(result.sigma_resistance) else ""
+        resistance = with_error(1e3 * result.resistance, 1e3 * result.sigma_resistance)
+        included = "; R includes the linear part of this drop" if drop else ""
+        sentences.append(f"R = {resistance} mΩ{drop}{error}{included}.")
     if result.harmonics:
         orders = ", ".join(str(found.order) for found in result.harmonics)
-        sentences.append(f"Rotor-position harmonics of electrical orders {orders} were separated from the mean map.")
+        sentences.append(f"Rotor-position harmonics of electrical orders {orders} are separate from the mean map.")
     sigma = flux_sigma(result)
     if math.isfinite(sigma):
         share = percent(sigma / largest_flux(result))
@@ -459,7 +477,7 @@ def _paragraph(result: Identification) -> str:
             f"{number(metrics['mad_d'], 3)} A in d and {number(metrics['mad_q'], 3)} A in q on average"
         )
     sentences.append(_capital("; ".join(judged)) + ".")
-    return " ".join(sentences) + " " + CITATION
+    return " ".join(filter(None, (*sentences, origin.reference)))
 
 
 def _capital(text: str) -> str:

@@ -10,9 +10,9 @@ from typing import Any
 
 import jinja2
 
-import drive_id
 from drive_id.report.page.content import Content
 from drive_id.report.page.wording import SECTIONS
+from drive_id.version import VERSION
 
 GENERATOR = "drive_id report"
 """By which an earlier report is known."""
@@ -37,7 +37,7 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
         lstrip_blocks=True,
     )
     return environment.get_template("report.html").render(
-        generator=f"{GENERATOR} {drive_id.__version__}",
+        generator=f"{GENERATOR} {VERSION}",
         sections=SECTIONS,
         content=content,
         charts=charts,

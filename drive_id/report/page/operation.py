@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.trajectories import Trajectory, mtpa, mtpv
+from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
 from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray
 
@@ -63,6 +63,6 @@ def torque_map(result: Identification) -> TorqueMap | None:
     return TorqueMap(np.where(found.inside, torque, np.nan), tuple(line for line in lines if len(line.i_d) > 1))
 
 
-def _line(name: str, found: Trajectory) -> Line:
+def _line(name: str, found: CurrentLocus) -> Line:
     at = found.inside
     return Line(name, found.i_d[at], found.i_q[at], found.torque[at], found.sigma_torque[at])

@@ -11,10 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-import drive_id
-from drive_id.report.page.content import Content, Table
+from drive_id.report.page.content import Content, TextTable
 from drive_id.report.page.html import GENERATOR
 from drive_id.report.page.wording import SECTIONS
+from drive_id.version import VERSION
 
 _WIDTH, _HEIGHT, _MARGIN = 8.27, 11.69, 0.7
 """Of a page (A4), inches."""
@@ -40,7 +40,7 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.text(content.subtitle)
     sheets.heading(SECTIONS["glance"])
     rows = tuple((f.name, f.value, f.level or "–", f.meaning) for f in content.figures)
-    sheets.table(Table("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
+    sheets.table(TextTable("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
     sheets.heading(SECTIONS["warnings"])
     for warning in content.warnings or ("None.",):
         sheets.text(f"• {warning}", colour=_WARNING if content.warnings else "black")
@@ -58,14 +58,10 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.table(content.operation, (0.3, 0.12, 0.12, 0.12, 0.14, 0.2))
     sheets.text(content.missing.get("mtpv", ""))
     sheets.heading(SECTIONS["identifiable"])
-    for sentence in content.identified:
-        sheets.text(f"• {sentence}")
-    sheets.text("What no method can tell from such data:", bold=True)
-    for sentence in content.limits:
-        sheets.text(f"• {sentence}")
-    sheets.text("What to record next:", bold=True)
-    for sentence in content.advice:
-        sheets.text(f"• {sentence}")
+    for heading, found in content.knowledge.items():
+        sheets.text(f"{heading}:" if found else "", bold=True)
+        for sentence in found:
+            sheets.text(f"• {sentence}")
     sheets.table(content.calibrations, (0.35, 0.25, 0.2, 0.2))
     sheets.heading(SECTIONS["method"])
     sheets.text(content.paragraph)
@@ -116,7 +112,7 @@ class _Sheets:
             self._write(_MARGIN, self._take(_line(size)), line, size, bold=bold, colour=colour)
         self._left -= 0.05
 
-    def table(self, table: Table, shares: Sequence[float]) -> None:
+    def table(self, table: TextTable, shares: Sequence[float]) -> None:
         """Write a table with columns of these shares of the width; nothing for one without rows."""
         if not table.rows:
             return
@@ -152,10 +148,10 @@ class _Sheets:
     def saved(self, title: str) -> bytes:
         """Return the file, its pages numbered."""
         stream = io.BytesIO()
-        told = {"Title": _printable(title), "Creator": f"{GENERATOR} {drive_id.__version__}"}
+        told = {"Title": _printable(title), "Creator": f"{GENERATOR} {VERSION}"}
         with PdfPages(stream, metadata=told) as pdf:
             for number, page in enumerate(self._pages, start=1):
-                foot = f"{GENERATOR} {drive_id.__version__}, page {number} of {len(self._pages)}"
+                foot = f"{GENERATOR} {VERSION}, page {number} of {len(self._pages)}"
                 page.text(0.5, 0.4 / _HEIGHT, foot, fontsize=_SMALL, ha="center", color="0.4")
                 pdf.savefig(page, dpi=_DPI)
         return stream.getvalue()

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from drive_id.core.result.diagnostics import Comparison, Diagnostics
+from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.fitting.result import Identification
 from drive_id.report.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
@@ -30,7 +30,7 @@ def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str,
             found["residuals"] = _draw_residuals(judged)
         if judged.simulated is not None:
             found["currents"] = _draw_currents(judged.simulated)
-    if drive.has_inverter and np.any(drive.inverter_voltage):
+    if drive.origin.inverter and np.any(drive.inverter_voltage):
         found["inverter"] = Figure(figsize=(WIDTH, 2.9))
         draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
     if operation is not None:
@@ -38,7 +38,7 @@ def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str,
     return found
 
 
-def _draw_comparison(result: Identification, other: Comparison) -> Figure:
+def _draw_comparison(result: Identification, other: ComparedMethod) -> Figure:
     """Draw the maps of another method minus those of the result."""
     figure = Figure(figsize=(WIDTH, 3.3))
     disc = Disc(result.flux_map, result.i_max)

@@ -1,14 +1,44 @@
-"""The paper's figures: one flux by several methods, and their errors, on a simulated drive of known truth."""
+"""The paper's figures, and the picture of the README: a simulated drive of known truth, by all methods.
+
+Usage: python benchmarks/paper_figures.py FOLDER
+"""
 
 from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from drive_id.bench.machines import machine_map
+from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identify import identify
 from drive_id.core.validation.metrics import true_flux
-from drive_id.report.panels import CURRENT, PSI, add_colour_bar, levels
-from drive_id.types import FloatArray, GroundTruth
+from drive_id.fitting.simulated import run_experiment
+from drive_id.report.diagnostics import draw_inverter
+from drive_id.report.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
+from drive_id.report.plots import rendered, trajectory
+from drive_id.report.reproduction import MACHINES, METHODS, SECONDS, SIMULATION
+from drive_id.types import FloatArray, GroundTruth, Samples
+
+DPI = 140
+"""Makes the picture of the README 1456 pixels wide and less than 400 kB."""
+
+
+def draw_result(
+    identification: IdentifiedDrive, samples: Sequence[Samples], truth: GroundTruth | None = None
+) -> Figure:
+    """Draw both fluxes, the trajectory and the inverter's curve, beside the true one of a simulation, in one figure."""
+    figure = Figure(figsize=(10.4, 3.55))
+    disc, i_dq = Disc(identification.flux_map, identification.i_max), trajectory(samples)
+    for left, component in zip((0.65, 4.22), "dq", strict=True):
+        draw_flux(place(figure, left, 0.65, 2.5, 2.6), disc, component, i_dq)
+    draw_inverter(place(figure, 7.8, 0.7, 2.45, 2.5), identification, truth)
+    add_key(figure, disc, i_dq, height=0.2)
+    return figure
 
 
 def draw_comparison(
@@ -66,3 +96,31 @@ def _error(identification: IdentifiedDrive, truth: GroundTruth, component: str) 
     grid = flux_map.grid()
     values = _masked(flux_map, identification.i_max, component)
     return np.asarray(values - true_flux(truth, grid)[..., "dq".index(component)])
+
+
+def figures() -> dict[str, bytes]:
+    """Return PNG files by name."""
+    simulation = run_experiment(machine_map(MACHINES[0]), SIMULATION, seconds=SECONDS)
+    fits = {method: identify([simulation.samples], FitSettings(method=method)) for method in METHODS}
+    found = {
+        f"flux_comparison_{component}.png": rendered(
+            draw_comparison(fits["joint"], fits["psm"], simulation.truth, component, fits["full"]), dpi=120
+        )
+        for component in "qd"
+    }
+    found["result.png"] = rendered(draw_result(fits["full"], [simulation.samples], simulation.truth), dpi=DPI)
+    return found
+
+
+def main() -> None:
+    """Draw and write."""
+    parser = argparse.ArgumentParser(description="Draw the paper's figures.")
+    parser.add_argument("folder", type=Path)
+    folder: Path = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, png in figures().items():
+        (folder / name).write_bytes(png)
+
+
+if __name__ == "__main__":
+    main()

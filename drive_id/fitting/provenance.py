@@ -1,0 +1,94 @@
+"""What is known of an experiment besides the identified drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+
+import numpy as np
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.core.result.identify import score
+from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.results.identification import Provenance
+from drive_id.origins import METHODS, ORIGINS
+from drive_id.types import GroundTruth, Samples
+
+_YEAR_2000 = 946_684_800_000_000_000
+"""ns; earlier stamps are not times of day."""
+
+
+def known_pole_pairs(
+    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
+) -> int | None:
+    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
+    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
+
+
+def provenance_of(
+    drive: IdentifiedDrive,
+    settings: FitSettings,
+    *,
+    excerpts: Sequence[Samples],
+    duration: float,
+    last_stamp: int,
+    truth: GroundTruth | None = None,
+    signals: SignalMap | None = None,
+    inputs: Mapping[str, str] | None = None,
+    warnings: tuple[str, ...] = (),
+) -> Provenance:
+    """Gather what is known of an experiment besides the identified drive.
+
+    Parameters
+    ----------
+    drive : drive_id.core.result.identification.IdentifiedDrive
+    settings : FitSettings
+    excerpts : sequence of Samples
+        From which the range of speeds is taken.
+    duration : float
+        s.
+    last_stamp : int
+        ns.
+    truth : GroundTruth, optional
+        The drive is scored against it.
+    signals : SignalMap, optional
+        Knows the pole pairs where the recorded angle is mechanical.
+    inputs : mapping of str to str, optional
+        File to its sha256.
+    warnings : tuple of str
+        About the recording.
+
+    Returns
+    -------
+    Provenance
+        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
+    """
+    nrmse = score(drive, truth) if truth else None
+    u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
+    told = truth.details.get("u_dc") if truth else None
+    when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
+    if idle := settings.idle():
+        others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
+        remedy = f", or use method {' or '.join(', '.join(others).rsplit(', ', 1))}" if others else ""
+        them = "it" if len(idle) == 1 else "them"
+        warnings += (f"Method {settings.method} ignores {', '.join(idle)}: remove {them}{remedy}.",)
+    if nrmse and not np.isfinite(nrmse).all():
+        warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
+    return Provenance(
+        inputs=inputs or {},
+        settings=settings,
+        machine=truth.machine if truth else "",
+        nrmse=nrmse,
+        warnings=warnings,
+        pole_pairs=known_pole_pairs(settings, truth, signals),
+        u_dc=u_dc or (float(told) if told else None),
+        speed_range=(
+            min(float(part.speed.min()) for part in excerpts),
+            max(float(part.speed.max()) for part in excerpts),
+        )
+        if excerpts
+        else None,
+        duration=duration,
+        date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
+    )

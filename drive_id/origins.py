@@ -1,0 +1,203 @@
+"""Where a result is from: what results of each origin hold, and the words for them.
+
+A result is *fitted* by one of four methods, or *imported*. Nothing else in the package compares their names: whatever
+depends on one asks its :class:`Origin`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from drive_id.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A method, or another source of results.
+
+    Parameters
+    ----------
+    name : str
+        As in ``identification.json``, in ``FluxMap`` and in the settings of a fit.
+    caption : str
+        For one line below a figure.
+    title : str
+        For the rows of a table of several.
+    heading : str
+        Of the tables and pages of a result.
+    summary : str
+        What was done, a sentence for the paragraph to paste.
+    fitted : bool
+        Whether R and standard errors were estimated; else they are what the file of another tool says.
+    inverter, harmonics : bool
+        Whether results have the inverter's curve, and rotor-position harmonics.
+    diagnostics : bool
+        Whether results have residuals over time and angle, a simulated current, and other methods beside them.
+    live : bool
+        Whether it sums over samples, so that it serves live samples and information files.
+    no_inverter, no_diagnostics : str
+        Why these are missing; empty where they are not.
+    limits : tuple of str
+        What the data leave open.
+    one_speed : str
+        What R rests on if all data are of one speed; the last of the limits.
+    pole_pairs : str
+        How to give their number, in the imperative.
+    advice : str
+        What another method would add; empty where there is none.
+    reference : str
+        To cite; empty without.
+    ignores : tuple of str
+        Settings of a fit that have no effect.
+    """
+
+    name: str
+    caption: str
+    title: str
+    heading: str
+    summary: str
+    fitted: bool = True
+    inverter: bool = True
+    harmonics: bool = False
+    diagnostics: bool = True
+    live: bool = True
+    no_inverter: str = ""
+    no_diagnostics: str = ""
+    limits: tuple[str, ...] = ()
+    one_speed: str = ""
+    pole_pairs: str = "set pole_pairs in the fit, or in the signals file"
+    advice: str = ""
+    reference: str = ""
+    ignores: tuple[str, ...] = ()
+
+
+_GAIN = "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque shows it."
+_OF_THE_DATA = (
+    _GAIN,
+    "A zero-sequence error of the phase voltages leaves no trace.",
+    "A constant offset of the angle rotates currents and map together; it shows only if the machine is symmetric.",
+)
+_LINEAR_PART = "The linear part of the inverter's voltage drop is included in R."
+_TRANSIENTS = "At one constant speed, R is determined by the transients alone."
+_BY_FULL = "The same recording by method full: it separates rotor harmonics and sensor faults from the map."
+_PAPER = (
+    "Methods psm and joint are those of Montecchio et al., Joint identification of permanent magnet synchronous "
+    "machine and inverter, IET 2025, doi:10.1049/icp.2025.2025."
+)
+_OF_PAPER = ("flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale")
+_OF_CONDITIONS = ("temperatures", "u_dc", "u_dc_reference")
+_OF_FULL = (
+    "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
+    "calibrate_angle", "calibrate_currents", "voltage_delay",
+)  # fmt: skip
+_OF_POINTS = ("rows_are_points",)
+
+PSM: Final = Origin(
+    name="psm",
+    caption="method psm",
+    title="psm: inverter not modelled",
+    heading="Identified drive",
+    summary=(
+        "The voltage equation, integrated over each sample, was solved for the coefficients of tensor-product splines "
+        "and R by linear least squares, without a model of the inverter."
+    ),
+    inverter=False,
+    no_inverter="Method psm does not model the inverter: its drop is in the flux map and in R.",
+    limits=("The inverter's voltage drop is not told apart from R and the flux map.", *_OF_THE_DATA, _TRANSIENTS),
+    one_speed=_TRANSIENTS,
+    advice=_BY_FULL,
+    reference=_PAPER,
+    ignores=(*_OF_FULL, *_OF_CONDITIONS, *_OF_POINTS),
+)
+JOINT: Final = Origin(
+    name="joint",
+    caption="method joint",
+    title="joint: the paper's method",
+    heading="Identified drive",
+    summary=(
+        "The voltage equation, integrated over each sample, was solved jointly for the coefficients of tensor-product "
+        "splines, R and the inverter's voltage error by linear least squares."
+    ),
+    limits=(_LINEAR_PART, *_OF_THE_DATA, _TRANSIENTS),
+    one_speed=_TRANSIENTS,
+    advice=_BY_FULL,
+    reference=_PAPER,
+    ignores=PSM.ignores,
+)
+_RECIPROCAL = (
+    "At one constant speed, R is determined by the transients and, unless free maps are fitted, by reciprocity."
+)
+FULL: Final = Origin(
+    name="full",
+    caption="method full",
+    title="full",
+    heading="Identified drive",
+    summary=(
+        "The voltage equation, integrated in the stator frame over windows of about 60° electrical, was solved for "
+        "penalized splines of the flux and its rotor-position harmonics, R and a free inverter curve by linear least "
+        "squares, with correction for current noise and heteroscedasticity-consistent standard errors."
+    ),
+    harmonics=True,
+    limits=(_LINEAR_PART, *_OF_THE_DATA, _RECIPROCAL),
+    one_speed=_RECIPROCAL,
+    reference=_PAPER,
+    ignores=(*_OF_PAPER, *_OF_POINTS),
+)
+_SYMMETRIC = "At one constant speed, R is separable from the fluxes only by assuming reciprocal, symmetric maps."
+STATIC: Final = Origin(
+    name="static",
+    caption="method static",
+    title="static: operating points",
+    heading="Identified drive",
+    summary=(
+        "The voltage equation at steady state, averaged over operating points at constant currents and speed, was "
+        "solved for reciprocal flux maps or, from few currents, magnet flux and inductances, with R and the inverter's "
+        "drop, by penalized least squares with weak priors."
+    ),
+    diagnostics=False,
+    live=False,
+    no_diagnostics=(
+        "Method static fits means over operating points: it has no residual over time or angle, simulates no current, "
+        "and the methods for samples cannot be run beside it."
+    ),
+    limits=(_LINEAR_PART, *_OF_THE_DATA, "Rotor-position harmonics average out at operating points.", _SYMMETRIC),
+    one_speed=_SYMMETRIC,
+    advice=(
+        "A recording of phase currents, voltages and rotor angle at some kilohertz, for method full: it separates "
+        "rotor harmonics and sensor faults from the map."
+    ),
+    ignores=(*_OF_FULL, *_OF_PAPER, "monotone", "longest_rest"),
+)
+IMPORTED: Final = Origin(
+    name="imported",
+    caption="imported",
+    title="imported",
+    heading="Imported map",
+    summary="The map was not identified here: it was read from a file of another tool.",
+    fitted=False,
+    inverter=False,
+    harmonics=True,
+    diagnostics=False,
+    live=False,
+    no_inverter="The map was imported, and files of maps hold no curve of an inverter.",
+    no_diagnostics="The map was imported: there is no recording to compare it with.",
+    pole_pairs="import the file again with --pole-pairs",
+)
+ORIGINS: Final = {origin.name: origin for origin in (PSM, JOINT, FULL, STATIC, IMPORTED)}
+"""By name, in the order in which they are shown beside one another."""
+METHODS: Final = tuple(name for name, origin in ORIGINS.items() if origin.fitted)
+"""Names that a fit may be asked for."""
+
+
+def origin_named(name: str) -> Origin:
+    """Return the origin of this name.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is none.
+    """
+    if name not in ORIGINS:
+        raise ConfigurationError(f"'{name:.40}' is no origin of a result: it must be one of {', '.join(ORIGINS)}.")
+    return ORIGINS[name]

@@ -2,6 +2,7 @@
 
 import atexit
 import gc
+import io
 import json
 import os
 import sys
@@ -63,6 +64,9 @@ def main() -> None:
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
     gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files need not fit the terminal's encoding
     try:
         app()
     except DriveIdError as error:

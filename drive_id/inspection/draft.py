@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from drive_id.inspection.choice import (
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
 
+_YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _JITTER = 0.02
 _SAME_RATE = 0.005
 _LARGEST_DUTY = 1.17
@@ -90,7 +92,8 @@ class _Writer:
                 "currents, voltages or angle may be other columns, or phases be swapped."
             )
         head = [
-            f"# Signals file proposed for {self._contents.path.name}. docs/signals_file.md explains every setting.",
+            f"# Signals file proposed for {_printable(self._contents.path.name)}.",
+            "# docs/signals_file.md explains every setting.",
             f"# A rough machine model explains all but {100 * left:.2g} % of the voltage with it.",
         ]
         head += [f"# NOT SURE: {sentence}" for sentence in self._unsure] or ["# Nothing is left open."]
@@ -327,19 +330,13 @@ def _frame(found: PhaseGroup) -> list[str]:
 
 def _quoted(name: str) -> str:
     """Return a name for YAML, quoted unless it is a plain word."""
-    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in (
-        "y",
-        "n",
-        "yes",
-        "no",
-        "on",
-        "off",
-        "true",
-        "false",
-        "null",
-    ):
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in _YAML_WORDS:
         return name
-    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return json.dumps(name, ensure_ascii=not name.isprintable())
+
+
+def _printable(name: str) -> str:
+    return "".join(letter for letter in name if letter.isprintable())
 
 
 def _listed(names: Sequence[str]) -> str:

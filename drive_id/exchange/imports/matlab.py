@@ -11,7 +11,8 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, real
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
-from drive_id.files.machines.syre import check_unpacked_size, read_syre
+from drive_id.files.inputs.matlab import check_unpacked_size
+from drive_id.files.machines.syre import read_syre
 from drive_id.types import FloatArray
 
 

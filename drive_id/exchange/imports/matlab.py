@@ -112,6 +112,8 @@ def load(source: Source) -> Mapping[str, Any]:
         content: Mapping[str, Any] = loadmat(source.path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise ConfigurationError(f"'{source.path}' has MATLAB's version 7.3: save it with '-v7'.") from error
+    except MemoryError:
+        raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"'{source.path}' is damaged or not a MATLAB file: export it again.") from error
     return content

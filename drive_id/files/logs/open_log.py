@@ -81,7 +81,7 @@ def _one_sentence(path: Path, kind: str) -> Iterator[None]:
     """Turn what the libraries raise for damaged files into one error."""
     try:
         yield
-    except DriveIdError:
+    except (DriveIdError, MemoryError):
         raise
     except ImportError as error:
         raise missing_library(path, _NAMES[kind], error) from error

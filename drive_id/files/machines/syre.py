@@ -43,6 +43,8 @@ def read_syre(path: Path) -> dict[str, Any]:
         content = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=["motorModel"])
     except NotImplementedError as error:
         raise ConfigurationError(f"Machine file '{path}' has MATLAB's version 7.3: save it with '-v7'.") from error
+    except MemoryError:
+        raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"Machine file '{path}' is damaged or not a MATLAB file: export it again.") from error
     model = content.get("motorModel")

@@ -83,8 +83,8 @@ def replace_folder(
     """Write files to a folder in one step: at any moment, even after a kill or a power cut, it is the old or the new.
 
     A new folder with the files, and with links to what else the old one holds, is exchanged with the old one. Where
-    that is impossible (a mounted or the current folder, a parent that is not writable, another system than Linux) the files
-    are replaced one by one, ``marker`` first: its digests then tell which files are not yet its own.
+    that is impossible (a mounted or the current folder, a parent that is not writable, another system than Linux)
+    the files are replaced one by one, ``marker`` first: its digests then tell which files are not yet its own.
 
     Parameters
     ----------

@@ -51,6 +51,9 @@ class Limit:
     value: float = 0.0
 
 
+UNLIMITED = Limit()
+
+
 @dataclass(frozen=True)
 class Case:
     """One input, ready to be given to the command line.
@@ -73,7 +76,7 @@ class Case:
     damage: str
     arguments: tuple[str, ...]
     compare: str = ""
-    limit: Limit = Limit()
+    limit: Limit = UNLIMITED
 
 
 # -- good inputs -------------------------------------------------------------------------------------------------------

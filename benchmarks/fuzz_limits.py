@@ -63,7 +63,7 @@ def _index(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[s
 LIMIT_KINDS: dict[str, Kind] = {
     "mcap_index": _index,
     "interrupt": _limited("interrupt", 0.01, 3.0),
-    "file_size": _limited("file_size", 10, 3e6),
+    "file_size": _limited("file_size", 3000, 3e6),
     "open_files": _limited("open_files", 1, 20),
     "memory": _limited("memory", 1e6, 1e9),
     "full_output": _limited("full_output", 1, 2),

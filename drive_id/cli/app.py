@@ -79,6 +79,8 @@ def main() -> None:
         _fail(str(error))
     except MemoryError:
         _fail("The memory is not sufficient: close other programs, or give less data.")
+    except ImportError as error:  # also where the system has no memory or no files left
+        _fail(f"A library cannot be loaded ({error}): raise the limits of memory and files, or install it again.")
     except OSError as error:
         with suppress(OSError):  # or the interpreter would try the output once more
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -94,8 +96,11 @@ def main() -> None:
 
 def _fail(sentence: str) -> NoReturn:
     """Print what is wrong and exit with code 1."""
-    printable = "".join(letter if letter.isprintable() else " " for letter in sentence)
-    say(f"drive-id: {printable}", to=err, style="red")
+    text = "drive-id: " + "".join(letter if letter.isprintable() else " " for letter in sentence)
+    try:
+        say(text, to=err, style="red")
+    except (ImportError, MemoryError, OSError):  # which it may be about
+        sys.stderr.write(f"{text}\n")
     raise SystemExit(1) from None
 
 

@@ -501,3 +501,13 @@ def test_no_gain_is_negative():
     assert min(odrive[f"axis0.config.motor.{name}"] for name in ("phase_inductance", "motor_model_l_d")) > 0
     assert mat("motor-control", drive=drive)["pmsm"].Ld > 0
     assert any("not monotone everywhere" in said for said in content_of(drive, "csv", CHOICE)[1].warnings)
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("csv", ".csv"), ("machine", ".npz"), ("motulator", ".npz"), ("syre-model", ".mat")]
+)
+def test_numbers_of_the_machine_survive_a_round_trip(tmp_path, name, suffix):
+    narrow = TableChoice(np.arange(-10.0, 10.1, 1.0), np.arange(-10.0, 10.1, 1.0))  # i_max is more than the axes
+    export_map(DRIVE, name, tmp_path / f"m{suffix}", narrow)
+    found = import_map(Source(tmp_path / f"m{suffix}"))
+    assert (found.resistance, found.pole_pairs, found.u_dc, found.i_max) == (RESISTANCE, PAIRS, 320.0, I_MAX)

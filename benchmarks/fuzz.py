@@ -48,6 +48,8 @@ PROCESSOR, WALL, MEMORY = 10.0, 90.0, 300e6
 """Budget of one input: s of processor time, s until it is taken for a hang, bytes over those of the good inputs."""
 SIGMAS, SHARE = 4.0, 0.01
 KINDS = BAG_KINDS | LOG_KINDS | LIMIT_KINDS
+_READY = ".ready"
+"""File that says that the program begins, and may be interrupted."""
 _MAKING = ("fit", "import", "convert", "simulate", "recover")
 """Commands of which nothing may be left under the output's name when they fail."""
 OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one sentence", "left behind", "wrong map")
@@ -89,7 +91,7 @@ def run(arguments: tuple[str, ...], folder: Path, limit: Limit = UNLIMITED) -> R
     child = os.fork()
     if child == 0:
         _child(arguments, folder, limit)
-    hung, due = False, start + limit.value if limit.name == "interrupt" else np.inf
+    hung, due = False, 0.0 if limit.name == "interrupt" else np.inf
     while True:
         found, status, used = os.wait4(child, os.WNOHANG)
         if found:
@@ -97,7 +99,9 @@ def run(arguments: tuple[str, ...], folder: Path, limit: Limit = UNLIMITED) -> R
         if not hung and time.monotonic() - start > WALL:
             os.kill(child, signal.SIGKILL)
             hung = True
-        if time.monotonic() > due:
+        if not due and (folder / _READY).exists():
+            due = time.monotonic() + limit.value
+        elif 0 < due < time.monotonic():
             os.kill(child, signal.SIGINT)
             due = np.inf
         time.sleep(0.002)
@@ -123,6 +127,7 @@ def _child(arguments: tuple[str, ...], folder: Path, limit: Limit) -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         sys.argv = ["drive-id", *arguments]
+        Path(_READY).touch()
         code = 0
         try:
             app.main()

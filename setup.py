@@ -50,6 +50,8 @@ def shared_files() -> list[tuple[str, list[str]]]:
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*")))),
+        (f"share/{NAME}/config/sros2", sorted(map(str, Path("config/sros2").glob("*.xml")))),
+        (f"share/{NAME}/examples/bridge", sorted(map(str, Path("examples/bridge").glob("*.yaml")))),
         (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.py")))),
     ]
     return [(folder, names) for folder, names in files if names]

@@ -54,7 +54,10 @@ def section(repeats: int) -> Section:
         )
         for name, most in NODES.items()
     ]
-    text = f"Time until `Ready` is logged, and memory {_REST:g} s later; baseline: a node of rclpy that does nothing."
+    text = (
+        f"Time until `Ready` is logged, and memory {_REST:g} s later; baseline: a node of rclpy that does nothing. "
+        "With live fits,\n`identification` takes more: [Memory](nodes.md#memory)."
+    )
     return Section("Nodes", text, tuple(rows))
 
 

@@ -19,6 +19,12 @@ class ConfigurationError(DriveIdError):
     code = "configuration"
 
 
+class InactiveError(DriveIdError):
+    """A managed node is not active."""
+
+    code = "inactive"
+
+
 class OutputError(DriveIdError):
     """The output cannot be written (not ours to overwrite, no permission, disk full)."""
 

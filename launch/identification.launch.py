@@ -4,20 +4,34 @@
 to all nodes that have them and take precedence over the parameter files. Topics are remapped for all nodes with
 ``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, recorder and identification are started
 again if they die; the trajectory publisher never is: find out why it ended before you start another trajectory.
+With ``bridge:=true signals:=FILE``, the signal bridge publishes a bench's own topics as ours; with ``signals`` alone,
+the identification node reads them itself, and the recorder needs them in ``extra_topics``.
 """
 
 from pathlib import Path
+from typing import Any
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
-NODES = ("trajectory_publisher", "recorder", "identification")
-WITH_RADIUS = ("trajectory_publisher", "identification")
+NODES = ("trajectory_publisher", "recorder", "identification", "signal_bridge")
 RESPAWN_DELAY = 2.0  # s
 SWITCH = {"true": True, "false": False, "True": True, "False": False}
+SWITCHES = ("use_sim_time", "autostart")
+LEVELS = ("debug", "info", "warn", "error", "fatal")
+OWN = {
+    "i_max": (("trajectory_publisher", "identification"), "Radius of the current disc, A."),
+    "data_directory": (("recorder", "identification"), "Folder of the recordings."),
+    "output_directory": (("identification",), "Folder of the results."),
+    "signals": (("identification", "signal_bridge"), "Signals file of a bench with topics of its own."),
+    "use_sim_time": (NODES, "Use the time on /clock."),
+    "autostart": (NODES, "Have the nodes configure and activate themselves."),
+}
+"""Parameters as launch arguments, the nodes that have them, and a sentence."""
 TOPICS = (
     "current_reference", "phase_currents", "phase_voltages", "resolver", "dc_link_voltage", "winding_temperature",
     "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points", "operating_point",
@@ -28,21 +42,25 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the launch."""
     arguments = [
         DeclareLaunchArgument("namespace", default_value="", description="Namespace of the drive."),
-        DeclareLaunchArgument(
-            "i_max", default_value="", description="Radius of the current disc, A; empty: as in the parameter files."
+        *(
+            DeclareLaunchArgument(
+                name,
+                default_value="",
+                description=f"{text[:-1]}; empty: as in the parameter files.",
+                **({"choices": ["", *SWITCH]} if name in SWITCHES else {}),
+            )
+            for name, (_, text) in OWN.items()
         ),
         DeclareLaunchArgument(
-            "use_sim_time",
-            default_value="",
-            choices=["", *SWITCH],
-            description="Use the time on /clock; empty: as in the parameter files.",
+            "bridge", default_value="false", choices=list(SWITCH), description="Start the signal bridge, too."
         ),
         DeclareLaunchArgument(
             "respawn",
             default_value="false",
             choices=list(SWITCH),
-            description="Start recorder and identification again if they die.",
+            description="Start recorder, identification and bridge again if they die.",
         ),
+        DeclareLaunchArgument("log_level", default_value="info", choices=list(LEVELS), description="Of all nodes."),
     ]
     arguments += [
         DeclareLaunchArgument(
@@ -60,14 +78,14 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     """Describe the nodes for given arguments."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in ("i_max", "use_sim_time", "respawn")}
+    given = {name: LaunchConfiguration(name).perform(context) for name in (*OWN, "bridge", "respawn")}
+    bridged = SWITCH[given["bridge"]]
+    values = {name: _value(name, given[name]) for name in OWN if given[name]}
     nodes = []
-    for node in NODES:
-        own: dict[str, bool | float] = {}
-        if given["use_sim_time"]:
-            own["use_sim_time"] = SWITCH[given["use_sim_time"]]
-        if given["i_max"] and node in WITH_RADIUS:
-            own["i_max"] = _number("i_max", given["i_max"])
+    for node in NODES if bridged else NODES[:-1]:
+        own = {name: value for name, value in values.items() if node in OWN[name][0]}
+        if bridged and node == "identification":
+            own.pop("signals", None)  # it listens to the bridge
         nodes.append(
             Node(
                 package="drive_id",
@@ -75,12 +93,20 @@ def _nodes(context: LaunchContext) -> list[Node]:
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[LaunchConfiguration(f"{node}_parameters"), *([own] if own else [])],
                 remappings=[(topic, LaunchConfiguration(topic)) for topic in TOPICS],
+                ros_arguments=["--log-level", LaunchConfiguration("log_level")],
                 output="screen",
                 respawn=SWITCH[given["respawn"]] and node != "trajectory_publisher",
                 respawn_delay=RESPAWN_DELAY,
             )
         )
     return nodes
+
+
+def _value(name: str, text: str) -> Any:
+    """Return an argument as the value of a parameter."""
+    if name in SWITCHES:
+        return SWITCH[text]
+    return _number(name, text) if name == "i_max" else ParameterValue(text, value_type=str)
 
 
 def _number(name: str, text: str) -> float:

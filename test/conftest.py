@@ -31,6 +31,7 @@ LAST = (
     "test/fitting/test_full_accuracy.py",
     "test/fitting/test_full_with_rests.py",
     "test/fitting/test_real_drives.py",
+    "test/test_population.py",
 )
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 

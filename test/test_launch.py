@@ -61,6 +61,8 @@ class Launched:
         self.described = self.module.generate_launch_description()
         values = {name: given["default_value"] for name, given in self.declared.items()}
         assert set(arguments) <= set(values)
+        for name, text in arguments.items():
+            assert text in self.declared[name].get("choices", [text])
         self.context = SimpleNamespace(launch_configurations=values | arguments)
 
     def _declare(self, name, **given):
@@ -79,7 +81,9 @@ class Launched:
         assert Path(first.perform(self.context)).is_file()
         values = further[0] if further else {}
         return {
-            name: value[0].perform(self.context) if isinstance(value, tuple) else value
+            name: value[0].perform(self.context)
+            if isinstance(value, tuple) and not isinstance(value[0], str)
+            else value
             for name, value in values.items()
         }
 
@@ -101,6 +105,32 @@ def test_what_is_given_prevails(monkeypatch):
     assert launched.own(nodes["identification"]) == {"use_sim_time": True, "i_max": 300.0}
     assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0}
     assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification"}
+
+
+def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
+    text = lambda value: (value, str)  # noqa: E731  # as ParameterValue
+    given = {"data_directory": "/data", "output_directory": "/out", "autostart": "false", "log_level": "debug"}
+    launched = Launched("identification.launch.py", monkeypatch, **given)
+    nodes = launched.nodes()
+    assert launched.own(nodes["recorder"]) == {"data_directory": text("/data"), "autostart": False}
+    expected = {"data_directory": text("/data"), "output_directory": text("/out"), "autostart": False}
+    assert launched.own(nodes["identification"]) == expected
+    assert launched.own(nodes["trajectory_publisher"]) == {"autostart": False}
+    for node in nodes.values():
+        option, level = node.ros_arguments
+        assert (option, level.perform(launched.context)) == ("--log-level", "debug")
+
+
+def test_the_bridge_or_the_identification_reads_the_signals_file(monkeypatch):
+    launched = Launched("identification.launch.py", monkeypatch, signals="my.yaml")
+    nodes = launched.nodes()
+    assert "signal_bridge" not in nodes
+    assert launched.own(nodes["identification"]) == {"signals": ("my.yaml", str)}
+    launched = Launched("identification.launch.py", monkeypatch, signals="my.yaml", bridge="true", respawn="true")
+    nodes = launched.nodes()
+    assert launched.own(nodes["signal_bridge"]) == {"signals": ("my.yaml", str)}
+    assert launched.own(nodes["identification"]) == {}
+    assert nodes["signal_bridge"].respawn
 
 
 def test_a_radius_that_is_no_number_is_named(monkeypatch):

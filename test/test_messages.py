@@ -54,9 +54,9 @@ CONTRACT = {
         "string[] bags; string method; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
     ),
-    "srv/StartRecording": "string name; ---; bool success; string message; string uri",
+    "srv/StartRecording": "string name; ---; bool success; string code; string message; string uri",
     "srv/StopRecording": (
-        "---; bool success; string message; string uri; uint64 samples; uint64 dropped; float64 duration"
+        "---; bool success; string code; string message; string uri; uint64 samples; uint64 dropped; float64 duration"
     ),
 }
 

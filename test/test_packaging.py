@@ -192,7 +192,7 @@ def test_whatever_a_node_reads_is_installed(metadata):
     installed = {name: folder for folder, names in metadata["data_files"] for name in names}
     assert installed.pop("resource/drive_id") == "share/ament_index/resource_index/packages"
     assert installed.pop("package.xml") == "share/drive_id"
-    shared = [*ROOT.glob("config/*"), *ROOT.glob("launch/*")]
+    shared = [path for pattern in ("config/**/*", "launch/*", "examples/bridge/*") for path in ROOT.glob(pattern)]
     files = {str(file.relative_to(ROOT)) for file in shared if file.is_file()}
     assert installed == {name: f"share/drive_id/{Path(name).parent}" for name in files}
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ import pytest
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
+from drive_id.live.bridge_settings import BridgeSettings
+from drive_id.live.identification.identification_settings import IdentificationSettings
+from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.settings import check, from_mapping, setting
 
 
@@ -167,3 +171,12 @@ def test_every_setting_of_ours_is_described_and_its_default_within_bounds(settin
         assert field.metadata["description"], name
     plain = {name: getattr(settings(), name) for name in settings.__dataclass_fields__}
     assert from_mapping(settings, plain, "defaults") == settings()
+
+
+@pytest.mark.parametrize("cls", [RecordingSettings, IdentificationSettings, BridgeSettings, FitSettings])
+def test_every_number_that_is_a_parameter_of_a_node_has_a_range(cls):
+    hints = get_type_hints(cls)
+    numbers = [each for each in fields(cls) if {int, float} & {hints[each.name], *get_args(hints[each.name])}]
+    assert numbers
+    for each in numbers:
+        assert each.metadata["minimum"] < each.metadata["maximum"], each.name

@@ -41,12 +41,13 @@ class FitSettings:
     splines_d: int = setting(8, "cubic B-splines along i_d", minimum=4, maximum=64)
     splines_q: int = setting(8, "cubic B-splines along i_q", minimum=4, maximum=64)
     polynomial_degree: int = setting(5, "total degree of the polynomial flux model", minimum=1, maximum=12)
-    inverter_current_scale: float = setting(1.0, "i_s in u_e tanh(i / i_s)", unit="A", minimum=1e-6)
+    inverter_current_scale: float = setting(1.0, "i_s in u_e tanh(i / i_s)", unit="A", minimum=1e-6, maximum=1e6)
     i_max: float | None = setting(
         None,
         "radius of the current disc; default: that of the recorded references, or the largest measured amplitude",
         unit="A",
         minimum=1e-3,
+        maximum=1e6,
     )
     longest_rest: float = setting(
         0.02,
@@ -54,6 +55,7 @@ class FitSettings:
         "turns current noise into voltage",
         unit="s",
         minimum=0.0,
+        maximum=1e6,
     )
     maps: str = setting(
         "auto",
@@ -92,12 +94,14 @@ class FitSettings:
         "full: DC-link voltage of each recording, in order",
         unit="V",
         minimum=1e-3,
+        maximum=1e6,
     )
     u_dc_reference: float | None = setting(
         None,
         "full: DC-link voltage at which the inverter's curve holds; default: that of the first recording",
         unit="V",
         minimum=1e-3,
+        maximum=1e6,
     )
     voltage_delay: float = setting(
         0.0,

@@ -73,6 +73,8 @@ class Translator:
     ----------
     signals : SignalMap
         Names the topics. Every section needs a declared ``sample_period``, the resolver a speed in the same message.
+    sort : bool
+        Wait behind a gap for messages that arrive late.
 
     Raises
     ------
@@ -80,7 +82,7 @@ class Translator:
         When the signals file needs all of a recording at once.
     """
 
-    def __init__(self, signals: SignalMap) -> None:
+    def __init__(self, signals: SignalMap, *, sort: bool = False) -> None:
         self.signals = signals
         sources = signals.sources()
         if signals.of_columns:
@@ -107,6 +109,7 @@ class Translator:
             scalars={name: topic for name, topic in scalars.items() if name == signals.voltages.scaled_by},
             scaled_by=signals.voltages.scaled_by,
             to_phases=conversions(signals),
+            sort=sort,
         )
         self._pieces: list[Piece] = []
         self._next = 0

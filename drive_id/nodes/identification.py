@@ -13,16 +13,17 @@ from typing import Any
 from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Identify
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
+from drive_id.errors import InactiveError
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
 from drive_id.live.identification.identification_settings import IdentificationSettings
-from drive_id.live.identification.identifier import Identifier, Job, Reply, again
+from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
 from drive_id.live.identification.inbox import Inbox
 from drive_id.live.identification.refits import Refit
 from drive_id.live.identification.requests import Request, Requests
@@ -36,9 +37,10 @@ from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.displays import flux_map_points, operating_point_message
 from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.identify_action import IdentifyAction
+from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, STREAM
+from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM
 from drive_id.nodes.support.replies import fill, flux_map_message
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS, Progress
@@ -53,8 +55,8 @@ _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
 _SWITCH_INTERVAL = 5e-4  # s after which a fit yields the interpreter to the executor
 
 
-class Identification(Node):
-    """Accumulates live samples from its start on; fits run in a worker thread."""
+class Identification(ManagedNode):
+    """Accumulates live samples while it is active; fits run in a worker thread."""
 
     def __init__(self) -> None:
         super().__init__("identification")
@@ -74,23 +76,17 @@ class Identification(Node):
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
-        self._publish_again()
         on_change(self, FitSettings, self._check_settings, self._on_settings)
-        self._foreign = self._foreign_topics(settings.signals) if settings.signals else None
-        self._topics = [
-            self._subscription(kind, name, partial(self._identifier.receive, section))
-            for section, (name, kind) in enumerate(TOPICS.items())
-            if self._foreign is None
-        ]
-        self._scalar_topics = [
-            self._subscription(ScalarSamples, name, partial(self._identifier.receive_scalar, name)) for name in SCALARS
-        ]
+        self._translator = self._translated(settings.signals) if settings.signals else None
+        self._foreign: ForeignTopics | None = None
+        self._topics: list[MatchedSubscription] = []
+        self._scalar_topics: list[MatchedSubscription] = []
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self._services_kept = [
             DeferredService(self, Identify, "~/identify", self._on_identify),
-            self.create_service(Trigger, "~/reset", self._on_reset),
+            self.create_service(Trigger, "~/reset", self._on_reset, qos_profile=SERVICE),
         ]
         self._action = IdentifyAction(self, "~/identify", self._requests, self._job, self._said)
         self._request_timer = self.create_timer(
@@ -101,7 +97,40 @@ class Identification(Node):
                 _OPERATING_PERIOD, self._publish_operating_points, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
         self._diagnostics = Diagnostics(self, self._health)
-        self.get_logger().info(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
+        self.bring_up(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
+
+    def connect(self) -> None:
+        """Subscribe to the topics of the drive."""
+        if self._translator is None:
+            self._topics = [
+                self._subscription(kind, name, partial(self._identifier.receive, section))
+                for section, (name, kind) in enumerate(TOPICS.items())
+            ]
+        else:
+            self._foreign = ForeignTopics(self, self._translator, _FOREIGN_DEPTH)
+        self._scalar_topics = [
+            self._subscription(ScalarSamples, name, partial(self._identifier.receive_scalar, name)) for name in SCALARS
+        ]
+
+    def disconnect(self) -> None:
+        """End the subscriptions and forget the live samples."""
+        for topic in (*self._topics, *self._scalar_topics):
+            topic.close()
+        if self._foreign is not None:
+            self._foreign.close()
+        self._topics, self._scalar_topics, self._foreign = [], [], None
+        self._forget()
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take messages and requests, and publish the last map of the process before this one."""
+        self._publish_again()
+        return super().on_activate(state)
+
+    def rest(self) -> bool:
+        """End the fits under way; whoever asked for one hears of it within a second."""
+        self._refitter.cancel()
+        self._requests.end_all(DEACTIVATED)
+        return True
 
     def close(self) -> None:
         """Stop a running fit; one inside compiled code ends with the process."""
@@ -110,7 +139,11 @@ class Identification(Node):
         self._refitter.stop(_PATIENCE)
 
     def _subscription(self, kind: type, name: str, handle: Callable[[bytes], None]) -> MatchedSubscription:
-        return MatchedSubscription(self, kind, name, partial(self._inbox.take, handle), raw=True)
+        def take(data: bytes) -> None:
+            if self.active:
+                self._inbox.take(handle, data)
+
+        return MatchedSubscription(self, kind, name, take, raw=True)
 
     def _match_topics(self) -> None:
         for topic in (*self._topics, *self._scalar_topics):
@@ -118,17 +151,18 @@ class Identification(Node):
         if self._foreign is not None:
             self._foreign.match()
 
-    def _foreign_topics(self, signals: str) -> ForeignTopics:
-        """Subscribe to the topics of a signals file instead of ours."""
-        translator = Translator(read_signals(Path(signals).expanduser()))
+    def _translated(self, signals: str) -> Translator:
+        """Return what translates the topics of a signals file to ours."""
+        translator = Translator(read_signals(Path(signals).expanduser()), sort=True)
 
         def translate() -> None:
             for block in translator.advance():
-                self._identifier.receive_block(block)
+                if self.active:
+                    self._identifier.receive_block(block)
 
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._translating = self.create_timer(_TRANSLATION_PERIOD, translate, clock=steady)
-        return ForeignTopics(self, translator, _FOREIGN_DEPTH)
+        return translator
 
     def _look_after_requests(self) -> None:
         self._inbox.look()
@@ -138,7 +172,7 @@ class Identification(Node):
 
     def _refit(self) -> None:
         """Fit the live samples in the background if that is due and nobody is waiting for another fit."""
-        if self._requests.busy or self._refitter.busy:
+        if not self.active or self._requests.busy or self._refitter.busy:
             return
         job = self._identifier.refit()
         if job is not None:
@@ -146,7 +180,7 @@ class Identification(Node):
             self._refitter.start(job, lambda refit: in_executor(self, lambda: self._refitted(refit, life)))
 
     def _refitted(self, refit: Refit | None, life: int) -> None:
-        if refit is None or life != self._life:
+        if refit is None or life != self._life or not self.active:
             return
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
@@ -169,6 +203,8 @@ class Identification(Node):
 
     def _job(self, bags: Sequence[str], method: str) -> Job:
         """Return the job of a request whose turn has come."""
+        if not self.active:
+            raise InactiveError(self.inactive())
         dropped = ""
         if not bags:
             self._inbox.empty()
@@ -220,13 +256,18 @@ class Identification(Node):
             self.get_logger().info(reply.message)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._inbox.reset()
-        self._identifier.reset()
-        self._life += 1
+        self._forget()
         response.success, response.message = True, "The live samples were discarded."
         return response
 
+    def _forget(self) -> None:
+        self._inbox.reset()
+        self._identifier.reset()
+        self._life += 1
+
     def _health(self) -> Health:
+        if not self.active:
+            return self.inactive_health()
         publishers = [topic.publishers for topic in self._topics] or [[] for _ in TOPICS]
         findings = [*self._inbox.findings(), *self._requests.findings()]
         findings += self._foreign.findings() if self._foreign is not None else []

@@ -12,7 +12,6 @@ from typing import Any
 from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from drive_id.errors import DriveIdError
@@ -21,12 +20,15 @@ from drive_id.health import Health, Level
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recording.clock_watch import ClockWatch
 from drive_id.live.recording.recorder_health import TopicState, recorder_health
-from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
+from drive_id.live.recording.recording_note import RecordingNote
+from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.extra_topics import ExtraTopics
+from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.qos import SERVICE
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS
 
@@ -39,10 +41,13 @@ TOPICS = {
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _PATIENCE = 3.0  # s that ~/stop waits for a slow disk
 _LAST_PATIENCE = 30.0  # s, at the end of the process
+_SCARCE = 10.0
+"""Multiple of least_free_space below which diagnostics warn of the disk."""
+_NOTHING = "Nothing is being recorded: start a recording first."
 
 
-class Recorder(Node):
-    """Subscribes at its start; a recording holds exactly what arrives between ~/start and ~/stop."""
+class Recorder(ManagedNode):
+    """Subscribes when it is configured; a recording holds exactly what arrives between ~/start and ~/stop."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -52,6 +57,31 @@ class Recorder(Node):
         self._told_error = False
         self._last: dict[str, float] = {}
         self._clock_watch = ClockWatch()
+        self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
+        self._topics: list[MatchedSubscription] = []
+        self._extra = ExtraTopics(
+            self, [self.resolve_topic_name(name) for name in TOPICS], self._on_message, self._settings.queue_depth
+        )
+        self._extra.want(self._settings.extra_topics)
+        on_change(self, RecordingSettings, self._check_settings, self._on_settings)
+        self._optional = {self.resolve_topic_name(name) for name in SCALARS}
+        self._services_kept = [
+            self.create_service(StartRecording, "~/start", self._on_start, qos_profile=SERVICE),
+            self.create_service(StopRecording, "~/stop", self._on_stop, qos_profile=SERVICE),
+            self.create_service(Trigger, "~/pause", self._on_pause, qos_profile=SERVICE),  # as rosbag2 names them
+            self.create_service(Trigger, "~/resume", self._on_resume, qos_profile=SERVICE),
+            self.create_service(Trigger, "~/split_bagfile", self._on_split, qos_profile=SERVICE),
+        ]
+        self._timer = self.create_timer(
+            _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        if self._note.left:
+            self.get_logger().error(self._note.left)
+        self._diagnostics = Diagnostics(self, self._health)
+        self.bring_up(f"Ready: recordings go to {self._settings.data_directory}.")
+
+    def connect(self) -> None:
+        """Subscribe to the topics of the drive."""
         self._topics = [
             MatchedSubscription(
                 self, kind, name, partial(self._on_message, self.resolve_topic_name(name)),
@@ -59,35 +89,46 @@ class Recorder(Node):
             )
             for name, kind in TOPICS.items()
         ]  # fmt: skip
-        self._extra = ExtraTopics(
-            self, [topic.topic for topic in self._topics], self._on_message, self._settings.queue_depth
-        )
-        self._extra.want(self._settings.extra_topics)
-        on_change(self, RecordingSettings, self._check_settings, self._on_settings)
-        self._optional = {self.resolve_topic_name(name) for name in SCALARS}
-        self._services_kept = [
-            self.create_service(StartRecording, "~/start", self._on_start),
-            self.create_service(StopRecording, "~/stop", self._on_stop),
-            self.create_service(Trigger, "~/pause", self._on_pause),  # as rosbag2 names them
-            self.create_service(Trigger, "~/resume", self._on_resume),
-            self.create_service(Trigger, "~/split_bagfile", self._on_split),
-        ]
-        self._timer = self.create_timer(
-            _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
         for topic in self._topics:
             type_hash(topic.type_name)  # kept for ~/start; the first one loads a parser
-        self._diagnostics = Diagnostics(self, self._health)
-        self.get_logger().info(f"Ready: recordings go to {self._settings.data_directory}.")
+
+    def disconnect(self) -> None:
+        """End the subscriptions."""
+        for topic in self._topics:
+            topic.close()
+        self._topics = []
+        self._extra.close()
+
+    def rest(self) -> bool:
+        """Complete the bag of a running recording, and tell whether it is complete."""
+        return self._session is None or self._end_recording(_PATIENCE)
 
     def close(self) -> None:
         """Complete the bag of a running recording."""
-        if self._session is not None:
+        self._end_recording(_LAST_PATIENCE)
+
+    def _end_recording(self, patience: float) -> bool:
+        """Complete the bag of a running recording, and tell whether it is complete."""
+        session = self._session
+        if session is None:
+            return True
+        ended = self._complete(session, patience)
+        outcome = session.report().outcome()
+        self.get_logger().info(outcome if ended else f"{outcome} The disk does not answer: the bag breaks off.")
+        return ended
+
+    def _complete(self, session: RecordingSession, patience: float) -> bool:
+        """Take what has arrived, and complete the bag; return whether the disk was fast enough."""
+        if not self._stopping:
             self._drain()
-            self._session.remark = self._clock_watch.remark()
-            ended = self._session.stop(_LAST_PATIENCE)
-            outcome = self._session.report().outcome()
-            self.get_logger().info(outcome if ended else f"{outcome} The disk does not answer: the bag breaks off.")
+            self._clock_watch.look(self._now(), time.monotonic())
+            session.remark = self._clock_watch.remark()
+        self._stopping = True
+        if not session.stop(patience):
+            return False
+        self._session, self._stopping = None, False
+        self._note.end()
+        return True
 
     def _check_settings(self, settings: RecordingSettings) -> None:
         self._extra.resolved(settings.extra_topics)
@@ -115,14 +156,17 @@ class Recorder(Node):
         self._clock_watch.look(self._now(), time.monotonic())
         for topic in self._topics:
             topic.match()
-        for found in self._extra.match():
+        for found in self._extra.match() if self._topics else ():
             if self._session is not None:
                 self._session.add_topic(found)
         if self._session is not None and self._session.error and not self._told_error:
             self._told_error = True
+            self._note.end()
             self.get_logger().error(self._session.error)
 
     def _health(self) -> Health:
+        if not self.active:
+            return self.inactive_health()
         now = time.monotonic()
         states = []
         for topic in self._topics:
@@ -135,13 +179,19 @@ class Recorder(Node):
         further += self._extra.findings()
         if self._session is not None and self._session.paused:
             further.append((Level.OK, "Paused: call ~/resume to go on."))
-        return recorder_health(report, states, self._settings.silence, self._settings.queue_size, further)
+        if self._note.left:
+            further.append((Level.ERROR, self._note.left))
+        scarce = _SCARCE * self._settings.least_free_space
+        return recorder_health(report, states, self._settings.silence, self._settings.queue_size, further, scarce)
 
     def _on_start(self, request: Any, response: Any) -> Any:
         before = ""
+        if not self.active:
+            return self._refused(response, response.CODE_INACTIVE, self.inactive())
         if self._now() <= 0:
             return self._refused(
                 response,
+                response.CODE_NO_CLOCK,
                 "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set "
                 "use_sim_time to false.",
             )
@@ -149,9 +199,11 @@ class Recorder(Node):
             before = f" The recording before it was cut short: {self._session.error}"
         elif self._session is not None:
             verb = "is being completed" if self._stopping else "is being recorded"
-            return self._refused(response, f"{self._session.path} {verb}: stop it first.")
+            return self._refused(response, response.CODE_BUSY, f"{self._session.path} {verb}: stop it first.")
         try:
             path = new_recording(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
+            if short := shortage(free_space(path), self._settings, path):
+                return self._refused(response, response.CODE_OUTPUT, short)
             for topic in self._topics:
                 topic.match()
             self._drain()
@@ -167,17 +219,20 @@ class Recorder(Node):
             for name, data in self._extra.latched():
                 self._session.receive(name, data, self._now())
         except DriveIdError as error:
-            return self._refused(response, str(error))
+            return self._refused(response, error.code, str(error))
+        self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
+        self._note.begin(path)
         self._told_error = self._stopping = False
         self._last.clear()
         self._clock_watch.begin(time.monotonic())
-        response.success, response.uri, response.message = True, str(path), f"Recording {path}.{before}"
+        response.success, response.code, response.uri = True, response.CODE_OK, str(path)
+        response.message = f"Recording {path}.{before}"
         self.get_logger().info(response.message)
         return response
 
-    def _refused(self, response: Any, message: str) -> Any:
+    def _refused(self, response: Any, code: str, message: str) -> Any:
         """Refuse a start, and log why: a calling script may ignore the response."""
-        response.message = message
+        response.code, response.message = code, message
         self.get_logger().warning(f"start: {message}")
         return response
 
@@ -208,28 +263,33 @@ class Recorder(Node):
     def _running(self, response: Trigger.Response) -> RecordingSession | None:
         """Return the recording under way; if there is none, say so in the response."""
         if self._session is None or self._session.error or self._stopping:
-            response.message = "Nothing is being recorded: start a recording first."
+            response.message = _NOTHING
             return None
         return self._session
 
     def _on_stop(self, _request: Any, response: Any) -> Any:
-        if self._session is None:
-            response.message = "Nothing is being recorded: start a recording first."
+        session = self._session
+        if session is None:
+            response.code, response.message = response.CODE_NOT_RECORDING, self._note.left or _NOTHING
             return response
-        if not self._stopping:
-            self._drain()
-            self._clock_watch.look(self._now(), time.monotonic())
-            self._session.remark = self._clock_watch.remark()
-        self._stopping = True
-        if not self._session.stop(_PATIENCE):
-            response.uri = str(self._session.path)
+        response.uri = str(session.path)
+        if not self._complete(session, _PATIENCE):
+            response.code = response.CODE_BUSY
             response.message = f"The disk is slow, {response.uri} is still being completed: call stop again."
             return response
-        report = self._session.report()
-        self._session, self._stopping = None, False
-        response.success, response.message, response.uri = not report.error, report.outcome(), str(report.path)
+        report = session.report()
         response.samples, response.dropped, response.duration = report.samples, report.dropped, report.duration
-        self.get_logger().info(response.message)
+        response.message = report.outcome()
+        if report.error:
+            response.code = response.CODE_OUTPUT
+        elif not report.messages:
+            response.code = response.CODE_NO_MESSAGE
+            response.message = f"Nothing was recorded: {response.message} Check the drive and the topics."
+        else:
+            response.success, response.code = True, response.CODE_OK
+            self.get_logger().info(response.message)
+            return response
+        self.get_logger().warning(f"stop: {response.message}")
         return response
 
 

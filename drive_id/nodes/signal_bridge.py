@@ -8,7 +8,6 @@ from typing import Any
 
 from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.time import Time
 
 from drive_id.errors import ConfigurationError
@@ -18,6 +17,7 @@ from drive_id.live.bridge_settings import BridgeSettings
 from drive_id.live.translator import SignalBlock, Translator
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.foreign_topics import ForeignTopics
+from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
@@ -27,8 +27,8 @@ _NAMES = {"phase_currents": ("a", "b", "c"), "phase_voltages": ("a", "b", "c"), 
 _KINDS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 
 
-class SignalBridge(Node):
-    """Translates what arrives and publishes it in blocks."""
+class SignalBridge(ManagedNode):
+    """Translates what arrives and publishes it in blocks, while it is active."""
 
     def __init__(self) -> None:
         super().__init__("signal_bridge")
@@ -38,18 +38,34 @@ class SignalBridge(Node):
         self._frame_id = settings.frame_id
         self._translator = Translator(read_signals(Path(settings.signals).expanduser()))
         self._kept: dict[str, Any] = {name: self.create_publisher(kind, name, STREAM) for name, kind in _KINDS.items()}
-        self._foreign = ForeignTopics(self, self._translator, settings.queue_depth)
+        self._depth = settings.queue_depth
+        self._foreign: ForeignTopics | None = None
         self._published = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._match_timer = self.create_timer(_MATCH_PERIOD, self._foreign.match, clock=steady)
+        self._match_timer = self.create_timer(_MATCH_PERIOD, self._match, clock=steady)
         self._block_timer = self.create_timer(settings.block_period, self._on_timer, clock=steady)
         self._diagnostics = Diagnostics(self, self._health)
         topics = ", ".join(self.resolve_topic_name(name) for name in self._translator.topics)
-        self.get_logger().info(f"Ready: translating {topics}.")
+        self.bring_up(f"Ready: translating {topics}.")
+
+    def connect(self) -> None:
+        """Subscribe to the bench's topics."""
+        self._foreign = ForeignTopics(self, self._translator, self._depth)
+
+    def disconnect(self) -> None:
+        """End the subscriptions."""
+        if self._foreign is not None:
+            self._foreign.close()
+        self._foreign = None
+
+    def _match(self) -> None:
+        if self._foreign is not None:
+            self._foreign.match()
 
     def _on_timer(self) -> None:
         for block in self._translator.advance():
-            self._publish(block)
+            if self.active:
+                self._publish(block)
 
     def _publish(self, block: SignalBlock) -> None:
         columns = {"phase_currents": block.currents, "phase_voltages": block.voltages, "resolver": block.resolver}
@@ -73,6 +89,8 @@ class SignalBridge(Node):
         return message
 
     def _health(self) -> Health:
+        if not self.active or self._foreign is None:
+            return self.inactive_health()
         report = self._translator.report()
         findings = self._foreign.findings()
         findings += [(Level.WARN, warning) for warning in report.warnings if self._published]

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,13 @@ class Recorder:
 
         return self.ros.call(StopRecording, f"{self.name}/stop")
 
+    def set(self, name, value):
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        parameters = [Parameter(name, value=value).to_parameter_msg()]
+        assert self.ros.call(SetParameters, f"{self.name}/set_parameters", parameters=parameters).results[0].successful
+
     def wait_for_status(self, text, level=None):
         """Wait for a status that contains the text."""
 
@@ -185,7 +193,7 @@ def test_names_are_confined(ros):
     assert Path(reply.uri).parent == recorder.data
     assert Path(reply.uri).name.startswith("recording_")
     reply = recorder.stop()
-    assert (reply.success, reply.samples) == (True, 0)
+    assert (reply.success, reply.code, reply.samples) == (False, "no_message", 0)
     assert "nothing came on /phase_currents" in reply.message
 
 
@@ -499,8 +507,95 @@ def test_a_recorder_that_is_killed(ros):
     assert len(stock_messages(recovery.output)) == sum(recovery.topics.values()) >= 400
     again = Recorder(ros, namespace="/again")  # another name, for the killed one's services seem to be there still
     reply = again.start("bag")
-    assert not reply.success
+    assert (reply.success, reply.code) == (False, "output")
     assert "exists already" in reply.message
+
+
+def test_a_recorder_that_is_started_again_tells_of_the_recording_that_broke_off(ros):
+    recorder = Recorder(ros, flush_period=0.1)
+    assert recorder.start("bag").success
+    recorder.process.popen.send_signal(signal.SIGKILL)
+    recorder.process.popen.wait()
+    ros.forget_clients()
+    again = Recorder(ros)
+    broken = f"The recorder died while it recorded {recorder.data / 'bag'}, which breaks off there"
+    again.wait_for_status(broken, 2)
+    assert broken in again.process.output
+    reply = again.stop()
+    assert (reply.success, reply.code) == (False, "not_recording")
+    assert reply.message.startswith(broken)
+    bench = Bench(ros)
+    bench.wait_for_listeners()
+    assert again.start("next").success
+    bench.publish(2)
+    again.wait_for_samples(phase_currents=200)
+    assert again.stop().success
+    again.wait_for_status("Not recording.", 0)
+    assert again.process.interrupt()[0] == 0
+    ros.forget_clients()
+    third = Recorder(ros)
+    third.wait_for_status("Not recording.", 0)
+    assert not list(recorder.data.glob(".recording*"))
+
+
+def test_a_disk_with_little_space(ros):
+    free = shutil.disk_usage(ros.folder).free / 1e6
+    recorder, bench = Recorder(ros, least_free_space=free / 3), Bench(ros)
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    bench.publish(2)
+    recorder.wait_for_status("MB left", 1)
+    recorder.set("least_free_space", 2 * free)  # for the next recording
+    reply = recorder.start("next")
+    assert (reply.success, reply.code) == (False, "busy")
+    assert recorder.stop().success
+    reply = recorder.start("next")
+    assert (reply.success, reply.code) == (False, "output")
+    assert "MB left, less than least_free_space" in reply.message
+    assert not (recorder.data / "next").exists()
+
+
+# -- the lifecycle -------------------------------------------------------------------------------------------------
+
+
+def test_the_lifecycle(ros):
+    recorder = Recorder(ros, autostart=False)
+    change, bench = partial(change_state, ros, recorder.name), Bench(ros)
+    reply = recorder.start("bag")
+    assert (reply.success, reply.code) == (False, "inactive")
+    assert "configure and activate it" in reply.message
+    recorder.wait_for_status("The node is unconfigured", 0)
+    assert not change("activate")
+    assert change("configure")
+    assert recorder.start("bag").code == "inactive"
+    assert change("activate")
+    bench.wait_for_listeners()
+    assert recorder.start("bag").success
+    bench.publish(5)
+    recorder.wait_for_samples(phase_currents=500, resolver=500)
+    assert change("deactivate")
+    assert len(read_recording(recorder.data / "bag").samples) == 500
+    assert recorder.stop().code == "not_recording"
+    for _ in range(3):
+        assert change("cleanup")
+        ros.wait(lambda: not any(p.get_subscription_count() for p in bench.publishers.values()), "no subscription")
+        assert change("configure")
+        bench.wait_for_listeners()
+    assert change("activate")
+    assert recorder.start("second").success
+    bench.publish(3)
+    recorder.wait_for_samples(phase_currents=300)
+    assert change("shutdown")
+    assert len(read_recording(recorder.data / "second").samples) == 300
+    assert recorder.process.interrupt()[0] == 0
+    assert "Traceback" not in recorder.process.output
+
+
+def change_state(ros, node, label):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    return ros.call(ChangeState, f"{node}/change_state", transition=Transition(label=label)).success
 
 
 # -- parameters ----------------------------------------------------------------------------------------------------

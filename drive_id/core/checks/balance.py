@@ -43,7 +43,7 @@ class Reading:
     ----------
     ratio : (int, int)
         Factor on the angle as a fraction; negative: it counts the other way.
-    turned : int
+    turned : float
         Rotation of the voltages against the currents, in steps of 60 degrees.
     mirrored : bool
         Two phases of the voltages swapped, before they are turned.
@@ -52,7 +52,7 @@ class Reading:
     """
 
     ratio: tuple[int, int] = (1, 1)
-    turned: int = 0
+    turned: float = 0
     mirrored: bool = False
     reversed_current: int = -1
     reversed_voltage: int = -1

@@ -13,11 +13,15 @@ from drive_id.types import Finding, FloatArray, Samples
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
 _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
-_CURRENTS = (0.02, 5000.0)
-"""Smallest and largest plausible current amplitude, A."""
+_CURRENTS, _LARGEST_VOLTAGE = (0.5, 5000.0), 5000.0
+"""Plausible amplitudes, A and V; kA of a drive up to 500 A lie outside."""
+_USUAL = 0.999
+"""Quantile that stands for the largest voltage, without spikes."""
 _SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.97
 _ZERO_SEQUENCE = 0.02
-_ODD_PHASE = 0.1
+_ODD_PHASE, _REVERSED = 0.3, 0.2
+"""Difference of two phases' weights in the sum that is zero, relative to that of the third, which is odd then; distance
+of its gain from -1."""
 _AT_LIMIT, _CLIPPED = 2e-6, 0.015
 _STUCK, _MOVED, _NEAR_LIMIT = 50, 0.3, 0.999
 _FEW_LEVELS, _LEVELS_OF = 100, 20_000
@@ -44,7 +48,8 @@ def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding
             "error",
         )
         return
-    yield from _duty_cycles(runs, u_abc, i_max)
+    duty_cycles = [*_duty_cycles(runs, u_abc, i_max)]
+    yield from duty_cycles or _voltage_scale(u_abc)
     quantized = [finding for name, x in (("current", i_abc), ("voltage", u_abc)) for finding in _quantized(name, x)]
     yield from quantized
     if not quantized:
@@ -104,6 +109,17 @@ def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
         )
 
 
+def _voltage_scale(u_abc: FloatArray) -> Iterator[Finding]:
+    """Yield voltages too large for volts; too small ones look like duty cycles."""
+    largest = float(np.quantile(np.abs(u_abc), _USUAL))
+    if largest > _LARGEST_VOLTAGE:
+        yield Finding(
+            "voltage_scale",
+            f"The voltages reach {largest:.3g} V: check whether they are in mV, and set their scale.",
+            {"largest": largest},
+        )
+
+
 def _unit_of(gain: float) -> str:
     for value, text in ((1e3, " (mA for A)"), (1e-3, " (kA for A)"), (np.sqrt(0.5), " (rms for peak)")):
         if abs(gain / value - 1) < 0.1:
@@ -121,22 +137,21 @@ def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Finding]:
     weight = vectors[:, 0]
     said, values = "", {"zero_sequence": rms}
     if size[0] < 0.1 * float(np.mean(total**2)) / 3:
-        for phase in range(3):
-            one, other = np.delete(weight, phase)
-            gain = 0.5 * (one + other) / weight[phase] if weight[phase] else np.inf
-            if abs(one - other) < _ODD_PHASE * abs(one) and abs(gain - 1) > _ODD_PHASE:
-                values["gain"] = float(gain)
-                if abs(gain + 1) < 2 * _ODD_PHASE:
-                    yield Finding(
-                        "phase_reversed",
-                        f"The current of phase {'abc'[phase]} is reversed, for the phase currents sum to {rms:.3g} A "
-                        "rms, and to zero with its sign changed: change its sign (scale in the signals file).",
-                        values,
-                        "error",
-                    )
-                    return
-                said = f", as phase {'abc'[phase]} reads {gain:.3g} times too much"
-                break
+        phase = int(np.abs(weight - np.median(weight)).argmax())
+        one, other = np.delete(weight, phase)
+        mean = 0.5 * (one + other)
+        if abs(one - other) < _ODD_PHASE * abs(mean - weight[phase]) and weight[phase]:
+            values["gain"] = gain = float(mean / weight[phase])
+            if abs(gain + 1) < _REVERSED:
+                yield Finding(
+                    "phase_reversed",
+                    f"The current of phase {'abc'[phase]} is reversed, for the phase currents sum to {rms:.3g} A "
+                    "rms, and to zero with its sign changed: change its sign (scale in the signals file).",
+                    values,
+                    "error",
+                )
+                return
+            said = f", as phase {'abc'[phase]} reads {gain:.3g} times too much"
     if abs(total.mean()) > 0.7 * rms:
         said = f", {total.mean():.3g} A of it constant"
     yield Finding(

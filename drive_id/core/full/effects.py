@@ -75,7 +75,7 @@ _SLOWEST = 1.0
 _SINGULAR = 1e-3
 """Determinant of the inductances over the square of their sum below which they are not known."""
 _LEAST_TURN = np.deg2rad(3.0)
-"""Angle per sample below which the current between samples is as good as straight: 2e-4 of the short-circuit current."""
+"""Angle per sample below which the current between samples is as good as straight, to 2e-4 of the short circuit's."""
 _NODES = 5
 """Points of a window between which the drop is integrated."""
 

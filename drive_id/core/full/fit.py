@@ -163,6 +163,8 @@ class EarlierFit:
         Harmonics that its sums covered.
     cells : Resolution, optional
         Cells of its map and harmonics, if not the usual ones.
+    remains : bool
+        Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
     spec : ModelSpec
     columns : EffectColumns
     taken : tuple of Taken
@@ -175,6 +177,7 @@ class EarlierFit:
 
     orders: tuple[int, ...]
     cells: Resolution | None
+    remains: bool
     spec: ModelSpec
     columns: EffectColumns
     taken: tuple[Taken, ...]
@@ -202,7 +205,15 @@ class EarlierFit:
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
         advantage = fit.selection.advantage
         model = fit.model
-        return cls(orders=model.orders, cells=model.cells, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
+        return cls(
+            orders=model.orders,
+            cells=model.cells,
+            remains=search.sums.effects is not None,
+            spec=fit.spec,
+            advantage=advantage,
+            **of_fit,
+            **of_search,
+        )
 
 
 _KEPT_OF_FIT = (

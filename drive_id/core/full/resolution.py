@@ -5,9 +5,9 @@ the cells along i_d and i_q that the ends lie in, by nonnegative least squares: 
 
     |r_n|^2 = noise_n + sum of m_c over the cells c of both ends of window n.
 
-A machine whose iron bridges saturate at small i_q misfits in the cells around i_q = 0 and nowhere else. What spreads
-evenly (iron loss, delays, a curve of the inverter, which follows the phase currents) does not stand out in any cell, and
-finer cells do not predict it better either, which is tested on data left out.
+A machine whose iron bridges saturate at small i_q misfits around i_q = 0 and nowhere else. What spreads evenly (iron
+loss, delays, the inverter's curve, which follows the phase currents) does not stand out in any cell, and finer cells do
+not predict it better, which is tested on data left out.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ _MOST_CELLS = 1200
 """Of the plane, at most: memory grows with their square, time with their third power."""
 _OF_LARGEST = 1 / 30
 """Smallest misfit of a cell that is divided, relative to the largest: the next division shows what remains."""
+_LEAST = 0.5
+"""Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
 _STRONG = 10.0
 """Misfit over noise, both squared, from which on a cell is divided by four instead of two."""
 
@@ -49,7 +51,8 @@ class Resolution:
     @classmethod
     def usual(cls, low: FloatArray, high: FloatArray) -> Resolution:
         """Return the usual cells of the rectangle from ``low`` (2,) to ``high`` (2,), A."""
-        return cls(*(bent_edges(start, end, FLUX_CELLS) for start, end in zip(low, high, strict=True)))
+        d, q = (bent_edges(start, end, FLUX_CELLS) for start, end in zip(low, high, strict=True))
+        return cls(d, q)
 
     @property
     def finer_than_usual(self) -> bool:
@@ -108,7 +111,7 @@ def misfit_by_cell(
         met.append(np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64))
     columns = np.concatenate([*met, np.ones((len(i_dq), 1))], axis=1)
     unit = max(float(expected.mean()), np.finfo(np.float64).tiny)
-    excess, least = (squares - expected) / unit, max(1.0, negligible / unit)
+    excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
     found = np.zeros(columns.shape[1])
     if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
         from scipy.optimize import nnls  # noqa: PLC0415  # slow to import, and most drives do without

@@ -58,6 +58,7 @@ _MOST_WINDOWS = 1500
 _MISFIT_WINDOWS = 6000
 _REFINEMENTS = 4
 _LOCAL = 1e-3
+_NEAR_ZERO = 0.04
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
 
@@ -111,7 +112,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         start = _compensated(solver, _first_spec(sums, settings, turn))
     start = _with_early_steps(solver, start)
     del solver  # its matrices are large
-    selection, plain = _select(sums, start, settings, turn, noise), sums
+    selection = _select(sums, start, settings, turn, noise)
     known = sums.model.all_orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found = selection.search.sums
@@ -120,13 +121,35 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         if not new:
             break
         kept = tuple(order for order in selection.solution.spec.orders if order not in SENSOR_ORDERS)
-        sums = plain.with_orders((*kept, *new)[:MOST_ORDERS])
+        sums = sums.with_orders((*kept, *new)[:MOST_ORDERS])
         known = (*known, *new)
         solver = Solver.over(sums)
         start = _with_early_steps(solver, _compensated(solver, _first_spec(sums, settings, turn)))
         del solver
         selection = _select(sums, start, settings, turn, noise)
+    if selection.search.taken:  # what they explain may have hidden where the cells are too coarse
+        selection = _with_finer_cells(sums, selection, settings, turn, noise)
     return selection.search.sums, replace(selection, crossings=crossings)
+
+
+def _with_finer_cells(
+    sums: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> Selection:
+    """Return the selection over finer cells if residuals exceed noise in some and held-out data gain, else this one."""
+    for _ in range(_REFINEMENTS):
+        solution, model = selection.solution, selection.solver.model
+        misfit = _misfit(selection.search.sums, solution, noise, selection.solver.total_voltage)
+        if not misfit.shows or not solution.spec.reciprocal:
+            break
+        finer = sums.resolved(model.resolution.finer(misfit), model.orders)
+        solver = Solver.over(finer)
+        spec = replace(solution.spec, effects=(), delay=0.0 if settings.calibrate_delay else settings.voltage_delay)
+        found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
+        errors = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
+        if not _clearly_better(solver, *errors):
+            break
+        selection = replace(found, advantage=selection.advantage)
+    return selection
 
 
 def _resolved(
@@ -136,12 +159,14 @@ def _resolved(
 
     The cells of the map are divided first, then those of the harmonics as well.
     """
-    spec, error = solver.best_penalty(solution.spec)
+    spec, error = solution.spec, None
     for _ in range(_REFINEMENTS):
         cells = sums.model.resolution
         misfit = _misfit(sums, solution, noise, solver.total_voltage)
         if not misfit.shows:
             break
+        if error is None:
+            spec, error = solver.best_penalty(spec)
         local = cells.finer(misfit)
         tried = [local, local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else [local]
         for candidate in tried:
@@ -158,6 +183,7 @@ def _resolved(
 
 def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total_voltage: float) -> Misfit:
     model, windows = sums.model, Windows.joined(list(sums.kept())).thinned(_MISFIT_WINDOWS)
+    windows = windows.part(np.hypot(*np.moveaxis(windows.i_dq, -1, 0)).min(axis=1) > _NEAR_ZERO * model.i_max)
     squares = np.square(model.residuals(windows, solution.estimate)).sum(axis=1)
     expected = noise.variance * squared_inductances(model, solution.estimate, windows)
     return misfit_by_cell(model.resolution, windows.i_dq, squares, expected, _LOCAL**2 * total_voltage)
@@ -172,14 +198,6 @@ def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> boo
     enough = (error - other)[folds].mean() > _LEAST_SAVED**2 * solver.total_voltage
     saved = 1.0 - float(other[folds].sum() / error[folds].sum())
     return bool(enough and saved > _CLEAR_GAIN and np.sum((other < error)[folds]) >= folds.sum() - 1)
-
-
-def _misfit_shows(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> bool:
-    """Return whether the residuals exceed current noise, and by more than a negligible voltage."""
-    squares = squared_inductances(solver.model, solution.estimate, noise.windows)
-    expected = noise.variance * float(squares.sum() / (2 * noise.windows.weights.sum()))
-    excess = solution.residual_rms**2 - expected
-    return excess > max((LEAST_MISFIT**2 - 1) * expected, _LEAST_SAVED**2 * solver.total_voltage)
 
 
 def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:
@@ -340,18 +358,17 @@ def compensates(model: FullModel, solution: FullSolution) -> bool:
 def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[float, bool]:
     """Return by which share a variant reduces the squared errors (F,) on data left out, and whether clearly.
 
-    Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage. Stops early when the
-    first two folds show no gain.
+    Stops early when the first two folds show no gain.
     """
     folds = np.flatnonzero(predictable(error))
     first, rest = folds[:2], folds[2:]
-    other = solver.left_out(spec, folds=first)[:, 0]
-    if np.all(other > (1 - _SOME_GAIN) * error[first]):
-        return 1.0 - float(other.sum() / error[first].sum()), False
-    other = np.append(other, solver.left_out(spec, folds=rest)[:, 0])
-    saved = 1.0 - float(other.sum() / error[folds].sum())
-    enough = (error[folds] - other).mean() > _LEAST_SAVED**2 * solver.total_voltage
-    return saved, bool(enough and saved > _CLEAR_GAIN and np.sum(other < error[folds]) >= len(folds) - 1)
+    other = error.copy()
+    other[first] = solver.left_out(spec, folds=first)[:, 0]
+    saved = 1.0 - float(other[first].sum() / error[first].sum())
+    if np.all(other[first] > (1 - _SOME_GAIN) * error[first]):
+        return saved, False
+    other[rest] = solver.left_out(spec, folds=rest)[:, 0]
+    return 1.0 - float(other[folds].sum() / error[folds].sum()), _clearly_better(solver, error, other)
 
 
 def _advantage_beyond_noise(

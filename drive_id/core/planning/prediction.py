@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.experiment.trajectories import Trajectory
-from drive_id.core.full.model import FLUX_DEGREE, RESISTANCE, FullModel, ModelSpec, roughness
+from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec, roughness
+from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.windows import WINDOW_ANGLE, WindowCutter, Windows
-from drive_id.core.maps.coenergy import GradientSpline
+from drive_id.core.maps.coenergy import bent_edges
 from drive_id.core.planning.settings import RoughMachine
 from drive_id.types import FloatArray, Samples
 
@@ -70,25 +70,14 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class RoughModel(FullModel):
-    """The model of method ``full`` with a chosen number of cells and without sensor harmonics.
-
-    Parameters
-    ----------
-    cells : int
-        Of the flux map along each axis.
-    """
-
-    cells: int
+    """The model of method ``full`` with a chosen number of cells and without sensor harmonics."""
 
     @classmethod
     def over(cls, i_max: float, cells: int) -> RoughModel:
         """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
-        return cls(np.array([-i_max, -i_max]), np.array([i_max, i_max]), i_max, (6,), cells, sensors=())
-
-    @cached_property
-    def flux(self) -> GradientSpline:
-        """Space of the flux map."""
-        return GradientSpline.within(self.low, self.high, self.cells, FLUX_DEGREE)
+        low, high = np.array([-i_max, -i_max]), np.array([i_max, i_max])
+        edges = bent_edges(-i_max, i_max, cells)
+        return cls(low, high, i_max, (6,), sensors=(), cells=Resolution(edges, edges))
 
 
 @dataclass(frozen=True, eq=False)

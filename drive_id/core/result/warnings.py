@@ -84,8 +84,8 @@ def _on_decimation(evidence: Evidence, estimate: Estimate) -> list[str]:
         return []
     sentence = (
         f"The voltages act {-delay:.2f} samples early and the rotor turns by {np.rad2deg(evidence.turn):.1f} degrees "
-        "electrical per sample, the marks of a log with every n-th sample only: log every PWM period, or the mean of "
-        "the commands since the last sample."
+        "electrical per sample, the marks of a log with every n-th sample only: log every PWM period, or set "
+        "decimation: n for the voltages (signals file)."
     )
     return [sentence]
 

@@ -20,7 +20,7 @@ from drive_id.core.signals.matching import Phase, constant_shift, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
 from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
-from drive_id.core.signals.signal_track import SignalTrack
+from drive_id.core.signals.signal_track import MOST_HELD, SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
 from drive_id.types import SCALARS, FloatArray, IntArray, Samples
 
@@ -190,6 +190,8 @@ class StreamJoin:
     recorded : bool
         The signals are read from a recording, see :class:`~drive_id.core.signals.signal_track.SignalTrack`. Given
         whole, they need neither a declared period nor, in the resolver, the speed.
+    sort : bool
+        Wait behind a gap for samples that arrive late, see :class:`~drive_id.core.signals.signal_track.SignalTrack`.
     reference : callable, optional
         Returns the current references (N, 2), A, at increasing stamps (N,), ns, for samples of a period, s.
     scalars : mapping of str to str, optional
@@ -215,12 +217,14 @@ class StreamJoin:
         capacity: int = 50_000,
         locking: int = _LOCKING_PAIRS,
         recorded: bool = False,
+        sort: bool = True,
         reference: Callable[[IntArray, float], FloatArray | None] | None = None,
         scalars: Mapping[str, str] | None = None,
         scaled_by: str = "",
         to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
     ) -> None:
-        self.tracks = tuple(SignalTrack(name, recorded=recorded) for name in names)
+        held = min(MOST_HELD, capacity // 2) if sort else 0
+        self.tracks = tuple(SignalTrack(name, recorded=recorded, held=held) for name in names)
         self.batch = batch
         self.wait = wait
         self.locking = locking
@@ -397,7 +401,7 @@ class StreamJoin:
     def _advance(self, *, final: bool) -> list[Piece]:
         """Join what can be joined, and what must be for want of room."""
         for track in self.tracks:
-            track.fold()
+            track.fold(final=final)
         pieces: list[Piece] = []
         if not self._fault and not any(track.fault for track in self.tracks) and self._lock(final=final):
             pieces = self._hand_on(self._match(final=final))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -13,6 +16,11 @@ LARGEST_CUT = 0.01
 """Largest part of a signal's samples that may be cut out for repeated or backward stamps."""
 _FEWEST_BLOCKS = 3
 """Blocks that begin with sample 0 before their publisher is said not to count."""
+LATEST = 0.5
+"""Time by which a block may arrive behind later ones and still be put in its place, s: networks delay some."""
+_OPEN_LOSSES, _OPEN_SAMPLES = 100, 50_000
+"""Losses that a late block may still fill, and how many samples ago they may lie; beyond, a count that runs backwards
+is that of another publisher."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +92,7 @@ class SampleCount:
     blocks : int
         Received.
     lost, losses : int
-        Samples missing between blocks, and the number of places.
+        Samples missing between blocks, and the number of places. A block that arrives late and fills a loss undoes it.
     restarts : int
         Places where the count ran backwards: the publisher restarted, or there are two of them.
     zeros : int
@@ -98,24 +106,51 @@ class SampleCount:
     restarts: int = 0
     zeros: int = 0
     _next: int | None = None
+    _open: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_OPEN_LOSSES))
 
     def add(self, first_sample: int, samples: int) -> None:
         """Count one block of so many samples, the first of which is number ``first_sample``."""
-        due = self._next
-        if due is not None and first_sample != due:
-            if first_sample > due:
-                self.lost += first_sample - due
-                self.losses += 1
-            else:
-                self.restarts += 1
-        self._next = first_sample + samples
+        end = first_sample + samples
+        due = first_sample if self._next is None else self._next
+        if first_sample > due:
+            self._lose(due, first_sample)
+        if first_sample >= due or not self._fill(first_sample, end):
+            self.restarts += first_sample < due
+            self._next = end
         self.samples += samples
         self.blocks += 1
         self.zeros += first_sample == 0
 
+    def add_blocks(self, first_sample: NDArray[Any], samples: IntArray) -> None:
+        """Count blocks (B,), see :meth:`add`."""
+        blocks, zeros = self.blocks + len(samples), self.zeros + int((first_sample == 0).sum())
+        starts = np.append(0, np.flatnonzero(first_sample[1:] != (first_sample + samples)[:-1]) + 1)
+        for start, whole in zip(starts, np.add.reduceat(samples, starts), strict=True):  # each begins out of turn
+            self.add(int(first_sample[start]), int(whole))
+        self.blocks, self.zeros = blocks, zeros
+
     def interrupt(self) -> None:
         """Have the next block begin anew: what is missing before it is not lost."""
         self._next = None
+        self._open.clear()
+
+    def _lose(self, begin: int, end: int) -> None:
+        self.lost += end - begin
+        self.losses += 1
+        self._open.append((begin, end))
+
+    def _fill(self, begin: int, end: int) -> bool:
+        """Take a late block out of the losses, and tell whether it is in one of them."""
+        for gap in self._open:
+            if gap[0] <= begin and end <= gap[1] and (self._next or 0) - begin <= _OPEN_SAMPLES:
+                self._open.remove(gap)
+                self.lost -= gap[1] - gap[0]
+                self.losses -= 1
+                for rest in ((gap[0], begin), (end, gap[1])):
+                    if rest[0] < rest[1]:
+                        self._lose(*rest)
+                return True
+        return False
 
     @property
     def counts_nothing(self) -> bool:

@@ -10,12 +10,15 @@ import numpy as np
 from drive_id.core.numerics.scans import all_finite, rising
 from drive_id.core.signals.join_report import SignalReport
 from drive_id.core.signals.period import Spacings, declared_periods, usual_period
-from drive_id.core.signals.signal import LARGEST_CUT, Signal, finite_rows, non_finite_error, order_error
+from drive_id.core.signals.signal import LARGEST_CUT, LATEST, Signal, finite_rows, non_finite_error, order_error
 from drive_id.errors import DataError, EmptyTopicError, SamplePeriodError
 from drive_id.types import FloatArray, IntArray
 
 _SAME_PERIOD = 1e-6
 _SPACINGS = 1000
+MOST_HELD = 20_000
+"""Samples behind a gap that may wait for late ones, whatever the sample rate."""
+_NONE: tuple[IntArray, FloatArray] = (np.zeros(0, np.int64), np.zeros((0, 0)))
 
 
 class SignalTrack:
@@ -28,6 +31,9 @@ class SignalTrack:
     recorded : bool
         It is read from a recording: all of its messages count for the measured period, not only the latest, and it
         need not declare one.
+    held : int
+        Most samples behind a gap that wait for late ones, for :data:`~drive_id.core.signals.signal.LATEST`; 0: none is
+        put in its place. Late are samples that fit into a gap, so that those of a clock set back are not.
 
     Attributes
     ----------
@@ -44,8 +50,10 @@ class SignalTrack:
         Why the signal cannot be used any more.
     """
 
-    def __init__(self, name: str, *, recorded: bool = False) -> None:
+    def __init__(self, name: str, *, recorded: bool = False, held: int = MOST_HELD) -> None:
         self.name = name
+        self._most_held = held
+        self._held = _NONE  # behind a gap, in order
         self.stamp: IntArray = np.zeros(0, np.int64)
         self.values: FloatArray = np.zeros((0, 0))
         self.period: float | None = None
@@ -58,7 +66,7 @@ class SignalTrack:
         self._first_cut = (0, 0)  # ns by which it lies behind, ns after the start
         self._start: int | None = None
         self._previous = 0  # stamp of the last sample, ns
-        self._latest = 0  # largest stamp seen, ns
+        self._latest = 0  # largest stamp that waits for no late ones, ns
         self._spacings: deque[tuple[int, int]] = deque(maxlen=_SPACINGS)
         self._whole = Spacings() if recorded else None
         self._last_message: tuple[int, int] | None = None
@@ -102,29 +110,42 @@ class SignalTrack:
             self._raw.append(piece)
             self._raw_count += count
 
-    def fold(self) -> None:
-        """Sort out what arrived: drop samples that are not finite, and cut repeated and backward stamps."""
-        if not self._raw:
+    def fold(self, *, final: bool = False) -> None:
+        """Sort what arrived: drop samples that are not finite, put late ones in their places, and cut the others.
+
+        Parameters
+        ----------
+        final : bool
+            Nothing follows, so that nothing has to wait for late samples.
+        """
+        arrived = [self._held] if len(self._held[0]) and (self._raw or final) else []
+        arrived += [(piece.stamp, piece.values) for piece in self._raw]
+        if not arrived:
             return
-        stamp, values = self._raw[0].stamp, self._raw[0].values
-        if len(self._raw) > 1:
-            stamp = np.concatenate([piece.stamp for piece in self._raw])
-            values = np.concatenate([piece.values for piece in self._raw])
-        self._raw, self._raw_count = [], 0
+        stamp, values = arrived[0]
+        if len(arrived) > 1:
+            stamp = np.concatenate([part for part, _ in arrived])
+            values = np.concatenate([part for _, part in arrived])
+        self._raw, self._raw_count, self._held = [], 0, _NONE
         if self._start is None:
             self._start = int(stamp[0])
             self._latest = self._previous = self._start - 1
+        if stamp[0] > self._latest and rising(stamp):
+            self._previous = int(stamp[-1])
+        else:
+            kept = self._in_order(stamp)
+            stamp, values = stamp[kept], values[kept]
+        ready = len(stamp) if final else self._ready(stamp)
+        if ready < len(stamp):
+            self._held = stamp[ready:], values[ready:]
+            stamp, values = stamp[:ready], values[:ready]
+        self._latest = int(stamp[-1]) if len(stamp) else self._latest
         if not all_finite(values):
             finite = finite_rows(values)
             if not self._not_finite:
                 self._first_not_finite = int(stamp[np.argmin(finite)]) - self._start
             self._not_finite += len(finite) - int(finite.sum())
             stamp, values = stamp[finite], values[finite]
-        if len(stamp) and stamp[0] > self._latest and rising(stamp):
-            self._latest = self._previous = int(stamp[-1])
-        else:
-            kept = self._in_order(stamp)
-            stamp, values = stamp[kept], values[kept]
         if len(self.stamp):
             stamp, values = np.concatenate([self.stamp, stamp]), np.concatenate([self.values, values])
         self.stamp, self.values = stamp, values
@@ -169,12 +190,16 @@ class SignalTrack:
         )
 
     def _in_order(self, stamp: IntArray) -> IntArray:
-        """Return the indices of stamps (N,) that exceed all before them, and count the others."""
-        if not len(stamp):
-            return np.zeros(0, np.int64)
+        """Return the indices, in order of time, of stamps (N,) to keep, and count the others."""
         seen = np.maximum.accumulate(np.concatenate(([self._latest], stamp)))
         before = np.concatenate(([self._previous], stamp[:-1]))
         behind = stamp <= seen[:-1]
+        kept = np.flatnonzero(~behind)
+        late = self._late(stamp, kept, np.flatnonzero(behind))
+        if len(late):
+            behind[late] = False
+            kept = np.concatenate([kept, late])
+            kept = kept[np.argsort(stamp[kept])]
         if behind.any():
             if not self.repeated + self.backward:
                 k = int(np.argmax(behind))
@@ -182,8 +207,32 @@ class SignalTrack:
             repeated = int(np.sum(behind & ((stamp == seen[:-1]) | (stamp == before))))
             self.repeated += repeated
             self.backward += int(behind.sum()) - repeated
-        self._latest, self._previous = int(seen[-1]), int(stamp[-1])
-        return np.flatnonzero(~behind)
+        self._previous = int(stamp[-1])
+        return kept
+
+    def _late(self, stamp: IntArray, kept: IntArray, behind: IntArray) -> IntArray:
+        """Return which of the ``behind`` fit into gaps between the ``kept``, half a period from any other sample."""
+        half = 0.5e9 * (self.period or 0.0)
+        if not self._most_held or not half or not len(behind):
+            return behind[:0]
+        order = behind[np.argsort(stamp[behind], kind="stable")]
+        late, others = stamp[order], np.concatenate(([self._latest], stamp[kept]))
+        place = np.searchsorted(others, late)
+        fits = (place > 0) & (place < len(others))
+        place = np.clip(place, 1, len(others) - 1)
+        fits &= (late - others[place - 1] >= half) & (others[place] - late >= half)
+        found = order[fits]
+        return found[np.diff(stamp[found], prepend=self._latest) >= half]
+
+    def _ready(self, stamp: IntArray) -> int:
+        """Return how many samples at increasing stamps (N,) are not behind a gap that late ones may yet fill."""
+        if not (self._most_held and self.period and len(stamp)):
+            return len(stamp)
+        closed = int(stamp[-1]) - round(1e9 * LATEST)
+        first = max(int(np.searchsorted(stamp, closed)), len(stamp) - self._most_held)
+        before = stamp[first - 1 : -1] if first else np.append(self._latest, stamp[:-1])
+        gap = stamp[first:] - before > 1.5e9 * self.period
+        return first + int(np.argmax(gap)) if gap.any() else len(stamp)
 
     def _check_period(self, piece: Signal) -> None:
         if self.period is None:

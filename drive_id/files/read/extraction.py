@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
-from drive_id.core.signals.signal import Signal
+from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
 from drive_id.files.messages.block_kernel import (
     DAMAGED,
@@ -311,7 +311,7 @@ class SignalBuilder:
         self.spacing: EqualSpacing | None = None
         """Of equally spaced samples, once built."""
         self._begun = False
-        self._expected: int | None = None
+        self._count = SampleCount()
         self._read = 0
         self._last_stamp: int | None = None
         self._last_angle: float | None = None
@@ -465,13 +465,11 @@ class SignalBuilder:
                 "record each rate in a bag of its own."
             )
 
-    def _losses(self, begin: NDArray[Any], count: IntArray) -> tuple[int, int]:
-        """Return the number of samples missing by ``first_sample``, and of gaps; a count that restarts is no loss."""
-        due = begin + count
-        before = np.append(begin[0] if self._expected is None else self._expected, due[:-1])
-        missing = np.maximum(begin - before, 0)
-        self._expected = int(due[-1])
-        return int(missing.sum()), int((missing > 0).sum())
+    def _losses(self, first: NDArray[Any], count: IntArray) -> tuple[int, int]:
+        """Return by how much samples missing by ``first_sample`` (B,), and gaps, increase: late blocks undo losses."""
+        lost, losses = self._count.lost, self._count.losses
+        self._count.add_blocks(first, count)
+        return self._count.lost - lost, self._count.losses - losses
 
 
 def _counts(pieces: list[MessageSamples]) -> NDArray[Any] | None:

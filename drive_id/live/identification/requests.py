@@ -172,6 +172,13 @@ class Requests:
         sentence = f"{count} cancelled requests still wait for a disk or for compiled code."
         return [(Level.WARN, sentence)] if count else []
 
+    def end_all(self, reply: Reply) -> None:
+        """End all requests with a reply."""
+        if self._waiting is not None:
+            self.cancel(self._waiting, reply)
+        if self._running is not None:
+            self.cancel(self._running.request, reply)
+
     def stop(self, patience: float) -> None:
         """End the request under way within ``patience``, s, without a reply."""
         if self._running is not None:

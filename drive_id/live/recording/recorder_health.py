@@ -38,6 +38,7 @@ def recorder_health(
     longest_silence: float,
     queue_size: float,
     further: Sequence[Observation] = (),
+    scarce: float = 0.0,
 ) -> Health:
     """Return the diagnostics of the recorder.
 
@@ -53,12 +54,16 @@ def recorder_health(
         Capacity of the queue, MB.
     further : sequence of Observation
         Of the node.
+    scarce : float
+        Free space of the disk below which to warn, MB.
     """
     findings = [] if report is not None and report.error else list(further)
     values: dict[str, str] = {}
     if report is not None:
         findings += _recording_findings(report, queue_size)
         values |= _recording_values(report)
+        if report.free is not None and not report.error and report.free < 1e6 * scarce:
+            findings.append((Level.WARN, f"The disk of {report.path} has only {report.free / 1e6:.0f} MB left."))
     reports = {} if report is None else {topic.topic: topic for topic in report.topics}
     for state in topics:
         if state.optional and not state.publishers and state.topic not in reports:
@@ -116,6 +121,7 @@ def _recording_values(report: RecordingReport) -> dict[str, str]:
         "samples": str(report.samples),
         "samples dropped": str(report.dropped),
         "duration [s]": f"{report.duration:.6f}",
+        "free [byte]": "" if report.free is None else str(report.free),
     }
 
 

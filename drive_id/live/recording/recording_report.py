@@ -51,7 +51,7 @@ class TopicReport:
 
     @property
     def dropped(self) -> int:
-        """Samples that will never be in the bag; those in the queue are not counted, so it only grows."""
+        """Samples that will never be in the bag; those in the queue are not counted, late ones no longer."""
         return self.lost + self.overflowed + self.discarded
 
     @property
@@ -86,6 +86,8 @@ class RecordingReport:
         Why the recording ended by itself; empty when it did not.
     remark : str
         A sentence on what is wrong with the log times; empty if nothing is.
+    free : int or None
+        Bytes free on the disk at the last flush; None when that is unknown.
     """
 
     path: Path
@@ -95,6 +97,12 @@ class RecordingReport:
     waiting: int = 0
     error: str = ""
     remark: str = ""
+    free: int | None = None
+
+    @property
+    def messages(self) -> int:
+        """Messages of all topics in the bag."""
+        return sum(topic.messages for topic in self.topics)
 
     @property
     def samples(self) -> int:

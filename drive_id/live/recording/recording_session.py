@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from collections import deque
@@ -130,6 +131,7 @@ class RecordingSession:
         self._file_begin: int | None = None
         self._split_due = False
         self._error = ""
+        self._free: int | None = None
         self.remark = ""
         """A sentence on the log times for report and metadata, by the receiving thread."""
         self._open, self._failed, self._paused = True, False, False
@@ -253,7 +255,14 @@ class RecordingSession:
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
         return RecordingReport(
-            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark
+            self.path,
+            tuple(topics),
+            len(files),
+            self._writer.size,
+            waiting,
+            self._error,
+            self.remark,
+            self._free,
         )
 
     # -- the writing thread ----------------------------------------------------------------------------------------
@@ -264,6 +273,8 @@ class RecordingSession:
             if self._is_gone():
                 self._give_up()
             else:
+                self._open = False
+                self._write_queue()
                 self._writer.close(self.report().custom_data())
         except (DriveIdError, OSError) as error:
             if self._is_gone():
@@ -278,13 +289,24 @@ class RecordingSession:
         stopping = False
         while not stopping:
             stopping = self._stopping.wait(_POLL)
-            for _ in range(len(self._queue)):
-                self._write(self._queue.popleft())
+            self._write_queue()
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
                 flushed = time.monotonic()  # what comes while the disk works waits for the next one
                 self._writer.flush(sync=True)
-                if self._is_gone():
+                if self._is_gone() or self._is_short():
                     return
+
+    def _write_queue(self) -> None:
+        for _ in range(len(self._queue)):
+            self._write(self._queue.popleft())
+
+    def _is_short(self) -> bool:
+        """Tell whether the recording must end before the disk is full."""
+        self._free = free_space(self.path)
+        short = shortage(self._free, self._settings, self.path)
+        if short:
+            self._error = f"{short} The recording has ended, and is complete up to then."
+        return bool(short)
 
     def _write(self, message: _Waiting) -> None:
         if message is _SPLIT:
@@ -374,6 +396,25 @@ class RecordingSession:
         finally:
             storage.close()
         self._written = written
+
+
+def free_space(path: Path) -> int | None:
+    """Return the free bytes of the disk that holds a path, there or yet to be made; None if it does not tell."""
+    folder = next(each for each in (path, *path.parents) if each.exists())
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def shortage(free: int | None, settings: RecordingSettings, path: Path) -> str:
+    """Return a sentence if the disk of a path has too little space for a recording, else an empty one."""
+    if free is None or free >= 1e6 * settings.least_free_space:
+        return ""
+    return (
+        f"The disk of {path} has {free / 1e6:.0f} MB left, less than least_free_space "
+        f"({settings.least_free_space:g} MB): free some space, or lower it."
+    )
 
 
 def _head(data: bytes | memoryview) -> BlockHead | None:

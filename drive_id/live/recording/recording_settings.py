@@ -36,6 +36,10 @@ class RecordingSettings:
     queue_depth: int = setting(
         5000, "Messages per topic that the middleware may queue for the recorder", minimum=1000, maximum=100000
     )
+    least_free_space: float = setting(
+        200.0, "Free space of the disk below which a recording is ended and none begins; below ten times as much, "
+        "diagnostics warn; 0: neither", unit="MB", minimum=0.0, maximum=1e9,
+    )  # fmt: skip
     silence: float = setting(
         2.0, "Time without a message after which diagnostics warn during a recording; 0: never", unit="s",
         minimum=0.0, maximum=3600.0,

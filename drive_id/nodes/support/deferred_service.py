@@ -8,6 +8,8 @@ from typing import Any
 
 from rclpy.node import Node
 
+from drive_id.nodes.support.qos import SERVICE
+
 
 def in_executor(node: Node, call: Callable[[], None]) -> None:
     """Have the node's executor make a call; call this from any thread."""
@@ -63,7 +65,7 @@ class DeferredService:
 
     def __init__(self, node: Node, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
         self._callback = callback
-        self.service = node.create_service(kind, name, self._on_request)
+        self.service = node.create_service(kind, name, self._on_request, qos_profile=SERVICE)
         self._send_now = self.service.send_response
         self.service.send_response = self._send
 

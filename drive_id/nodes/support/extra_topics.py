@@ -89,6 +89,12 @@ class ExtraTopics:
         for subscription in self._subscriptions.values():
             subscription.drain()
 
+    def close(self) -> None:
+        """End the subscriptions; :meth:`match` subscribes again."""
+        for subscription in self._subscriptions.values():
+            subscription.close()
+        self._subscriptions, self._recorded, self._latched = {}, {}, {}
+
     def findings(self) -> list[Observation]:
         """Return the topics that nobody publishes, or whose type is not installed."""
         missing = [name for name in self._wanted if name not in self._subscriptions and name not in self._troubles]

@@ -39,6 +39,12 @@ class ForeignTopics:
             else:
                 self._subscribe(given)
 
+    def close(self) -> None:
+        """End the subscriptions; :meth:`match` subscribes again."""
+        for subscription in self._subscriptions.values():
+            subscription.close()
+        self._subscriptions = {}
+
     def findings(self) -> list[Observation]:
         """Return the topics that nobody publishes, what cannot be read, and clocks that differ."""
         missing = [

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from drive_id.live.identification.identifier import CANCELLED, VANISHED, Job, Reply
 from drive_id.live.identification.requests import Request, Requests, Stage
 from drive_id.nodes.support.deferred_service import in_executor
+from drive_id.nodes.support.qos import SERVICE
 
 _KEPT = 60  # s for which a result can be asked for
 _GONE = 2.0  # s without a client after which it is gone
@@ -71,6 +72,9 @@ class IdentifyAction:
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
             result_timeout=_KEPT,
+            goal_service_qos_profile=SERVICE,
+            result_service_qos_profile=SERVICE,
+            cancel_service_qos_profile=SERVICE,
         )
 
     def look(self) -> None:

@@ -1,11 +1,15 @@
-"""Managed nodes: requests that make no sense are refused, and do not end the process."""
+"""Managed nodes: what those without a drive to protect share, and requests for transitions that make no sense."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
-from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from drive_id.health import Health, Level
+from drive_id.live.managed_settings import ManagedSettings
+from drive_id.nodes.support.parameters import declare_settings
 
 
 def guard_transitions(node: LifecycleNode) -> None:
@@ -30,3 +34,91 @@ def guard_transitions(node: LifecycleNode) -> None:
             return response
 
     service.callback = guarded
+
+
+class ManagedNode(LifecycleNode):
+    """A managed node that configures and activates itself unless ``autostart`` is false.
+
+    Subclasses call :meth:`bring_up` at the end of their constructor, and define :meth:`connect`, :meth:`disconnect` and
+    :meth:`rest`. Services and diagnostics are there in every state.
+
+    Parameters
+    ----------
+    name : str
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        guard_transitions(self)
+        self.active = False
+        self._connected = False
+        self._autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
+
+    def bring_up(self, ready: str) -> None:
+        """Configure and activate the node if it does so by itself, and log the sentence ``ready``."""
+        if self._autostart and self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+        self.get_logger().info(ready if self.active else self.inactive())
+
+    def connect(self) -> None:
+        """Subscribe."""
+        raise NotImplementedError
+
+    def disconnect(self) -> None:
+        """End all subscriptions, and forget what has arrived."""
+        raise NotImplementedError
+
+    def rest(self) -> bool:
+        """End what is under way; return whether it has ended."""
+        return True
+
+    def inactive(self) -> str:
+        """Return a sentence on how to activate the node."""
+        stage, steps = ("inactive", "activate") if self._connected else ("unconfigured", "configure and activate")
+        return f"The node is {stage}: {steps} it (ros2 lifecycle set {self.get_fully_qualified_name()} ...)."
+
+    def inactive_health(self) -> Health:
+        """Return the diagnostics of a node that is not active."""
+        return Health(Level.OK, self.inactive(), {"lifecycle": "inactive" if self._connected else "unconfigured"})
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Subscribe."""
+        self.connect()
+        self._connected = True
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take messages and requests."""
+        self.active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End what is under way, or stay active if it does not end."""
+        if not self.rest():
+            return TransitionCallbackReturn.FAILURE
+        self.active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End all subscriptions."""
+        self._end()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End what is under way, and all subscriptions."""
+        self.rest()
+        self._end()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End what is under way, and begin anew: unconfigured."""
+        self.rest()
+        self._end()
+        super().on_error(state)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _end(self) -> None:
+        self.active = False
+        if self._connected:
+            self.disconnect()
+        self._connected = False

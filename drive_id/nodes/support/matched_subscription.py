@@ -88,6 +88,12 @@ class MatchedSubscription:
             raw=self._raw,
         )
 
+    def close(self) -> None:
+        """End the subscription; :meth:`match` subscribes again."""
+        self._generation += 1
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = None
+
     def _receiver(self) -> Callable[[Any], None]:
         """Return a callback that ignores messages as soon as there is a newer subscription.
 

@@ -37,6 +37,13 @@ LATCHED = QoSProfile(
 )
 """The flux map: late subscribers get the last one."""
 
+SERVICE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=10_000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Of services: the default keeps the last 10 requests, and whoever sent one before waits in vain."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """Name that the middleware gives to the node of an endpoint before it knows better."""

@@ -102,6 +102,9 @@ READINGS = {
     "voltages negative": (lambda s: replace(s, u_abc=-s.u_abc), "current_sign", "wrong sign"),
     "voltage c negative": (lambda s: replace(s, u_abc=signed(s.u_abc, 2)), "phase_reversed", "voltage of phase c"),
     "current b negative": (lambda s: replace(s, i_abc=signed(s.i_abc, 1)), "phase_reversed", "current of phase b"),
+    "currents for voltages": (
+        lambda s: replace(s, i_abc=s.u_abc, u_abc=s.i_abc), "exchanged", "exchange their topics or fields"
+    ),
 }  # fmt: skip
 
 
@@ -130,6 +133,18 @@ def test_voltages_in_the_proposed_order_are_right(ipm):
     shifted = replace(ipm, u_abc=ipm.u_abc[:, [1, 2, 0]])
     assert "in the order c, a, b" in told(shifted).message
     assert found(replace(shifted, u_abc=shifted.u_abc[:, [2, 0, 1]])) == ()
+
+
+@pytest.mark.parametrize("drive", ["ipm", "spm", "slotless"])
+@pytest.mark.parametrize("shift", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_voltages_between_phases_in_all_orders(drives, drive, shift, sign):
+    samples = drives[drive]
+    between = np.roll(samples.u_abc - np.roll(samples.u_abc, -sign, axis=1), shift, axis=1)
+    first = found(replace(samples, u_abc=between))[0]
+    assert (first.code, first.severity) == ("line_voltages", "error")
+    back = np.roll(between, -shift, axis=1)
+    assert found(replace(samples, u_abc=(back - np.roll(back, sign, axis=1)) / 3)) == ()
 
 
 @pytest.mark.parametrize("drive", ["ipm", "spm", "pmsyrm", "slotless", "fast"])
@@ -182,7 +197,7 @@ def test_a_decimated_log(drives, drive, every):
     samples = drives[drive]
     arrays = {name: getattr(samples, name)[::every] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
     codes = {finding.code: finding for finding in found(replace(samples, **arrays, sample_period=every * 1e-4))}
-    assert "decimated" in codes
+    assert "set decimation: n for the voltages" in codes["decimated"].message
     assert codes["decimated"].values["rate"] == pytest.approx(1e4 / every)
 
 
@@ -306,13 +321,23 @@ def test_the_scale_of_currents_with_references(factor, said):
 
 def test_the_scale_of_currents_without_references(ipm):
     assert "in mA" in told(replace(ipm, i_abc=1000 * ipm.i_abc)).message
-    assert "per unit" in told(replace(ipm, i_abc=3e-5 * ipm.i_abc)).message
+    assert "in kA or per unit" in told(replace(ipm, i_abc=1e-3 * ipm.i_abc)).message
 
 
-def test_a_sensor_of_another_gain(ipm):
-    finding = found(replace(ipm, i_abc=ipm.i_abc * [1.0, 1.0, 1.3]))[0]
+@pytest.mark.parametrize(("factor", "code"), [(1e3, "voltage_scale"), (1e-3, "duty_cycles")])
+def test_the_scale_of_voltages(ipm, factor, code):
+    assert told(replace(ipm, u_abc=factor * ipm.u_abc)).code == code
+
+
+@pytest.mark.parametrize("gain", [1.3, 1.1, 0.95])
+@pytest.mark.parametrize("phase", [0, 1, 2])
+def test_a_sensor_of_another_gain(ipm, gain, phase):
+    finding = found(replace(ipm, i_abc=ipm.i_abc * np.where(np.arange(3) == phase, gain, 1.0)))[0]
     assert finding.code == "zero_sequence"
-    assert "phase c reads 1.3 times too much" in finding.message
+    assert f"phase {'abc'[phase]} reads {gain} times too much" in finding.message
+
+
+def test_a_constant_sum_of_the_currents(ipm):
     offset = found(replace(ipm, i_abc=ipm.i_abc + np.array([20.0, 0.0, 0.0])))[0]
     assert "20 A of it constant" in offset.message
 

@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 from synthetic import record
 
+from drive_id.bench.drive import simulate
+from drive_id.bench.machines import machine_map
+from drive_id.bench.settings import SimulationSettings
 from drive_id.cli import app as cli
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
+from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import CoverageError
@@ -49,9 +53,9 @@ def test_off_by_some(samples):
         assert "i_max" not in warnings(i_max)
 
 
-def test_a_disc_that_is_not_filled_is_no_wrong_i_max(samples):
-    i_dq = frames.to_dq(samples.i_abc, samples.angle) * [0.007, 1.0]
-    samples = replace(samples, i_abc=frames.to_abc(i_dq, samples.angle))
+def test_a_disc_that_is_not_filled_is_no_wrong_i_max():
+    thin = Lissajous(300.0)(np.arange(20_000) * 1e-4) * [0.007, 1.0]
+    samples = simulate(machine_map("ipm"), SimulationSettings(inverter="none", harmonics=0.0), thin).samples
     with pytest.raises(CoverageError, match=r"^The trajectory covers \d\.\d % of the disc of 300 A, too little"):
         identify([samples], FitSettings("joint", i_max=300.0))
 

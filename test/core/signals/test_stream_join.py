@@ -256,7 +256,7 @@ def test_what_is_wrong_is_said_as_the_offline_join_says_it():
     cases = {
         EmptyTopicError: lambda s: s.__setitem__(2, take(s[2], slice(0, 0))),
         NonFiniteError: lambda s: s[1].values.__setitem__((250, 1), np.nan),
-        StampOrderError: lambda s: s.__setitem__(0, take(s[0], np.r_[0:500, 560:500:-1, 561:2000])),
+        StampOrderError: lambda s: s.__setitem__(0, take(s[0], np.r_[0:560, 500:2000])),
         SamplePeriodError: lambda s: s.__setitem__(2, replace(s[2], sample_period=2e-4)),
         NoOverlapError: lambda s: s.__setitem__(1, replace(s[1], stamp=s[1].stamp + 10**10)),
     }

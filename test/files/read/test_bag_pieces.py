@@ -19,6 +19,7 @@ from drive_id.files.read import extraction
 from drive_id.files.read import reader as module
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.reader import bag_pieces, prefetched, read_recording
+from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 
@@ -124,6 +125,28 @@ def test_lost_and_repeated_blocks(tmp_path, ours):
 
     pieces = assert_same_as_whole(copied(ours, tmp_path / "lossy", change))
     assert sum(len(piece.samples.run_starts) - piece.continues for piece in pieces) == 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_out_of_order_are_read_in_order(tmp_path, ours, seed):
+    rng = np.random.default_rng(seed)
+
+    def disordered(messages):
+        first, rest = messages[:4], [m for m in messages[4:] if m[1] != "/current_reference"]
+        return [*first, *sorted(rest, key=lambda m: m[0] + 30 * rng.uniform() * (rng.uniform() < 0.2))]
+
+    path = copied(ours, tmp_path / "disordered", disordered)
+    assert [m.log_time for m in _messages(path)] != sorted(m.log_time for m in _messages(path))
+    pieces = assert_same_as_whole(path, least_pieces=1)
+    expected = read_recording(ours)
+    for name in ("stamp", "i_abc", "u_abc", "angle", "run_starts"):
+        np.testing.assert_array_equal(getattr(joined(pieces), name), getattr(expected.samples, name))
+    assert read_recording(path).warnings == expected.warnings
+
+
+def _messages(path):
+    with open_bag(path) as bag:
+        return list(bag.messages(frozenset({"/phase_currents", "/phase_voltages", "/resolver"})))
 
 
 @pytest.mark.parametrize("topic", ["/phase_currents", "/phase_voltages", "/resolver"])

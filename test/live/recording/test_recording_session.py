@@ -27,6 +27,7 @@ from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.live.data_directory import new_recording
+from drive_id.live.recording import recording_session
 from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.types import SCALARS
@@ -145,6 +146,16 @@ def test_losses_are_counted_to_the_sample(tmp_path):
     assert custom["samples_received:/resolver"] == custom["samples_written:/resolver"] == "1700"
 
 
+def test_blocks_out_of_order_are_not_lost(tmp_path):
+    session = record(tmp_path / "bag")
+    for number in (*range(10), 13, 11, 10, 12, *range(14, 20), 21, 20, 23):  # 22 never comes
+        feed(session, 1, first=number)
+    session.stop()
+    report = session.report()
+    assert [(t.lost, t.losses, t.restarts) for t in report.topics] == [(100, 1, 0)] * 4
+    assert len(read_recording(tmp_path / "bag").samples) == 2300
+
+
 def test_a_publisher_that_begins_again_is_no_loss(tmp_path):
     session = record(tmp_path / "bag")
     feed(session, 5, first=100)
@@ -170,6 +181,25 @@ def test_a_queue_that_is_full_loses_and_counts(tmp_path):
     assert 0 < report.topics[0].written < 30000
     assert report.overflowed == report.dropped == sum(30000 - topic.written for topic in report.topics)
     assert len(stock_messages(tmp_path / "bag")) == sum(topic.messages for topic in report.topics)
+
+
+def test_a_recording_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch):
+    free = iter([3e9, 150e6, 1e6])
+    monkeypatch.setattr(recording_session, "free_space", lambda _: int(next(free)))
+    session = record(tmp_path / "bag", RecordingSettings(flush_period=0.05))
+    number = 0
+    while not session.error:
+        feed(session, 1, first=number)
+        number += 1
+        time.sleep(0.005)
+    assert session.stop(10.0)
+    report = session.report()
+    assert "has 150 MB left, less than least_free_space (200 MB): free some space, or lower it. The" in report.outcome()
+    assert 0 < report.samples <= 100 * number
+    assert report.dropped == 0
+    recording = read_recording(tmp_path / "bag")
+    assert (len(recording.samples), recording.warnings) == (report.samples, ())
+    assert "least_free_space" in metadata(tmp_path / "bag")["custom_data"]["error"]
 
 
 def test_waiting_for_the_disk_is_not_a_loss_and_the_count_of_losses_only_grows(tmp_path):

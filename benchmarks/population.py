@@ -1,0 +1,291 @@
+"""Fit a population of random drives by several methods, and say which results are wrong, silent or blamed on others.
+
+Usage: python benchmarks/population.py [--count 300] [--seed 1] [--only NUMBER ...] [--methods full,joint] [--jobs 1]
+           [--samples-cache FOLDER] [--output out/population.json] [--page docs/population.md] [--against OLD.json]
+
+A drive depends on its seed and number alone. The output holds one line per drive and is continued when it exists.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import re
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import connection
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
+
+import numpy as np
+import population_report
+from population_drives import Drive, drive, recordings, true_flux
+
+import drive_id
+from drive_id.core import frames
+from drive_id.errors import DriveIdError
+from drive_id.types import Samples
+
+Row = dict[str, Any]
+
+BAND = 1.96
+TIMEOUT = 300.0
+"""Seconds that the simulation and all fits of one drive may take."""
+MOST_REACH, _USUAL = 1.2, 0.999
+"""Largest usual current, in i_max, beyond which the controller has lost the trajectory, so that the drive is not well
+posed, and the quantile that stands for it."""
+CAUSES = {
+    "iron": r"iron loss|^iron_loss",
+    "lag": r"lags the current|^flux_lag",
+    "heat": r"heating of|changed .* with the heat|^resistance_rise|^magnet_flux_change$",
+    "recordings": r"in a later recording|In recording \d|^resistance_change|^magnet_flux_change_",
+    "rotor": r"eccentric rotor|^rotor_ecc",
+    "phases": r"unequal phase resistances|phase resistances differ|^resistance_[abc]$",
+    "inverter": r"dead time|drops of the inverter|inverter's drop",
+    "dc": r"DC-link voltage|DC link|voltages are at a limit|^dc_link",
+    "timing": r"latency|delay of the voltages|samples (early|late)|filter|stand out|^voltage_delay|stretch",
+    "angle": r"offset of the angle|angle is off|d axis|check the angle for|asymmetric|^resolver_offset",
+    "gains": r"current gains|gain of phase|current sensors|sum to zero|^current_gain",
+    "offsets": r"constant part|current offset|^current_offset|^voltage_offset",
+    "resolver": r"eccentric resolver|resolver is eccentric|resolver error|error of .* degrees|^resolver_[efs]",
+    "voltage_gains": r"voltage gains|voltages' gains|^voltage_gain",
+    "decimated": r"every \S*-?th sample|n-th sample|decimat|one (sample )?in \d",
+    "machine": r"machine itself may not be reciprocal",
+    "harmonics": r"rotor-position harmonic",
+}
+"""What a warning names (a sentence), and the names of corrections, by cause."""
+_WEAK = re.compile("not significantly different from zero|standard error above 1 %|too short to estimate")
+_TESTED = re.compile(r"none of the causes tested \([^)]*\)")
+
+
+def named(text: str) -> set[str]:
+    """Return the causes that a warning or the name of a correction names."""
+    text = _TESTED.sub("none tested", text)
+    return {cause for cause, pattern in CAUSES.items() if re.search(pattern, text)}
+
+
+def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
+    """Fit by one method and compare with the truth."""
+    start, cpu = time.monotonic(), time.process_time()
+    try:
+        settings = drive_id.FitSettings(method=method, pole_pairs=one.machine.pole_pairs)
+        found = drive_id.fit(list(samples), settings=settings)
+    except DriveIdError as refusal:
+        return {"refused": str(refusal), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
+    row: Row = {"seconds": time.monotonic() - start, "cpu": time.process_time() - cpu, "warnings": [*found.warnings]}
+    flux_map = found.flux_map
+    grid = flux_map.grid()
+    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= one.i_max)
+    true = true_flux(one, grid[chosen])
+    error = np.stack([flux_map.psi_d[chosen], flux_map.psi_q[chosen]], axis=-1) - true
+    sigma = np.stack([flux_map.sigma_d[chosen], flux_map.sigma_q[chosen]], axis=-1)
+    relative = 100 * np.sqrt(np.mean(error**2, axis=0)) / np.abs(true).max(axis=0)
+    row |= {"psi_d": float(relative[0]), "psi_q": float(relative[1]), "points": int(chosen.sum())}
+    row["flux_z"] = float(np.sqrt(np.mean((error / sigma) ** 2, axis=0)).max())
+    row["band"] = float(np.mean(np.abs(error / sigma) < BAND))
+    wrong = found.resistance - one.resistance()
+    row |= {"R": 100 * wrong / one.resistance(), "R_z": wrong / found.sigma_resistance}
+    row["corrected"] = {
+        entry.name: [entry.value, entry.sigma]
+        for entry in found.calibrations
+        if entry.applied and abs(entry.value) > 3 * entry.sigma
+    }
+    row["not_reciprocal"] = any("not reciprocal:" in warning for warning in found.warnings)
+    return row
+
+
+def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None) -> Row:
+    """Simulate one drive and fit it by all methods."""
+    one = drive(seed, number)
+    row: Row = {**one.labels(), "fits": {}}
+    start = time.monotonic()
+    try:
+        samples = recordings(one, cache)
+    except DriveIdError as error:
+        return {**row, "not_simulated": str(error)}
+    row["simulation"] = time.monotonic() - start
+    amplitudes = [np.abs(frames.space_vector(part.i_abc)) for part in samples]
+    row["reach"] = max(float(np.quantile(each, _USUAL)) for each in amplitudes) / one.i_max
+    row["well_posed"] &= row["reach"] < MOST_REACH
+    row["fits"] = {method: fitted(one, samples, method) for method in methods}
+    return row
+
+
+def _serve(pipe: connection.Connection) -> None:
+    """Measure what is asked for, in a process of its own, which a crash ends: that is a finding."""
+    while (task := pipe.recv()) is not None:
+        pipe.send(measured(*task))
+
+
+@dataclass
+class Worker:
+    """A process that measures one drive after another."""
+
+    pipe: connection.Connection
+    process: Any
+    number: int = -1
+    deadline: float = 0.0
+
+    @classmethod
+    def started(cls) -> Worker:
+        """Start a process."""
+        context = multiprocessing.get_context("spawn")
+        ours, its = context.Pipe()
+        process = context.Process(target=_serve, args=(its,), daemon=True)
+        process.start()
+        its.close()
+        return cls(ours, process)
+
+    def ask(self, seed: int, number: int, methods: Sequence[str], cache: Path | None, timeout: float) -> None:
+        """Begin one drive."""
+        self.number, self.deadline = number, time.monotonic() + timeout
+        self.pipe.send((seed, number, methods, cache))
+
+    def answer(self, seed: int) -> Row | None:
+        """Return the row of the drive; None while it is measured. The process is dead after a crash or timeout."""
+        if self.pipe.poll():
+            try:
+                row: Row = self.pipe.recv()
+            except EOFError:
+                self.process.join()
+                return self._lost(seed, f"the process ended with code {self.process.exitcode}")
+            return row
+        if time.monotonic() > self.deadline:
+            self.process.kill()
+            return self._lost(seed, "it took too long")
+        return None
+
+    def _lost(self, seed: int, why: str) -> Row:
+        self.process.join()
+        return {**drive(seed, self.number).labels(), "fits": {}, "lost": why}
+
+
+def rows(
+    seed: int, numbers: Sequence[int], methods: Sequence[str], cache: Path | None, jobs: int, timeout: float = TIMEOUT
+) -> Iterator[Row]:
+    """Measure drives in processes of their own, and yield the rows in the order in which they are ready."""
+    waiting, idle, busy = list(numbers), list[Worker](), list[Worker]()
+    while waiting or busy:
+        while waiting and len(busy) < jobs:
+            worker = idle.pop() if idle else Worker.started()
+            worker.ask(seed, waiting.pop(0), methods, cache, timeout)
+            busy.append(worker)
+        connection.wait([worker.pipe for worker in busy], timeout=1.0)
+        for worker in [*busy]:
+            if (row := worker.answer(seed)) is not None:
+                busy.remove(worker)
+                if worker.process.is_alive():
+                    idle.append(worker)
+                yield row
+    for worker in idle:
+        worker.pipe.send(None)
+        worker.process.join()
+
+
+def judged(row: Row, method: str) -> set[str]:
+    """Return the verdicts on a fit.
+
+    ``silent``: flux error above 0.3 % and three standard errors and no warning; ``silent R``: R beyond three standard
+    errors and 1 %, and no warning; ``false warning``: an ordinary drive with an error below 0.2 % was warned of;
+    ``wrong cause``: the warnings name causes and none of them is the drive's; ``false effect``: something was
+    corrected that the drive has not; ``refused`` and ``crashed``.
+    """
+    fit = row["fits"].get(method)
+    if fit is None or "refused" in fit:
+        return {"refused" if fit else "crashed"}
+    causes, warned, out = {*row["causes"]}, bool(fit["warnings"]), set()
+    flux = max(fit["psi_d"], fit["psi_q"])
+    if row["expected"] != "documented" and not warned:
+        out |= {"silent"} if flux > 0.3 and fit["flux_z"] > 3 else set()
+        out |= {"silent R"} if abs(fit["R_z"]) > 3 and abs(fit["R"]) > 1 else set()
+    if not row["effects"] and flux < 0.2 and any(not _true(warning, causes) for warning in fit["warnings"]):
+        out.add("false warning")
+    told = set[str]().union(*(named(warning) for warning in fit["warnings"]))
+    if told and not told & causes:
+        out.add("wrong cause")
+    blamed = {cause for name in fit["corrected"] for cause in named(name)}
+    if blamed - causes - {"gains", "offsets", "angle", "timing"}:
+        out.add("false effect")
+    return out
+
+
+def _true(warning: str, causes: set[str]) -> bool:
+    """Return whether a warning names a cause that the drive has, or says what the data leave open."""
+    return bool(named(warning) & causes or _WEAK.search(warning))
+
+
+def read(path: Path) -> dict[int, Row]:
+    """Return the rows of an output by number, the last of each; an unfinished line at the end is left out."""
+    found = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        found[row["number"]] = row
+    return found
+
+
+def line_of(row: Row) -> str:
+    """Return what is printed for a drive."""
+    cells = []
+    for method, fit in row["fits"].items():
+        verdicts = ", ".join(sorted(judged(row, method)))
+        if "psi_d" in fit:
+            cells.append(
+                f"{method} {fit['psi_d']:.3f}/{fit['psi_q']:.3f} % R {fit['R']:+.1f} % ({fit['R_z']:+.1f}) "
+                f"band {fit['band']:.2f} {len(fit['warnings'])}w {fit['seconds']:.1f}s {verdicts}"
+            )
+        else:
+            cells.append(f"{method} {verdicts}: {fit['refused']}")
+    what = row.get("not_simulated") or row.get("lost") or "; ".join(cells)
+    return f"{row['number']:4d} {row['family']:10s} {','.join(row['effects']) or '-':30s} {what}"
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description="Fit a population of random drives and compare with the truth.")
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of drives, fitted again")
+    parser.add_argument("--methods", default="full,joint")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--samples-cache", type=Path, help="keep the simulated samples in this folder (4 MB a drive)")
+    parser.add_argument("--output", type=Path, default=Path("out/population.json"), help="one line of JSON per drive")
+    parser.add_argument("--page", type=Path, help="page to write (Markdown)")
+    parser.add_argument("--against", type=Path, help="earlier output: list the drives that got worse")
+    parser.add_argument("--timeout", type=float, default=TIMEOUT, help="of one drive, s")
+    options = parser.parse_args()
+    for folder in (options.output.parent, *([options.samples_cache] if options.samples_cache else [])):
+        folder.mkdir(parents=True, exist_ok=True)
+    known, methods = read(options.output), options.methods.split(",")
+    wanted = range(options.count) if options.only is None else options.only
+    missing = [
+        number
+        for number in wanted
+        if options.only is not None or number not in known or known[number]["seed"] != options.seed
+    ]
+    with options.output.open("a", encoding="utf-8") as output:
+        for row in rows(options.seed, missing, methods, options.samples_cache, options.jobs, options.timeout):
+            known[row["number"]] = row
+            output.write(json.dumps(row) + "\n")
+            output.flush()
+            print(line_of(row), flush=True)
+    chosen = [known[number] for number in wanted if number in known]
+    verdicts = {(row["number"], method): judged(row, method) for row in chosen for method in methods}
+    command = f'make population ARGS="--count {options.count} --seed {options.seed}"'
+    lines = [*population_report.page(chosen, methods, verdicts, command)]
+    if options.page:
+        options.page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    print("\n".join(lines))
+    if options.against:
+        print("\n".join(population_report.worse(chosen, read(options.against), methods)))
+
+
+if __name__ == "__main__":
+    main()

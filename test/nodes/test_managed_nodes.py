@@ -1,0 +1,156 @@
+"""The lifecycle of ``identification`` and ``signal_bridge``, and many requests at once."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from functools import partial
+
+import pytest
+from recorder_blocks import PERIOD, TOPICS, block
+from ros_bench import DEADLINE, require_ros, ros_bench
+from test_recorder_node import Bench, change_state
+
+REQUESTS = 1000
+
+
+@pytest.fixture
+def ros():
+    require_ros()
+    with ros_bench() as bench:
+        yield bench
+
+
+def identify(ros):
+    from drive_id_msgs.srv import Identify
+
+    return ros.call(Identify, "/identification/identify")
+
+
+def settings(ros, **further):
+    return {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out"), **further}
+
+
+def test_the_lifecycle_of_identification(ros):
+    given = settings(ros, i_max=40.0, method="joint", autostart=False)
+    process = ros.start("drive_id.nodes.identification", parameters=given)
+    change, bench = partial(change_state, ros, "/identification"), Bench(ros)
+    heard = bench.publishers[TOPICS[0].name].get_subscription_count
+    assert (reply := identify(ros)).code == "inactive"
+    assert "The node is unconfigured: configure and activate it" in reply.message
+    assert not change("activate")
+    assert change("configure")
+    ros.wait(heard, "a subscription")
+    bench.publish(10)
+    assert (reply := identify(ros)).code == "inactive"
+    assert "The node is inactive: activate it" in reply.message
+    assert change("activate")
+    assert "No sample" in identify(ros).message  # what came before is none of its
+    bench.publish(30)
+    ros.wait(lambda: identify(ros).report.samples_read >= 3000, "the samples of the active node")
+    assert change("deactivate")
+    assert identify(ros).code == "inactive"
+    assert change("cleanup")
+    ros.wait(lambda: not heard(), "no subscription")
+    assert change("configure")
+    assert change("activate")
+    assert "No sample" in identify(ros).message
+    assert change("shutdown")
+    assert identify(ros).code == "inactive"
+    assert process.interrupt()[0] == 0
+    assert "Traceback" not in process.output
+
+
+def test_a_request_under_way_ends_with_the_activity(ros):
+    from drive_id_msgs.srv import Identify
+
+    process = ros.start("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
+    bench = Bench(ros)
+    bench.publishers.pop(TOPICS[3].name)
+    bench.wait_for_listeners()
+    bench.publish(300)
+    bench.wait_until_delivered()
+    future = ros.call_async(Identify, "/identification/identify")
+    assert change_state(ros, "/identification", "deactivate")
+    ros.wait(future.done, "a reply")
+    assert not future.result().success  # these samples make no map anyway
+    assert future.result().code in {"inactive", "coverage", "standstill", "unexplained", "data"}
+    assert process.interrupt()[0] == 0
+
+
+def test_the_lifecycle_of_the_bridge(ros):
+    from drive_id_msgs.msg import PhaseCurrents
+
+    file = ros.folder / "signals.yaml"
+    section = f"fields: [a, b, c], sample_period: {PERIOD}, first_sample: first_sample"
+    file.write_text(
+        f"currents: {{topic: in/phase_currents, {section}}}\nvoltages: {{topic: in/phase_voltages, {section}}}\n"
+        f"resolver: {{topic: in/resolver, angle: angle, speed: speed, sample_period: {PERIOD}}}\n"
+    )
+    received = []
+    kept = ros.node.create_subscription(PhaseCurrents, "/phase_currents", received.append, 1000)
+    given = {"signals": str(file), "autostart": False}
+    process = ros.start("drive_id.nodes.signal_bridge", parameters=given)
+    change, bench = partial(change_state, ros, "/signal_bridge"), Bench(ros, namespace="/in")
+    bench.publishers = {topic.name: bench.publishers[topic.name] for topic in TOPICS[:3]}
+    assert change("configure")
+    bench.wait_for_listeners()
+    bench.publish(30)
+    until = time.monotonic() + 0.5
+    ros.wait(lambda: time.monotonic() > until, "a while")
+    assert received == []
+    assert change("activate")
+
+    def translated():
+        bench.publish(1)
+        return received
+
+    ros.wait(translated, "translated blocks")
+    assert change("deactivate")
+    assert change("cleanup")
+    ros.wait(lambda: not any(p.get_subscription_count() for p in bench.publishers.values()), "no subscription")
+    assert process.interrupt()[0] == 0
+    assert "Traceback" not in process.output
+    ros.node.destroy_subscription(kept)
+
+
+def test_each_of_a_thousand_requests_at_once_is_answered(ros):
+    from drive_id_msgs.srv import Identify, StartRecording
+
+    from drive_id.nodes.support.qos import SERVICE
+
+    ros.start("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
+    ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
+    for kind, name in ((Identify, "/identification/identify"), (StartRecording, "/recorder/start")):
+        ros.call(kind, name)  # answered: the services know each other
+        client = ros.node.create_client(kind, name, qos_profile=SERVICE)
+        ros.wait(client.service_is_ready, name)
+        time.sleep(1.0)
+        futures = [client.call_async(kind.Request()) for _ in range(REQUESTS)]
+        ros.wait(lambda waiting=futures: all(future.done() for future in waiting), "all replies", DEADLINE)
+        codes = Counter(future.result().code for future in futures)
+        assert set(codes) <= {"busy", "empty_topic"}
+        assert codes["busy"] >= REQUESTS - 20
+        ros.node.destroy_client(client)
+
+
+def test_blocks_out_of_order_are_neither_lost_by_the_recorder_nor_by_the_fit(ros):
+    """57 of 1257 blocks late, as a tester had it."""
+    from drive_id_msgs.srv import StartRecording, StopRecording
+
+    ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
+    bench = Bench(ros)
+    bench.wait_for_listeners()
+    assert ros.call(StartRecording, "/recorder/start", name="bag").success
+    for number in sorted(range(1257), key=lambda k: k + 7.5 * (k % 22 == 5)):
+        for topic in TOPICS:
+            bench.publishers[topic.name].publish(block(topic.type_name, 100 * number, 100))
+        if number % 20 == 0:
+            time.sleep(0.02)
+    bench.wait_until_delivered()
+    reply = ros.call(StopRecording, "/recorder/stop")
+    assert (reply.success, reply.code, reply.samples, reply.dropped) == (True, "ok", 125_700, 0)
+    from drive_id.files.read.reader import read_recording
+
+    recording = read_recording(ros.folder / "bag")
+    assert (len(recording.samples), recording.samples.run_starts.tolist()) == (125_700, [0])

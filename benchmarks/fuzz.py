@@ -8,6 +8,7 @@
 Each input is given to ``drive-id`` in a process of its own, which is measured: more than 10 s of processor time or
 300 MB over what the program takes anyway is a finding, like any other end than a result or one sentence. A fit that
 succeeds on a damaged recording must give the map of the good one, within 4 standard errors or 1 %, or warn.
+Some good inputs are given to a process that is interrupted, or has too little memory, disk or open files.
 Findings are written to ``fuzz_findings.json``, each with the command that repeats it.
 """
 
@@ -33,8 +34,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from fuzz_inputs import BOMBS, SECONDS, TRAJECTORY, Case, make_corpus
+from fuzz_inputs import BOMBS, SECONDS, TRAJECTORY, UNLIMITED, Case, Limit, make_corpus
 from fuzz_inputs import KINDS as BAG_KINDS
+from fuzz_limits import LIMIT_KINDS
 from fuzz_logs import LOG_KINDS, load_readers, make_logs
 from scipy.interpolate import RegularGridInterpolator
 
@@ -45,7 +47,9 @@ from drive_id.live.memory import return_free_memory
 PROCESSOR, WALL, MEMORY = 10.0, 90.0, 300e6
 """Budget of one input: s of processor time, s until it is taken for a hang, bytes over those of the good inputs."""
 SIGMAS, SHARE = 4.0, 0.01
-KINDS = BAG_KINDS | LOG_KINDS
+KINDS = BAG_KINDS | LOG_KINDS | LIMIT_KINDS
+_READY = ".ready"
+"""File that says that the program begins, and may be interrupted."""
 _MAKING = ("fit", "import", "convert", "simulate", "recover")
 """Commands of which nothing may be left under the output's name when they fail."""
 OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one sentence", "left behind", "wrong map")
@@ -79,15 +83,15 @@ class Finding:
 # -- one input ---------------------------------------------------------------------------------------------------------
 
 
-def run(arguments: tuple[str, ...], folder: Path) -> Ran:
-    """Run the command line in a forked process, from a folder."""
+def run(arguments: tuple[str, ...], folder: Path, limit: Limit = UNLIMITED) -> Ran:
+    """Run the command line in a forked process, from a folder, with too little of something."""
     return_free_memory()  # of making the input; it would hide what the reader takes
     base = _resident()
     start = time.monotonic()
     child = os.fork()
     if child == 0:
-        _child(arguments, folder)
-    hung = False
+        _child(arguments, folder, limit)
+    hung, due = False, 0.0 if limit.name == "interrupt" else np.inf
     while True:
         found, status, used = os.wait4(child, os.WNOHANG)
         if found:
@@ -95,22 +99,35 @@ def run(arguments: tuple[str, ...], folder: Path) -> Ran:
         if not hung and time.monotonic() - start > WALL:
             os.kill(child, signal.SIGKILL)
             hung = True
+        if not due and (folder / _READY).exists():
+            due = time.monotonic() + limit.value
+        elif 0 < due < time.monotonic():
+            os.kill(child, signal.SIGINT)
+            due = np.inf
         time.sleep(0.002)
     out, err = ((folder / name).read_text(errors="replace") for name in (".out.txt", ".err.txt"))
     code = os.waitstatus_to_exitcode(status)
     return Ran(code, out, err, used.ru_utime + used.ru_stime, max(used.ru_maxrss * 1024 - base, 0), hung)
 
 
-def _child(arguments: tuple[str, ...], folder: Path) -> None:
+def _child(arguments: tuple[str, ...], folder: Path, limit: Limit) -> None:
     """Be ``drive-id``; does not return."""
     try:
         os.chdir(folder)
-        for descriptor, name in ((1, ".out.txt"), (2, ".err.txt")):
+        Path(".out.txt").touch()
+        for descriptor, name in ((1, "/dev/full" if limit.name == "full_output" else ".out.txt"), (2, ".err.txt")):
             os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
         virtual = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        resource.setrlimit(resource.RLIMIT_AS, (virtual + (4 << 30), resource.RLIM_INFINITY))
+        further = int(limit.value) if limit.name == "memory" else 4 << 30
+        resource.setrlimit(resource.RLIMIT_AS, (virtual + further, resource.RLIM_INFINITY))
+        if limit.name == "file_size":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (int(limit.value), resource.RLIM_INFINITY))
+        elif limit.name == "open_files":
+            most = len(list(Path("/proc/self/fd").iterdir())) + int(limit.value)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         sys.argv = ["drive-id", *arguments]
+        Path(_READY).touch()
         code = 0
         try:
             app.main()
@@ -140,11 +157,14 @@ def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, 
     checks = {
         "hang": ran.hung,
         "traceback": "Traceback" in ran.err or "MemoryError" in ran.err,
-        "crash": ran.code not in (0, 1, 2),
+        "crash": ran.code not in ((0, 1, 2, 130) if case.limit.name == "interrupt" else (0, 1, 2)),
         "over time": ran.processor > PROCESSOR,
-        "over memory": ran.memory > MEMORY,
-        "not one sentence": ran.code == 1 and not sentence,
-        "left behind": ran.code == 1 and case.arguments[0] in _MAKING and (folder / "out").exists(),
+        "over memory": ran.memory > MEMORY and not case.limit.name,
+        "not one sentence": ran.code in (1, 130) and not sentence,
+        "left behind": ran.code in (1, 130)
+        and case.limit.name != "full_output"  # of which the result is whole, and cannot be shown
+        and case.arguments[0] in _MAKING
+        and (folder / "out").exists(),
         "wrong map": bool(wrong),
     }
     found = next((outcome for outcome, holds in checks.items() if holds), "")
@@ -192,7 +212,7 @@ class Worker:
         self._good("nocrc.mcap", "joint")
         drive_id.load(self._corpus / "result")
         drive_id.simulate(self._corpus / "machine.npz", 0.05)
-        if self._kinds & set(LOG_KINDS):
+        if self._kinds & set(LOG_KINDS | LIMIT_KINDS):
             load_readers(self._corpus)
 
     def _good(self, name: str, method: str) -> Path:
@@ -220,7 +240,7 @@ class Worker:
             rng = random.Random(f"{kind}:{number}")
             case = Case(kind, number, *KINDS[kind](self._corpus, folder, rng))
         good = self._good(*case.compare.split()) if case.compare else None
-        ran = run(case.arguments, folder)
+        ran = run(case.arguments, folder, case.limit)
         if show:
             print(case, f"exit code {ran.code}, {ran.processor:.2f} s, {ran.memory * 1e-6:.0f} MB", ran.err, sep="\n")
         outcome, said = judged(ran, case, folder, good)
@@ -305,7 +325,7 @@ def main() -> None:
             corpus.mkdir(parents=True)
             make_corpus(corpus)
         kinds = options.kinds.split(",") if options.kinds else list(KINDS)
-        if set(kinds) & set(LOG_KINDS) and not (corpus / "slow.csv").exists():
+        if set(kinds) & set(LOG_KINDS | LIMIT_KINDS) and not (corpus / "slow.csv").exists():
             make_logs(corpus, drive_id.simulate("ipm", SECONDS, seed=7, noise=1e-3, trajectory=TRAJECTORY))
         findings: list[Finding] = []
         tried: Counter[str] = Counter()

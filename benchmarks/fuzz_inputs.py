@@ -44,6 +44,17 @@ _JOINT = ("--method", "joint")
 
 
 @dataclass(frozen=True)
+class Limit:
+    """What the process has too little of: a name of ``fuzz_limits.LIMIT_KINDS``, or empty, and how much it has."""
+
+    name: str = ""
+    value: float = 0.0
+
+
+UNLIMITED = Limit()
+
+
+@dataclass(frozen=True)
 class Case:
     """One input, ready to be given to the command line.
 
@@ -57,6 +68,7 @@ class Case:
         Of ``drive-id``; relative to the folder of the case.
     compare : str
         Name of the good input with whose map a map from this one must agree; empty: no map to compare.
+    limit : Limit
     """
 
     kind: str
@@ -64,6 +76,7 @@ class Case:
     damage: str
     arguments: tuple[str, ...]
     compare: str = ""
+    limit: Limit = UNLIMITED
 
 
 # -- good inputs -------------------------------------------------------------------------------------------------------
@@ -262,6 +275,10 @@ def changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[byt
 def damage_result(result: Path, rng: random.Random) -> str:
     """Damage one file of a result folder, or change an entry of its JSON; return what was done."""
     file = result / rng.choice(("identification.json", "flux_map.npz"))
+    if rng.random() < 0.7:  # as written by earlier versions: damage is not known by a digest
+        tree = json.loads((result / "identification.json").read_text())
+        del tree["files"]
+        (result / "identification.json").write_text(json.dumps(tree))
     if file.suffix == ".npz" and rng.random() < 0.7:
         data, said = changed_arrays(file, rng, signed=False)
     elif rng.random() < 0.5:
@@ -278,8 +295,8 @@ def damage_result(result: Path, rng: random.Random) -> str:
 
 # -- kinds -------------------------------------------------------------------------------------------------------------
 
-Kind = Callable[[Path, Path, random.Random], tuple[str, tuple[str, ...], str]]
-"""Writes a case into a folder, from the corpus: returns the damage, the arguments, and what to compare with."""
+Kind = Callable[[Path, Path, random.Random], tuple[Any, ...]]
+"""Writes a case into a folder, from the corpus: returns the last entries of its :class:`Case`, from the damage on."""
 
 
 def _command(rng: random.Random, name: str, *, full: bool = True) -> tuple[str, ...]:

@@ -82,7 +82,7 @@ def test_fit_and_the_command_line_give_the_same_numbers(bag, result, tmp_path, m
     assert names == sorted(path.name for path in (tmp_path / "mine").iterdir())
     trees = [json.loads((tmp_path / name / "identification.json").read_text()) for name in ("out", "mine")]
     for tree in trees:
-        del tree["date"]
+        del tree["date"], tree["files"]["flux_map.npz"]  # which holds the date, too
     assert trees[0] == trees[1]
     maps_agree(drive_id.load(tmp_path / "out"), result, rel=0.0)
 

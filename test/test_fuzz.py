@@ -15,7 +15,7 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 KINDS = (
     "mcap", "mcap_plain", "mcap_nocrc", "mcap_packed", "sqlite", "sample_mcap", "sample_sqlite", "metadata",
     "information", "machine", "result", "signals", "config", "schema", "log_csv", "static", "import_syre_mat",
-    "from_result",
+    "from_result", "mcap_index", "interrupt", "file_size", "open_files", "memory", "full_output",
 )  # fmt: skip
 
 if sys.platform != "linux":

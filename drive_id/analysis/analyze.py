@@ -35,6 +35,8 @@ _FURTHEST = 4.0
 _LEAST_TORQUE = 1e-4
 """Of the product of flux and current."""
 _MOST_FALLING = 0.5
+_BEYOND = 0.05
+"""Share by which the last speed must be exceeded if it is only the end of the tables."""
 _WEAKENING = 4.0
 """Highest speed of the tables, in corner speeds."""
 _UNKNOWN_RESISTANCE = (
@@ -151,6 +153,7 @@ def _figures(
 ) -> dict[str, Figure]:
     zero = bool(model.inside(0.0, 0.0))
     slopes, errors = model.inductances(0.0, 0.0), model.sigma_inductances(0.0, 0.0)
+    gains = model.control_inductances(0.0, 0.0)
     sigma_magnet = np.nan
     if model.errors is not None and zero:
         sigma_magnet = float(np.linalg.norm(model.errors.fluxes(np.zeros(()), np.zeros(()))[:, 0]))
@@ -181,7 +184,7 @@ def _figures(
         ),
         "max_torque": Figure(float(motoring.torque[0]), float(sigma_torque[0]), "Nm", bool(supported[0])),
         "corner_speed": corner,
-        "max_speed": Figure(float(motoring.speed[-1]), np.nan, "rad/s", bool(supported[-1])),
+        _top(model, of_speed): Figure(float(motoring.speed[-1]), np.nan, "rad/s", bool(supported[-1])),
         "max_power": Figure(
             float(motoring.mechanical[power]),
             float(motoring.speed[power] * sigma_torque[power]),
@@ -191,10 +194,17 @@ def _figures(
         "max_efficiency": Figure(
             float(efficiency[best]), float(of_speed.errors.efficiency[best]), "1", bool(model.inside(at[0], at[1]))
         ),
-        "kp_d": Figure(float(rate * slopes[0, 0]), float(rate * errors[0, 0]), "V/A", zero),
-        "kp_q": Figure(float(rate * slopes[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
+        "kp_d": Figure(float(rate * gains[0, 0]), float(rate * errors[0, 0]), "V/A", zero),
+        "kp_q": Figure(float(rate * gains[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
         "ki": Figure(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
     }
+
+
+def _top(model: MachineModel, of_speed: SpeedRange) -> str:
+    """Return what the last speed of the tables is: the highest that can be driven, or only their end."""
+    last = float(of_speed.motoring.speed[-1])
+    beyond = (1 + _BEYOND) * last
+    return "table_end_speed" if top_speed(model, of_speed.limits, beyond) == beyond else "max_speed"
 
 
 def _sigma_saliency(model: MachineModel) -> float:
@@ -234,6 +244,11 @@ def _statements(
         out.append(_UNKNOWN_RESISTANCE)
     if not model.monotone:
         out.append(_on_inverse(model))
+    if not model.monotone_inside:
+        out.append(
+            "The incremental inductances of the map are not positive definite everywhere within the data: the gains "
+            "rest on those of the nearest monotone map."
+        )
     if not found.harmonics:
         out.append("The result has no rotor-position harmonics, so the torque ripple is 0.")
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -82,6 +82,8 @@ class MachineModel:
     ----------
     flux_map : FluxMap
         Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data.
+    own : Surfaces
+        Through the map of the result: where there are data, its slopes hold.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance : float
@@ -98,6 +100,7 @@ class MachineModel:
     """
 
     flux_map: FluxMap
+    own: Surfaces
     i_max: float
     resistance: float
     pole_pairs: int | None
@@ -171,6 +174,7 @@ class MachineModel:
         warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
         return cls(
             flux_map=FluxMap(longer.i_d, longer.i_q, psi_d, psi_q, sigmas[0], sigmas[1], longer.known),
+            own=Surfaces.over(found.i_d, found.i_q, found.psi_d, found.psi_q),
             i_max=result.i_max,
             resistance=result.resistance * factor,
             pole_pairs=pairs,
@@ -298,20 +302,56 @@ class MachineModel:
         ratio = np.interp(size, *self._fundamental) / np.where(size > 0, size, np.inf)
         return (ratio * d)[()], (ratio * q)[()]
 
-    def with_fluxes(self, psi_d: FloatArray, psi_q: FloatArray) -> MachineModel:
-        """Return this drive with other flux linkages (D, Q), Wb, on the grid of ``flux_map``."""
-        return replace(self, flux_map=replace(self.flux_map, psi_d=psi_d, psi_q=psi_q))
-
     @cached_property
     def monotone(self) -> bool:
         """Whether each flux belongs to one current: the map is monotone at all nodes of its grid and between them."""
+        return bool(self._rising[0].all())
+
+    @cached_property
+    def monotone_inside(self) -> bool:
+        """Whether the map is monotone where there are data, so that its incremental inductances serve as gains."""
+        rising, inside = self._rising
+        return bool(rising[inside].all())
+
+    @cached_property
+    def _rising(self) -> tuple[BoolArray, BoolArray]:
+        """Tell at nodes and between them where the inductance matrix is positive definite, and where data are."""
         axes = [
             np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2)) for axis in (self.flux_map.i_d, self.flux_map.i_q)
         ]
-        slopes = self._surfaces.slopes(*np.meshgrid(*axes, indexing="ij"))
-        cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
-        rising = (slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2)
-        return bool(rising.all())
+        i_d, i_q = np.meshgrid(*axes, indexing="ij")
+        return _definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
+
+    def control_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
+        """Return incremental inductances (..., 2, 2), H, that are positive definite where there are data.
+
+        They are those of the map if it is monotone where there are data, else those of the nearest monotone map.
+
+        Raises
+        ------
+        CoverageError
+            When they are not positive definite nevertheless.
+        """
+        d, q = _currents(i_d, i_q)
+        found = (self._surfaces if self.monotone_inside else self.inverted).slopes(d, q)
+        wrong = ~_definite(found) & self.inside(d, q)
+        if wrong.any():
+            raise CoverageError(
+                f"The incremental inductances are not positive at {int(wrong.sum())} of {wrong.size} currents, even "
+                f"those of the nearest monotone map, first at i_d = {d[wrong][0]:.4g} A, i_q = {q[wrong][0]:.4g} A: no "
+                "gains follow from this map; record it again or leave its outliers out."
+            )
+        return found
+
+    @cached_property
+    def least_inductance(self) -> float:
+        """The smallest incremental inductance, in any direction, within i_max where there are data, H."""
+        turn = np.linspace(0, 2 * np.pi, _ANGLES, endpoint=False)
+        rim = self.i_max * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        points = np.concatenate([self.flux_map.grid().reshape(-1, 2), rim])
+        kept = (np.hypot(*points.T) <= 1.001 * self.i_max) & self.inside(*points.T)
+        found = self.control_inductances(*points[kept].T)
+        return float(np.linalg.eigvalsh(0.5 * (found + np.swapaxes(found, -1, -2)))[:, 0].min())
 
     @cached_property
     def inverted(self) -> Surfaces:
@@ -328,7 +368,14 @@ class MachineModel:
 
     @cached_property
     def _surfaces(self) -> Surfaces:
-        return Surfaces.over(self.flux_map.i_d, self.flux_map.i_q, self.flux_map.psi_d, self.flux_map.psi_q)
+        found = self.flux_map
+        return Surfaces.around(self.own, found.inside, found.i_d, found.i_q, (found.psi_d, found.psi_q))
+
+
+def _definite(slopes: FloatArray) -> BoolArray:
+    """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
+    cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
+    return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))
 
 
 def _currents(i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:

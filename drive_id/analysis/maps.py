@@ -58,13 +58,15 @@ class CurrentMaps:
     ) -> CurrentMaps:
         """Evaluate on a grid of currents, A, with controllers for a bandwidth, Hz.
 
-        The controllers cancel the pole of each axis: kp = 2 pi f L and ki = 2 pi f R, with the incremental inductance.
+        The controllers cancel the pole of each axis: kp = 2 pi f L and ki = 2 pi f R, with the incremental inductance
+        of the nearest monotone map, so that no gain is negative; NaN where there are no data.
         """
         d, q = np.meshgrid(i_d, i_q, indexing="ij")
         psi_d, psi_q = model.psi_dq(d, q)
         inductances = model.inductances(d, q)
         apparent_d, apparent_q = model.apparent_inductances(d, q)
         rate = 2 * np.pi * bandwidth
+        gains = rate * np.where(model.inside(d, q)[..., None, None], model.control_inductances(d, q), np.nan)
         return cls(
             i_d=i_d,
             i_q=i_q,
@@ -78,8 +80,8 @@ class CurrentMaps:
             sigma_inductances=model.sigma_inductances(d, q),
             apparent_d=apparent_d,
             apparent_q=apparent_q,
-            kp_d=rate * inductances[..., 0, 0],
-            kp_q=rate * inductances[..., 1, 1],
+            kp_d=gains[..., 0, 0],
+            kp_q=gains[..., 1, 1],
             ki=rate * model.resistance,
         )
 

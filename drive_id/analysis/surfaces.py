@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.types import FloatArray
+from drive_id.analysis.bicubic import Bicubic
+from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from scipy.interpolate import RectBivariateSpline
@@ -23,19 +24,21 @@ _LEAST_DETERMINANT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Cubic splines through two functions of (i_d, i_q), linear beyond their grid; build them by :meth:`over`.
+    """Cubic splines through two functions of (i_d, i_q), linear beyond their grid.
+
+    Build them by :meth:`over`, or by :meth:`around` a map.
 
     Parameters
     ----------
     i_d, i_q : (D,), (Q,) float
         A.
-    d, q : RectBivariateSpline
+    d, q : RectBivariateSpline or Bicubic
     """
 
     i_d: FloatArray
     i_q: FloatArray
-    d: RectBivariateSpline
-    q: RectBivariateSpline
+    d: RectBivariateSpline | Bicubic
+    q: RectBivariateSpline | Bicubic
 
     @classmethod
     def over(cls, i_d: FloatArray, i_q: FloatArray, values_d: FloatArray, values_q: FloatArray) -> Surfaces:
@@ -43,6 +46,33 @@ class Surfaces:
         from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # takes a while to load
 
         return cls(i_d, i_q, RectBivariateSpline(i_d, i_q, values_d), RectBivariateSpline(i_d, i_q, values_q))
+
+    @classmethod
+    def around(
+        cls, own: Surfaces, known: BoolArray, i_d: FloatArray, i_q: FloatArray, values: tuple[FloatArray, FloatArray]
+    ) -> Surfaces:
+        """Continue surfaces without a change where they are known: in all cells whose four corners are.
+
+        Parameters
+        ----------
+        own : Surfaces
+        known : (D, Q) bool
+            Nodes at which ``own`` counts; they are among its own.
+        i_d, i_q : (D,), (Q,) float
+            A.
+        values : ((D, Q), (D, Q)) of float
+            Both functions at all nodes.
+        """
+        at = np.nonzero(known)
+        beyond, parts = cls.over(i_d, i_q, *values), []
+        for spline, inner, value in zip((beyond.d, beyond.q), (own.d, own.q), values, strict=True):
+            slopes = []
+            for dx, dy in ((1, 0), (0, 1), (1, 1)):
+                slope = spline.ev(*np.meshgrid(i_d, i_q, indexing="ij"), dx=dx, dy=dy)
+                slope[at] = inner.ev(i_d[at[0]], i_q[at[1]], dx=dx, dy=dy)
+                slopes.append(slope)
+            parts.append(Bicubic.through(i_d, i_q, value, *slopes))
+        return cls(i_d, i_q, *parts)
 
     def values(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Return both functions (..., 2) at currents (...), A."""

@@ -2,11 +2,13 @@
 
 import atexit
 import gc
+import io
 import json
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -63,14 +65,26 @@ def main() -> None:
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
     gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files need not fit the terminal's encoding
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except DriveIdError as error:
         if "--json" in sys.argv:
             typer.echo(json.dumps({"error": {"code": error.code, "message": str(error)}}))
-        sentence = "".join(character if character.isprintable() else " " for character in str(error))
-        say(f"drive-id: {sentence}", to=err, style="red")
-        raise SystemExit(1) from None
+        _fail(str(error))
+    except MemoryError:
+        _fail("The memory is not sufficient: close other programs, or give less data.")
+    except ImportError as error:  # also where the system has no memory or no files left
+        _fail(f"A library cannot be loaded ({error}): raise the limits of memory and files, or install it again.")
+    except OSError as error:
+        with suppress(OSError):  # or the interpreter would try the output once more
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _fail(f"The system refuses a file or the output ({error.strerror or error}): make room, or raise the limit.")
     except (KeyboardInterrupt, SystemExit) as end:
         interrupt = _interrupt_behind(end)
         if interrupt is None:
@@ -78,6 +92,16 @@ def main() -> None:
         said = str(interrupt) or "no output was left behind."
         say(f"drive-id: interrupted; {said}", to=err)
         raise SystemExit(130) from None
+
+
+def _fail(sentence: str) -> NoReturn:
+    """Print what is wrong and exit with code 1."""
+    text = "drive-id: " + "".join(letter if letter.isprintable() else " " for letter in sentence)
+    try:
+        say(text, to=err, style="red")
+    except (ImportError, MemoryError, OSError):  # which it may be about
+        sys.stderr.write(f"{text}\n")
+    raise SystemExit(1) from None
 
 
 def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:

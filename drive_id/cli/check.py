@@ -51,7 +51,8 @@ def check_log(
             show(table)
         _comment(found, asked=draft is not None)
         if draft is not None and found.draft is not None:
-            say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} --signals {draft}")
+            how = f"--signals {draft}" + (" --method static" if found.draft.static else "")
+            say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} {how}")
 
     if draft is not None and found.draft is None:
         raise ConfigurationError(f"{draft} was not written: {_why_no_draft(found)}")

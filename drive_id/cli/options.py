@@ -16,6 +16,7 @@ from drive_id.settings import from_mapping
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.segment import Segment
     from rich.table import Table
 
     from drive_id.types import Progress as Tell
@@ -61,18 +62,27 @@ SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that 
 @cache
 def out() -> Console:
     """Return standard output, as wide as the terminal; in a file or a pipe, wide enough for any table."""
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=_PIPE_WIDTH)
+    console = _console()
+    return console if console.is_terminal else _console(width=_PIPE_WIDTH)
 
 
 @cache
 def err() -> Console:
     """Return standard error."""
+    return _console(stderr=True)
+
+
+def _console(**options: Any) -> Console:
+    """Return a console that prints no control characters of its texts: files have names that move the cursor."""
     from rich.console import Console
 
-    return Console(stderr=True)
+    class Printable(Console):
+        def render(self, *arguments: Any) -> Iterator[Segment]:
+            for segment in super().render(*arguments):
+                text = "".join(letter for letter in segment.text if letter.isprintable() or letter == "\n")
+                yield segment if segment.control else segment._replace(text=text)
+
+    return Printable(**options)
 
 
 def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = None) -> None:

@@ -48,6 +48,10 @@ INDEX, GUESSED_PERIOD = "index", 1e-4
 """Stamp source for row numbers, and the period, s, that the draft assumes for a log without a time column."""
 
 
+class NoAngleError(ConfigurationError):
+    """The log holds components in d and q, and no angle."""
+
+
 @dataclass(frozen=True, eq=False)
 class PhaseGroup:
     """Phase quantities or components in one table."""
@@ -110,7 +114,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
     if missing and not angles and _has_components(contents):
-        raise ConfigurationError(
+        raise NoAngleError(
             f"Nothing in {contents.path} looks like a rotor angle: if it is a slow log in d and q, write a signals "
             "file without one, as in docs/slow_logs.md, and fit with --method static."
         )

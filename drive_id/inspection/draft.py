@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ from drive_id.inspection.choice import (
     GUESSED_PERIOD,
     INDEX,
     Choice,
+    NoAngleError,
     PhaseGroup,
     choose,
     dc_link,
@@ -25,6 +25,8 @@ from drive_id.inspection.choice import (
 )
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.static_draft import static_draft
+from drive_id.inspection.wording import listed, printable, quoted
 
 _JITTER = 0.02
 _SAME_RATE = 0.005
@@ -48,10 +50,13 @@ class Draft:
         YAML with comments.
     unsure : tuple of str
         Sentences on what to look at.
+    static : bool
+        It is for method ``static``: without an angle.
     """
 
     text: str
     unsure: tuple[str, ...] = ()
+    static: bool = False
 
 
 def propose(contents: Contents) -> Draft:
@@ -62,7 +67,23 @@ def propose(contents: Contents) -> Draft:
     ConfigurationError
         When no columns look like currents, voltages and an angle: says which are missing.
     """
-    return _Writer(contents, *choose(contents)).draft()
+    try:
+        return _Writer(contents, *choose(contents)).draft()
+    except NoAngleError:
+        found = static_draft(contents)
+        if found is None:
+            raise
+    body, unsure = found
+    head = [*_title(contents), "# A slow log in d and q without an angle: fit it with --method static."]
+    head += [f"# NOT SURE: {sentence}" for sentence in unsure]
+    return Draft("\n".join([*head, "", *body]) + "\n", tuple(unsure), static=True)
+
+
+def _title(contents: Contents) -> list[str]:
+    return [
+        f"# Signals file proposed for {printable(contents.path.name)}.",
+        "# docs/signals_file.md explains every setting.",
+    ]
 
 
 class _Writer:
@@ -90,7 +111,7 @@ class _Writer:
                 "currents, voltages or angle may be other columns, or phases be swapped."
             )
         head = [
-            f"# Signals file proposed for {self._contents.path.name}. docs/signals_file.md explains every setting.",
+            *_title(self._contents),
             f"# A rough machine model explains all but {100 * left:.2g} % of the voltage with it.",
         ]
         head += [f"# NOT SURE: {sentence}" for sentence in self._unsure] or ["# Nothing is left open."]
@@ -108,7 +129,7 @@ class _Writer:
                 found.append("  stamp: log_time                 # the messages have no header")
         else:
             if table.name and len(self._contents.tables) > 1:
-                found.append(f"  group: {_quoted(table.name)}")
+                found.append(f"  group: {quoted(table.name)}")
             if table.stamp_source == INDEX:
                 return [
                     *found,
@@ -118,13 +139,13 @@ class _Writer:
                 ]
             if table.stamp_source not in ("", "own"):
                 _, unit = time_column(table) or ("", "s")
-                found += [f"  stamp: {_quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
+                found += [f"  stamp: {quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
         period, jitter = table.period, table.jitter
         counts = [
             name for name, x in table.columns.items() if table.block == 1 and is_count(x) and name != table.stamp_source
         ]
         if counts:
-            found.append(f"  first_sample: {_quoted(counts[0])}")
+            found.append(f"  first_sample: {quoted(counts[0])}")
         if period is not None and jitter is not None and jitter > _JITTER * period * table.block:
             found.append(f"  equally_spaced: true            # the stamps jitter by {jitter * 1e6:.3g} us rms")
             if table.block > 1:
@@ -136,7 +157,7 @@ class _Writer:
 
     def _currents(self) -> list[str]:
         i = self._choice.currents
-        lines = [f"  fields: {_listed(i.group.names)}", *_frame(i)]
+        lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
         label = " ".join(i.group.names).lower()
         scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
         if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
@@ -160,7 +181,7 @@ class _Writer:
                 )
             if reading.voltage_sign < 0:
                 self._doubt("Currents and voltages have opposite signs: currents must be positive into the machine.")
-        lines = [f"  fields: {_listed(names)}", *_frame(u)]
+        lines = [f"  fields: {listed(names)}", *_frame(u)]
         low, high = float(u.values.min()), float(u.values.max())
         percent = low >= 0 and _LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
         if max(-low, high) <= _LARGEST_DUTY or percent:
@@ -186,7 +207,7 @@ class _Writer:
                     self._doubt(f"{name} was taken for the DC-link voltage by its values, not by its name.")
                 where = self._where(table)
                 scaled = "" if share == 1.0 else f", scale: {share:g}"
-                lines.append(f"  scale: {{{where}field: {_quoted(name)}{scaled}}}   # duty cycles from {range_}")
+                lines.append(f"  scale: {{{where}field: {quoted(name)}{scaled}}}   # duty cycles from {range_}")
         elif not suggests(u.label, "voltage"):
             self._doubt(f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names.")
         if u.group.frame == "dq":
@@ -203,17 +224,17 @@ class _Writer:
         if self._contents.is_bag:
             stamp = "stamp: log_time, " if table.stamp_source == "log_time" else ""
             return f"topic: {table.name}, {stamp}"
-        group = f"group: {_quoted(table.name)}, " if table.name and len(self._contents.tables) > 1 else ""
+        group = f"group: {quoted(table.name)}, " if table.name and len(self._contents.tables) > 1 else ""
         if table.stamp_source == INDEX:
             return f"{group}stamp: index, sample_period: {GUESSED_PERIOD:g}, "
         if table.stamp_source in ("", "own"):
             return group
         _, unit = time_column(table) or ("", "s")
-        return f"{group}stamp: {_quoted(table.stamp_source)}, stamp_unit: {unit}, "
+        return f"{group}stamp: {quoted(table.stamp_source)}, stamp_unit: {unit}, "
 
     def _rotor(self) -> list[str]:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
-        lines = [f"  angle: {_quoted(angle.name)}"]
+        lines = [f"  angle: {quoted(angle.name)}"]
         unit = angle.like.unit
         if unit == "counts":
             lines += ["  angle_unit: counts", f"  counts_per_turn: {choice.turn:g}"]
@@ -282,7 +303,7 @@ class _Writer:
                     close = abs(ratio - 1) < 0.004 and abs(halves - 1) < 0.01
                     if close and (suggests(name, "speed") or np.ptp(y) > 0):
                         sign = ["  speed_scale: -1"] if scale < 0 else []
-                        return [f"  speed: {_quoted(name)}", f"  speed_unit: {unit}", *sign]
+                        return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *sign]
         return ["  # no field is the speed of this angle: it is derived from the angle"]
 
     def _reference(self) -> list[str]:
@@ -305,7 +326,7 @@ class _Writer:
                 gain = float(np.sum(wanted * found) / max(np.sum(wanted**2), 1e-300))
                 alike = float(np.sum(wanted * found) / np.sqrt(max(np.sum(wanted**2) * np.sum(found**2), 1e-300)))
                 if alike > 0.9 and 0.8 < gain < 1.25:
-                    return ["", "reference:", *self._time(table, [f"  fields: {_listed(group.names)}"])]
+                    return ["", "reference:", *self._time(table, [f"  fields: {listed(group.names)}"])]
         self._doubt(
             "No columns are the references of i_d and i_q: a fit then takes i_max from the currents and corrects less "
             "for their noise."
@@ -318,32 +339,11 @@ class _Writer:
             return []
         table, name = dc
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
-        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {_quoted(name)}"]
+        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}"]
 
 
 def _frame(found: PhaseGroup) -> list[str]:
     return [] if found.group.frame == "abc" else [f"  frame: {found.group.frame}"]
-
-
-def _quoted(name: str) -> str:
-    """Return a name for YAML, quoted unless it is a plain word."""
-    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in (
-        "y",
-        "n",
-        "yes",
-        "no",
-        "on",
-        "off",
-        "true",
-        "false",
-        "null",
-    ):
-        return name
-    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _listed(names: Sequence[str]) -> str:
-    return "[" + ", ".join(_quoted(name) for name in names) + "]"
 
 
 def _nice(period: float) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from drive_id.core.checks.overview import Overview, Overviewing
 from drive_id.core.checks.prescan import Prescan
+from drive_id.core.steady.operating_points import operating_points
 from drive_id.errors import (
     ConfigurationError,
     DataError,
@@ -24,6 +25,7 @@ from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read.extraction import UnusualError
+from drive_id.files.read.operating_log import read_operating_log
 from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
@@ -111,7 +113,8 @@ def inspect_log(
         signals = parse_signals(proposal.text, "the draft") if signals is None else signals
         findings += [Finding("draft_unsure", sentence) for sentence in proposal.unsure]
     signals = signals or SignalMap()
-    problems, overview, warnings = _look(path, signals, namespace, tell)
+    look = _look if signals.resolver.angle else _look_at_points
+    problems, overview, warnings = look(path, signals, namespace, tell)
     return Inspection(
         contents, (*problems, *findings, *_time_findings(contents, signals)), overview, proposal, warnings
     )
@@ -147,6 +150,19 @@ def _look(
     if overview is not None:
         found += overview.findings()
     return found, overview, warnings
+
+
+def _look_at_points(
+    path: Path, signals: SignalMap, namespace: str, tell: Progress
+) -> tuple[list[Finding], None, tuple[str, ...]]:
+    """Read a log without an angle as method ``static`` does, and return findings and warnings."""
+    tell("Reading", None)
+    try:
+        log = read_operating_log(path, signals, namespace=namespace)
+        operating_points(log.data)
+    except _LOOKED as error:
+        return [Finding(error.code, str(error), {}, "error")], None, ()
+    return [], None, log.warnings
 
 
 def _is_ours(path: Path, namespace: str) -> bool:

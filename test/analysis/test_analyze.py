@@ -204,7 +204,7 @@ def test_without_a_resistance_voltages_are_limited_all_the_same_and_losses_unkno
     unknown = replace(result, drive=replace(result.drive, resistance=np.nan))
     without = replace(result, drive=replace(result.drive, resistance=1e-9))
     found, expected = drive_id.analyze(unknown, SMALL), drive_id.analyze(without, SMALL)
-    for name in ("max_torque", "corner_speed", "max_speed", "max_power"):
+    for name in ("max_torque", "corner_speed", "table_end_speed", "max_power"):
         assert found.figures[name].value == pytest.approx(expected.figures[name].value, rel=1e-4)
     assert found.figures["corner_speed"].value > 0
     assert np.isnan([found.figures[name].value for name in ("resistance", "ki", "max_efficiency")]).all()

@@ -10,6 +10,7 @@ from drive_id.analysis.machine import IronLoss, MachineModel
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.core.full.calibration import Calibration
 from drive_id.errors import ConfigurationError
+from drive_id.types import MachineMap
 
 
 @pytest.fixture(scope="module", params=["ipm", "spm", "pmsyrm"])
@@ -161,3 +162,46 @@ def test_what_is_unknown_is_named():
             MachineModel.of(result, **wrong)
     with pytest.raises(ConfigurationError, match="broadcast"):
         unknown.psi_dq([1.0, 2.0], [1.0, 2.0, 3.0])
+
+
+def without_zero_row():
+    """Return a result of a map whose rows of i_q do not contain zero, and its fluxes as functions."""
+    i_d, i_q = np.arange(-20.0, 15.1, 2.5), np.arange(-16.5, 16.6, 3.0)
+
+    def flux(d, q):
+        s = np.sqrt(1 + (d / 20) ** 2 + (q / 6) ** 2)
+        return 0.1 + 0.0075 * d / s + 0.002 * d, 3 / 36 * q / s + 0.003 * q
+
+    psi_d, psi_q = flux(*np.meshgrid(i_d, i_q, indexing="ij"))
+    return exact_result(MachineMap("rowless", i_d, i_q, psi_d, psi_q, 0.45, 3, 15.0, 320.0)), flux
+
+
+def test_within_the_data_there_is_one_evaluation_of_a_map():
+    """The continuation beyond the data changes neither fluxes nor inductances within them."""
+    result, flux = without_zero_row()
+    model = MachineModel.of(result)
+    d, q = np.meshgrid(np.linspace(-20, 15, 71), np.linspace(-16.5, 16.5, 67), indexing="ij")
+    np.testing.assert_allclose(model.psi_dq(d, q), result.flux_map.psi_dq(d, q), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(model.inductances(d, q), result.flux_map.inductances(d, q), rtol=0, atol=1e-13)
+    h = 1e-4
+    true = (flux(d + h, q)[0] - flux(d - h, q)[0]) / (2 * h)
+    assert np.abs(model.inductances(d, q)[..., 0, 0] - true).max() < 0.9e-3
+
+
+def test_the_continuation_goes_on_without_a_step():
+    model = MachineModel.of(without_zero_row()[0])
+    along = np.linspace(-18.0, 18.0, 301)
+    for at in (-20.0, -17.5, 0.0, 15.0):
+        before, after = (np.array(model.psi_dq(at + shift, along)) for shift in (-1e-7, 1e-7))
+        np.testing.assert_allclose(before, after, rtol=0, atol=1e-8)
+
+
+def test_derivatives_are_those_of_the_values():
+    model = MachineModel.of(without_zero_row()[0])
+    d, q = in_disc(17.0, 500)
+    h = 1e-5
+    by_d = (np.array(model.psi_dq(d + h, q)) - np.array(model.psi_dq(d - h, q))) / (2 * h)
+    by_q = (np.array(model.psi_dq(d, q + h)) - np.array(model.psi_dq(d, q - h))) / (2 * h)
+    found = model.inductances(d, q)
+    np.testing.assert_allclose(found[..., 0].T, by_d, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found[..., 1].T, by_q, rtol=0, atol=1e-7)

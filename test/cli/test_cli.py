@@ -389,7 +389,7 @@ def test_a_full_disk(run, bag, monkeypatch, tmp_path):
     def full(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr("drive_id.files.results.folder.write_synced", full)
     before = tree(tmp_path)
     assert_one_sentence(run("fit", bag, "--output", "results", *JOINT), "No space left on device")
     assert tree(tmp_path) == before
@@ -555,7 +555,9 @@ def test_json_is_the_file_and_nothing_else(run, bag):
     assert ran.code == 0
     assert ran.err == ""
     assert ran.out.count("\n") == 1
-    assert json.loads(ran.out) == json.loads(Path("results/identification.json").read_text())
+    stored = json.loads(Path("results/identification.json").read_text())
+    assert set(stored.pop("files")) == {"flux_map.npz", "diagnostics.npz"}
+    assert json.loads(ran.out) == stored
 
 
 def test_quiet_prints_nothing(run, bag):
@@ -813,7 +815,8 @@ def test_a_report_is_refused_in_one_sentence(run, fitted):
     assert_one_sentence(run("report", "results", "--output", "report.pdf"), "ends with .html")
     assert_one_sentence(run("report", "nothing", "--output", "r.html"), "not a result folder")
     Path("results/diagnostics.npz").write_bytes(b"PK")
-    assert_one_sentence(run("report", "results", "--output", "r.html"), "diagnostics.npz is damaged")
+    said = "diagnostics.npz is damaged (diagnostics.npz was not written with its identification.json"
+    assert_one_sentence(run("report", "results", "--output", "r.html"), said)
     assert tree(Path()) == sorted(
         [
             "notes.html",
@@ -821,3 +824,33 @@ def test_a_report_is_refused_in_one_sentence(run, fitted):
             *(f"results/{name}" for name in RESULTS if not name.endswith("png") and "harm" not in name),
         ]
     )
+
+
+HOSTILE = "x\udcff\x1b[31m\x9b2J\u202ey.csv"
+"""A name that is not UTF-8, sets a colour, clears the screen, and is written backwards."""
+
+
+@pytest.mark.parametrize("encoding", ["ascii:strict", "utf-8:strict"])
+def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation, encoding):
+    samples = simulation.samples
+    names = ["t", "i_a", "i_b", "i_c", "u_a", "u_b", "u_c", "theta\x1b[2J\u202e", "omega\x07"]
+    columns = [samples.stamp * 1e-9, *samples.i_abc.T, *samples.u_abc.T, samples.angle, samples.speed]
+    table = "\n".join([",".join(names), *(",".join(map(repr, map(float, row))) for row in zip(*columns, strict=True))])
+    (tmp_path / HOSTILE).write_text(table, encoding="utf-8")
+    options = {"cwd": tmp_path, "env": os.environ | {"PYTHONIOENCODING": encoding}}
+    for arguments in (
+        ("info", HOSTILE),
+        ("check", HOSTILE),
+        ("check", HOSTILE, "--draft", "draft.yaml"),
+        ("fit", HOSTILE, "--signals", "draft.yaml", "--output", "result", *JOINT),
+        ("report", "result", "--output", "report.html"),
+        ("info", "result"),
+        ("fit", "result/" + HOSTILE, "--output", "again"),
+    ):
+        command = [os.fsencode(part) for part in (str(SCRIPT), *arguments)]
+        ran = subprocess.run(command, capture_output=True, timeout=120, check=False, **options)
+        text = (ran.stdout + ran.stderr).decode("utf-8")
+        assert ran.returncode == int("again" in arguments), text
+        assert "Traceback" not in text
+        assert all(letter.isprintable() or letter == "\n" for letter in text), text
+    assert (tmp_path / "report.html").read_bytes().decode("utf-8")

@@ -93,6 +93,21 @@ def test_beyond_the_axes_and_without_data(tmp_path):
     assert filled[:2, 4].tolist() == [0, 0]
 
 
+def test_inside_there_is_a_number(tmp_path):
+    """The bicubic functions take neighbours that may have no data."""
+    drive = result()
+    m = drive.flux_map
+    inside = np.hypot(m.i_d[:, None], m.i_q) <= 14.0
+    drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
+    header, _ = table(drive)
+    points = np.random.default_rng(4).uniform(-15, 15, (20_000, 2))
+    found = read(compiled(tmp_path, header), points)
+    surrounded = found[:, 4] == 1
+    assert 5000 < surrounded.sum() < 19_000
+    assert np.isfinite(found[surrounded]).all()
+    np.testing.assert_allclose(found[surrounded, 2:4], found[surrounded, :2], atol=6e-3)
+
+
 def test_a_name_cannot_end_its_comment(tmp_path):
     drive = result()
     named = replace(drive, provenance=replace(drive.provenance, machine='*/ #error "ä" ??/'))

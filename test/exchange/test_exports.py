@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from exchange_machine import AT, I_MAX, PAIRS, RESISTANCE, flux, grids, result, torque
+from scipy.interpolate import RegularGridInterpolator
 from scipy.io import loadmat, netcdf_file
+from steady_state import disc_points
 
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
@@ -291,13 +294,21 @@ def test_modelica():
 
 
 def test_small_controllers():
-    vesc = {entry.tag: float(entry.text) for entry in ET.fromstring(content("vesc", bandwidth=500.0))}
+    text = content("vesc", bandwidth=500.0)
+    assert b"Written by drive_id" in text
+    assert b"smallest incremental inductance within i_max" in text
+    vesc = {entry.tag: float(entry.text) for entry in ET.fromstring(text)}
     l_d, _, _, l_q = inductances(0.0, 0.0)
     assert vesc["foc_motor_l"] == pytest.approx((l_d + l_q) / 2, rel=1e-2)
     assert vesc["foc_motor_ld_lq_diff"] == pytest.approx(l_q - l_d, rel=1e-2)
     assert vesc["foc_motor_flux_linkage"] == pytest.approx(0.1)
-    assert vesc["foc_current_kp"] == pytest.approx(500 * vesc["foc_motor_l"])
+    disc = disc_points(np.random.default_rng(3), I_MAX, 20_000)
+    l_dd, l_dq, l_qd, l_qq = inductances(*disc.T)
+    mean, half = (l_dd + l_qq) / 2, (l_dd - l_qq) / 2
+    least = (mean - np.hypot(half, (l_dq + l_qd) / 2)).min()  # of all directions, at all currents
+    assert vesc["foc_current_kp"] == pytest.approx(500 * least, rel=0.03)
     odrive = json.loads(content("odrive"))
+    assert odrive["axis0.config.motor.phase_inductance"] == pytest.approx(least, rel=0.03)
     assert odrive["axis0.config.motor.torque_constant"] == pytest.approx(1.5 * PAIRS * 0.1)
     assert odrive["axis0.config.motor.motor_model_l_q"] == pytest.approx(l_q, rel=1e-2)
 
@@ -436,3 +447,90 @@ def test_another_package_adds_a_format():
         export_format("none")
     with pytest.raises(ConfigurationError, match=r"There is no export format 'labs': choose csv.* lab, none"):
         export_format("labs")
+
+
+def gapped(radius=14.0):
+    m = DRIVE.flux_map
+    inside = np.hypot(m.i_d[:, None], m.i_q) <= radius
+    return replace(DRIVE, drive=replace(DRIVE.drive, flux_map=replace(m, inside=inside)))
+
+
+def test_an_inverse_table_with_gaps_is_told():
+    """Simulink refuses NaN in a table; more of them than of the map itself."""
+    text, exported = content_of(gapped(), "powertrain", CHOICE)
+    missing = int(np.isnan(loadmat(io.BytesIO(text))["id"]).sum())
+    assert missing > 0
+    assert any(f"{missing} of 273 currents of the inverse table are NaN" in sentence for sentence in exported.warnings)
+    narrow = TableChoice(np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 1.0))
+    assert not any("inverse" in sentence for sentence in content_of(DRIVE, "powertrain", narrow)[1].warnings)
+
+
+@pytest.mark.parametrize("name", ["csv", "netcdf", "c-header", "vesc"])
+def test_files_name_source_date_units_and_error(name):
+    dated = replace(DRIVE, provenance=replace(DRIVE.provenance, date="2026-03-04T05:06:07+00:00"))
+    text = content(name, drive=dated).decode(errors="replace")
+    for part in (
+        "Written by drive_id ",
+        "2026-03-04T05:06:07",
+        "method full",
+        "Wb",
+        "bilinear interpolation is off by",
+    ):
+        assert part in text, part
+
+
+def test_the_error_of_a_table_is_the_largest_between_its_points():
+    coarse = TableChoice(np.arange(-16.0, 12.1, 4.0), np.arange(-16.0, 16.1, 8.0))
+    _, exported = content_of(DRIVE, "csv", coarse)
+    (said,) = exported.warnings
+    off = float(re.search(r"off by at most (\S+) Wb", said).group(1))
+    d, q = (axis[:-1] + np.diff(axis) / 2 for axis in (coarse.i_d, coarse.i_q))
+    middle = np.stack(np.meshgrid(d, q, indexing="ij"), axis=-1)
+    nodes = truth(coarse.i_d, coarse.i_q)
+    linear = [RegularGridInterpolator((coarse.i_d, coarse.i_q), psi)(middle) for psi in nodes]
+    worst = np.hypot(*(a - b for a, b in zip(linear, flux(middle[..., 0], middle[..., 1]), strict=True))).max()
+    assert off == pytest.approx(worst, rel=0.05)
+    assert worst > 0.01 * np.hypot(*nodes).max()
+
+
+def test_names_of_machines_are_text_and_nothing_else():
+    named = replace(DRIVE, provenance=replace(DRIVE.provenance, machine="m\u00f8tor\n1,2,=cmd()\x1b[2J"))
+    lines = content("csv", drive=named).decode().splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert lines[: len(comments)] == comments
+    assert "# machine: m\u00f8tor 1;2;=cmd() [2J" in comments
+    with netcdf_file(io.BytesIO(content("netcdf", drive=named)), mmap=False) as file:
+        assert file.machine.decode() == "m\u00f8tor 1;2;=cmd() [2J"
+
+
+def notched(depth=0.03):
+    """Return the drive with a notch of psi_d at zero current, in which L_dd is negative."""
+    i_d, i_q = grids()
+    psi_d, _ = flux(i_d, i_q)
+    notch = depth * np.where((i_q == 0) & (np.abs(i_d) == 2.5), -np.sign(i_d), 0.0)
+    found = replace(DRIVE.flux_map, psi_d=psi_d + notch)
+    return replace(DRIVE, drive=replace(DRIVE.drive, flux_map=found))
+
+
+def test_no_gain_is_negative():
+    drive = notched()
+    assert drive.flux_map.inductances(0.0, 0.0)[0, 0] < 0
+    vesc, exported = content_of(drive, "vesc", CHOICE, ExportOptions(bandwidth=500.0))
+    numbers = {entry.tag: float(entry.text) for entry in ET.fromstring(vesc)}
+    assert numbers["foc_current_kp"] > 0
+    assert numbers["foc_motor_l"] - numbers["foc_motor_ld_lq_diff"] / 2 > 0
+    assert "of the nearest monotone map (the map itself is not monotone)" in exported.warnings[0]
+    odrive = json.loads(content("odrive", drive=drive))
+    assert min(odrive[f"axis0.config.motor.{name}"] for name in ("phase_inductance", "motor_model_l_d")) > 0
+    assert mat("motor-control", drive=drive)["pmsm"].Ld > 0
+    assert any("not monotone everywhere" in said for said in content_of(drive, "csv", CHOICE)[1].warnings)
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("csv", ".csv"), ("machine", ".npz"), ("motulator", ".npz"), ("syre-model", ".mat")]
+)
+def test_numbers_of_the_machine_survive_a_round_trip(tmp_path, name, suffix):
+    narrow = TableChoice(np.arange(-10.0, 10.1, 1.0), np.arange(-10.0, 10.1, 1.0))  # i_max is more than the axes
+    export_map(DRIVE, name, tmp_path / f"m{suffix}", narrow)
+    found = import_map(Source(tmp_path / f"m{suffix}"))
+    assert (found.resistance, found.pole_pairs, found.u_dc, found.i_max) == (RESISTANCE, PAIRS, 320.0, I_MAX)

@@ -337,3 +337,46 @@ def test_other_bad_input(tmp_path):
     np.savetxt(tmp_path / "twice.csv", np.concatenate([rows, rows]), header="i_d i_q psi_d psi_q", comments="")
     with pytest.raises(ConfigurationError, match="several values at the same currents"):
         import_map(Source(tmp_path / "twice.csv"))
+
+
+def _point_rows(psi_scale=1.0, change=None):
+    i_d, i_q = (axis.ravel() for axis in grids())
+    psi = np.stack(flux(i_d, i_q)) * psi_scale
+    if change is not None:
+        psi[change] += 0.15 * np.abs(psi).max()
+    return np.column_stack([i_d, i_q, *psi])
+
+
+def test_units_of_headings_and_of_milliweber(tmp_path):
+    rows = _point_rows(1e3)
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="i_d [A],i_q [A],psi_d [mWb],psi_q [mWb]", comments="")
+    columns = {"i_d": "i_d [A]", "i_q": "i_q [A]", "psi_d": "psi_d [mWb]", "psi_q": "psi_q [mWb]"}
+    found = import_map(Source(tmp_path / "a.csv", columns=columns)).flux_map
+    np.testing.assert_allclose(found.psi_dq(-7.5, 6.0), flux(-7.5, 6.0), atol=1e-9)
+    np.savetxt(tmp_path / "b.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
+    with pytest.raises(ConfigurationError, match=r"reaches 5\d\d Wb, as if it were in mWb \(then --flux-scale 0.001\)"):
+        import_map(Source(tmp_path / "b.csv"))
+
+
+def test_an_outlier_is_told(tmp_path):
+    for change, said in ((None, 0), ((1, 130), 1)):
+        np.savetxt(
+            tmp_path / "o.csv", _point_rows(change=change), delimiter=",", header="i_d,i_q,psi_d,psi_q", comments=""
+        )
+        warnings = import_map(Source(tmp_path / "o.csv")).warnings
+        assert len(warnings) == said
+    i_d, i_q = (axis.ravel()[130] for axis in grids())
+    assert warnings[0].startswith(
+        f"The flux linkage at i_d = {i_d:.4g} A, i_q = {i_q:.4g} A, or at a point beside it, "
+    )
+
+
+def test_fluxes_over_the_rotor_position_have_one_shape(tmp_path):
+    i_d, i_q = np.arange(-4.0, 5.0), np.arange(-4.0, 5.0)
+    psi = np.zeros((9, 9, 12))
+    np.savez(
+        tmp_path / "x.npz", i_d=i_d, i_q=i_q, psi_d=psi[..., 0], psi_q=psi[..., 0], theta_e_deg=np.arange(0, 60, 5.0),
+        psi_d_theta=psi, psi_q_theta=psi[..., :-1],
+    )  # fmt: skip
+    with pytest.raises(ConfigurationError, match=r"psi_d_theta and psi_q_theta in .* have different shapes"):
+        import_map(Source(tmp_path / "x.npz"))

@@ -108,3 +108,44 @@ def test_slow_phase_quantities_are_refused():
     object.__setattr__(slow, "sample_period", 20 * made.sample_period)
     with pytest.raises(SamplePeriodError, match="log currents and voltages in d and q"):
         drive_id.fit(slow, method="static")
+
+
+def _rows(data):
+    return np.column_stack([data.time, data.i_dq, data.u_dq, data.speed / 4 * 30 / np.pi])
+
+
+def _frames(rows):
+    """Spread each row over three, as a CAN logger writes one row for each frame."""
+    spread = np.full((3 * len(rows), 6), np.nan)
+    for k, columns in enumerate(((1, 2), (3, 4), (5,))):
+        spread[k::3, 0] = rows[:, 0] + 0.005 * k
+        for column in columns:
+            spread[k::3, column] = rows[:, column]
+    return spread
+
+
+@pytest.mark.parametrize("shape", ["one row per sample", "one row per frame", "points without a time"])
+def test_a_draft_of_a_slow_log_gives_the_machine(data, tmp_path, shape):
+    rows, names = _rows(data), ["time [s]", "motor_id", "motor_iq", "motor_ud", "motor_uq", "motor_rpm"]
+    if shape == "one row per frame":
+        rows = _frames(rows)
+    elif shape == "points without a time":
+        rows, names = rows.reshape(-1, 10, 6)[:, 1:].mean(axis=1)[:, 1:], names[1:]
+    lines = [",".join("" if np.isnan(x) else f"{x:.12g}" for x in row) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(names), *lines]))
+    run = CliRunner().invoke(app, ["check", str(tmp_path / "log.csv"), "--draft", str(tmp_path / "draft.yaml")])
+    assert run.exit_code == 0, run.output
+    assert "--method static" in run.output
+    assert "error" not in run.output
+    text = (tmp_path / "draft.yaml").read_text().replace("pole_pairs: 1 ", "pole_pairs: 4 ")
+    result = fit_bags(Sources([tmp_path / "log.csv"], parse_signals(text, "draft")), None, FitSettings(method="static"))
+    true = LinearDrive()
+    assert result.linear.psi_pm == pytest.approx(true.psi_pm, rel=2e-3)
+    assert result.linear.l_q == pytest.approx(true.l_q, rel=1e-2)
+    assert result.resistance == pytest.approx(true.resistance, rel=0.03)
+
+
+def test_a_log_without_names_of_d_and_q_has_no_draft(log, tmp_path):
+    (tmp_path / "log.csv").write_text(log.read_text().replace("u_d,u_q,n", "x,y,z"))
+    run = CliRunner().invoke(app, ["check", str(tmp_path / "log.csv")])
+    assert "no_draft" in run.output

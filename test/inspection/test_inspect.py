@@ -359,17 +359,13 @@ def test_slow_logs_in_d_and_q_are_for_method_static(rows, tmp_path):
     k = np.arange(rows)
     waves = {name: np.sin(0.1 * n * k) for n, name in enumerate(("i_d", "i_q", "u_d", "u_q"), 1)}
     path = write_csv(tmp_path / "slow.csv", {"t": 0.1 * k, **waves, "n": np.where(k % 50 < 25, 500.0, -500.0)})
-    (finding,) = inspect_log(path).findings
-    assert finding.code == "no_draft"
-    assert "fit with --method static" in finding.message
-    text = """
-defaults: {stamp: t, stamp_unit: s}
-currents: {frame: dq, fields: [i_d, i_q]}
-voltages: {frame: dq, fields: [u_d, u_q]}
-resolver: {speed: n, speed_unit: rpm, mechanical: true, pole_pairs: 4}
-"""
-    (finding,) = inspect_log(path, parse_signals(text, "test")).findings
-    assert "names no angle: name it, or fit with --method static" in finding.message
+    found = inspect_log(path)
+    assert "fit it with --method static" in found.draft.text
+    assert parse_signals(found.draft.text, "draft").currents.fields == ("i_d", "i_q")
+    (finding,) = [finding for finding in found.findings if finding.severity == "error"]
+    assert "The drive never rests for 3 samples" in finding.message
+    (again,) = inspect_log(path, parse_signals(found.draft.text, "test")).findings
+    assert again == finding
 
 
 def test_channel_groups_are_named(tmp_path, samples):

@@ -10,7 +10,8 @@ from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
 _MOST_POINTS = 2001
-_STEPS = 40
+_HALF = 20
+"""Steps from zero to i_max."""
 
 
 def equal_steps(count: int, low: float, high: float) -> FloatArray:
@@ -72,15 +73,9 @@ def listed(text: str, name: str) -> FloatArray:
     return values
 
 
-def default_axis(i_max: float, low: float = -1.0, high: float = 1.0) -> FloatArray:
-    """Return about 41 points of a round step through zero within ``low`` to ``high`` times ``i_max``, A."""
-    wanted = 2 * i_max / _STEPS
-    power = 10.0 ** math.floor(math.log10(wanted))
-    step = min(
-        (factor * power for factor in (1.0, 2.0, 2.5, 5.0, 10.0)), key=lambda value: abs(math.log(value / wanted))
-    )
-    first, last = (math.trunc(end * i_max / step + math.copysign(1e-9, end)) for end in (low, high))
-    return clean(step * np.arange(first, last + 1, dtype=np.float64))
+def default_axis(i_max: float) -> FloatArray:
+    """Return 41 equally spaced points from -i_max to i_max, A: the table reaches every current of the experiment."""
+    return clean(i_max / _HALF * np.arange(-_HALF, _HALF + 1, dtype=np.float64))
 
 
 def clean(values: FloatArray) -> FloatArray:

@@ -5,14 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.axes import default_axis
-from drive_id.exchange.exports.formats import export_format
+from drive_id.exchange.exports.formats import ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
+from drive_id.exchange.exports.writers import powertrain
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray
+
+_COARSE = 0.01
+"""Error of bilinear interpolation, by the largest flux, above which it is told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +28,7 @@ class TableChoice:
     Parameters
     ----------
     i_d, i_q : (D,), (Q,) float or None
-        Axes, A; None: about 41 points of a round step up to i_max.
+        Axes, A; None: 41 points from -i_max to i_max.
     filled : bool
         Continue the map where there are no data.
     pole_pairs, u_dc : int, float or None
@@ -48,16 +54,22 @@ class Exported:
         Whether points without data hold a continuation.
     gaps : str
         What has become of points without data otherwise.
+    remarks : tuple of str
+        Further sentences on what the file holds.
     """
 
     points: int
     missing: int
     filled: bool
     gaps: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences."""
+        return (*self._on_gaps(), *self.remarks)
+
+    def _on_gaps(self) -> tuple[str, ...]:
         if not self.missing:
             return ()
         what = f"{self.missing} of {self.points} points of the table have no data"
@@ -85,8 +97,28 @@ def content_of(
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
     content = chosen.write(table, options or ExportOptions())
     if not chosen.grid:
-        return content, Exported(0, 0, filled=False)
-    return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps)
+        return content, Exported(0, 0, filled=False, remarks=(table.gain_source,))
+    return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, _remarks(table, chosen))
+
+
+def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
+    """Return what the user of a table should know."""
+    out = []
+    if table.interpolation_error > _COARSE * float(np.nanmax(np.hypot(*table.psi))):
+        out.append(f"The table is coarse: choose a larger --grid, or read it with splines. {table.source}")
+    if not table.machine.monotone_inside:
+        out.append(
+            "The map is not monotone everywhere within the data: inductances and gains of single numbers are those of "
+            "the nearest monotone map, and the tables hold the map itself; set monotone in the fit for a monotone one."
+        )
+    if chosen.write is powertrain.write_machine:
+        missing = int(np.isnan(powertrain.inverse_maps(table)[2]).sum())
+        if missing:
+            out.append(
+                f"{missing} of {table.inside.size} currents of the inverse table are NaN, for no data reach these "
+                "fluxes, and Simulink refuses NaN: choose a smaller --range, or --fill them with a continuation."
+            )
+    return tuple(out)
 
 
 def export_map(

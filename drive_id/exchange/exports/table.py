@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
@@ -101,8 +102,7 @@ class MapTable:
     @cached_property
     def psi(self) -> tuple[FloatArray, FloatArray]:
         """psi_d and psi_q, (D, Q) each, Wb: those of the result where it has data."""
-        own, continued = self.result.flux_map.psi_dq(*self.grid), self.machine.psi_dq(*self.grid)
-        psi_d, psi_q = (np.where(np.isfinite(own[k]), own[k], continued[k]) for k in range(2))
+        psi_d, psi_q = self.machine.psi_dq(*self.grid)
         return self.masked(psi_d), self.masked(psi_q)
 
     @cached_property
@@ -113,8 +113,7 @@ class MapTable:
     @cached_property
     def inductances(self) -> FloatArray:
         """Incremental inductances (D, Q, 2, 2), H."""
-        own = self.result.flux_map.inductances(*self.grid)
-        return self.masked(np.where(np.isfinite(own), own, self.machine.inductances(*self.grid)))
+        return self.masked(self.machine.inductances(*self.grid))
 
     @cached_property
     def torque(self) -> FloatArray:
@@ -190,10 +189,43 @@ class MapTable:
         ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
         return self.masked(self.torque[..., None] + ripple)
 
+    @cached_property
+    def interpolation_error(self) -> float:
+        """Largest distance of bilinear interpolation in the table from the map, where there are data, Wb."""
+        i_d, i_q = (axis[:-1] + np.diff(axis) / 2 for axis in (self.i_d, self.i_q))
+        d, q = np.meshgrid(i_d, i_q, indexing="ij")
+        apart = []
+        for nodes, between in zip(self.machine.psi_dq(*self.grid), self.machine.psi_dq(d, q), strict=True):
+            corners = nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:]
+            apart.append(corners / 4 - between)
+        return float(np.hypot(*apart)[self.machine.inside(d, q)].max(initial=0.0))
+
+    @property
+    def source(self) -> str:
+        """Sentences on where the table is from, its units, and its error."""
+        result = self.result
+        since = f" of {result.provenance.date}" if result.provenance.date else ""
+        off, largest = self.interpolation_error, float(np.nanmax(np.hypot(*self.psi)))
+        return (
+            f"Written by drive_id {_version()}: result{since} by method {result.method}. Units: A and V "
+            f"(peak), Wb, H, ohm, Nm. Between the points, bilinear interpolation is off by at most {off:.2g} Wb "
+            f"({100 * off / largest:.2g} % of the largest flux)."
+        )
+
+    @property
+    def gain_source(self) -> str:
+        """A sentence on the one inductance from which a controller's gains follow."""
+        least, (l_d, l_q) = self.machine.least_inductance, np.diagonal(self.machine.control_inductances(0.0, 0.0))
+        how = "" if self.machine.monotone_inside else " of the nearest monotone map (the map itself is not monotone)"
+        return (
+            f"The gains rest on the smallest incremental inductance within i_max{how}, {least * 1e3:.3g} mH, so that "
+            f"no axis is faster than the bandwidth (at zero current: L_d {l_d * 1e3:.3g} mH, L_q {l_q * 1e3:.3g} mH)."
+        )
+
     def facts(self) -> dict[str, str | float | int]:
         """Return the known facts about the machine and the table, by name; SI units."""
         machine, result = self.machine, self.result
-        texts = {"machine": result.machine, "method": result.method}
+        texts = {"machine": plain(result.machine), "method": result.method, "source": self.source}
         numbers = {
             "resistance": machine.resistance,
             "sigma_resistance": result.sigma_resistance,
@@ -218,6 +250,19 @@ class MapTable:
                 "The result does not tell the resistance, which this format needs: import the map with --resistance."
             )
         return self.machine.resistance
+
+
+def _version() -> str:
+    try:
+        return version("drive_id")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def plain(text: str) -> str:
+    """Return text for a comment: on one line, and no cell of it is a formula."""
+    printable = "".join(letter if letter.isprintable() else " " for letter in text)
+    return printable.replace(",", ";").replace("\t", " ")
 
 
 def _alternating(cosine: FloatArray, sine: FloatArray) -> FloatArray:

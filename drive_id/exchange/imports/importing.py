@@ -14,7 +14,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of
 from drive_id.exchange.imports.gridding import Gridded, gridded
-from drive_id.exchange.imports.plausibility import check_plausible, torque_ratio
+from drive_id.exchange.imports.plausibility import check_plausible, outlier, torque_ratio
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
@@ -116,6 +116,7 @@ def _result(
     if pairs is None and ratio is not None:
         pairs = float(round(ratio))
         statements.append(f"The torque in the file is that of {pairs:g} pole pairs.")
+    odd = outlier(points.i_dq, points.mean_psi_dq)
     i_max = scalars.get("i_max", _reach(found.flux_map))
     drive = IdentifiedDrive(
         method=IMPORTED.name,
@@ -127,7 +128,7 @@ def _result(
         inverter_current=np.array([-i_max, 0.0, i_max]),
         inverter_voltage=np.zeros(3),
         flux_map=found.flux_map,
-        report=_report(found.flux_map, i_max, len(points.i_dq)),
+        report=replace(_report(found.flux_map, i_max, len(points.i_dq)), warnings=(odd,) if odd else ()),
         harmonics=found.harmonics,
         statements=tuple(statements),
     )

@@ -11,7 +11,8 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, real
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
-from drive_id.files.machines.syre import check_unpacked_size, read_syre
+from drive_id.files.inputs.matlab import check_unpacked_size
+from drive_id.files.machines.syre import read_syre
 from drive_id.types import FloatArray
 
 
@@ -111,6 +112,8 @@ def load(source: Source) -> Mapping[str, Any]:
         content: Mapping[str, Any] = loadmat(source.path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise ConfigurationError(f"'{source.path}' has MATLAB's version 7.3: save it with '-v7'.") from error
+    except MemoryError:
+        raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"'{source.path}' is damaged or not a MATLAB file: export it again.") from error
     return content

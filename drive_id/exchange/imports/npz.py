@@ -40,6 +40,8 @@ def read_npz(source: Source) -> MapPoints:
     names = ("psi_d_theta", "psi_q_theta") if turning else ("psi_d", "psi_q")
     theta = np.radians(real(source.path, "theta_e_deg", values["theta_e_deg"])) if turning else None
     psi = [ordered(source, real(source.path, name, values[name]), name, len(i_d), len(i_q)) for name in names]
+    if psi[0].shape != psi[1].shape:
+        raise ConfigurationError(f"{' and '.join(names)} in '{source.path}' have different shapes: export it again.")
     i_dq, psi_dq = of_grid(i_d, i_q, *psi)
     torque = values.get("torque_theta", values.get("torque"))
     torque = (

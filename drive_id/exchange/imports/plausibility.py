@@ -23,6 +23,10 @@ _MAGNET = 0.02
 _TORQUE = 0.1
 """Relative difference allowed between a file's torque and that of its map."""
 _INDUCTANCE = (1e-6, 5.0)  # H
+_LARGEST_FLUX = 50.0
+"""Wb; ship drives reach 30, and 50 mWb are a small machine."""
+_OFF_NEIGHBOURS, _OFF = 5.0, 0.03
+"""Distance of an outlier from the plane through its neighbours, by theirs, and by the largest flux."""
 _TIME_CONSTANT = (3e-5, 20.0)  # s
 _AMPLITUDES = ("current", "flux")
 
@@ -44,6 +48,9 @@ def faults(points: MapPoints) -> list[str]:
     slopes, at_zero = local_slopes(points.i_dq, points.mean_psi_dq)
     if not len(slopes):
         return ["its points lie on lines, so that they tell no inductances"]
+    largest = float(np.hypot(*points.mean_psi_dq.T).max())
+    if largest > _LARGEST_FLUX:
+        return [f"its flux linkage reaches {largest:.3g} Wb, as if it were in mWb (then --flux-scale 0.001)"]
     found = _monotone(slopes) or _reciprocal(slopes) or _sized(slopes, points.scalars.get("resistance"))
     if at_zero is not None:
         found = found + _magnet(at_zero, points.mean_psi_dq)
@@ -129,6 +136,24 @@ def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, Floa
     _, fits, values = _planes(i_dq[around], psi_dq[around], np.zeros((1, 2)))
     reaches = bool(fits[0]) and distance[0, 0] <= 3 * typical
     return slopes[known], values[0] if reaches else None
+
+
+def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> str:
+    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; empty without one."""
+    scale = np.ptp(i_dq, axis=0)
+    spread = np.array([len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)])
+    _, near = cKDTree(i_dq / scale * spread).query(i_dq / scale * spread, k=min(_NEIGHBOURS, len(i_dq)))
+    _, known, expected = _planes(i_dq[near[:, 1:]], psi_dq[near[:, 1:]], i_dq)
+    off = np.where(known, np.hypot(*(psi_dq - expected).T), 0.0)
+    usual = np.median(off[near[:, 1:]], axis=1)
+    suspect = (off > _OFF_NEIGHBOURS * usual) & (off > _OFF * np.hypot(*psi_dq.T).max())
+    if not suspect.any():
+        return ""
+    worst = int(np.argmax(np.where(suspect, off, 0.0)))
+    return (
+        f"The flux linkage at i_d = {i_dq[worst, 0]:.4g} A, i_q = {i_dq[worst, 1]:.4g} A, or at a point beside it, is "
+        f"off its neighbours by {off[worst]:.2g} Wb: correct or leave out the point if it is an outlier."
+    )
 
 
 def _planes(i_dq: FloatArray, psi_dq: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from drive_id.types import FloatArray
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_q", "inside")
 _NEEDED = COLUMNS[:4]
 _COMMENT = re.compile(r"#\s*(\w+)\s*[:=]\s*(.+)")
+_MILLI = re.compile(r"\b(mWb|mVs|mA|mNm)\b")
 _MOST_BYTES = 500_000_000
 
 
@@ -31,7 +32,7 @@ def read_csv(source: Source) -> MapPoints:
         return _matrices(source, source.psi_q_file)
     heading, rows, told = _table(source.path)
     places = _places(source, heading, rows.shape[1])
-    values = {name: rows[:, place] for name, place in places.items()}
+    values = {name: rows[:, place] * _unit(heading, place) for name, place in places.items()}
     scalars = known_scalars(told, source.scalars)
     machine = str(told.get("machine", ""))
     i_dq, psi_dq = (np.stack([values[a], values[b]], axis=-1) for a, b in (_NEEDED[:2], _NEEDED[2:]))
@@ -46,6 +47,11 @@ def read_csv(source: Source) -> MapPoints:
         turning = np.radians(source.electrical(values["theta"]))
         return turning_points(source.path, i_dq, psi_dq, turning, values.get("torque"), scalars, machine)
     return MapPoints.with_gaps(i_dq, psi_dq[..., None], None, values.get("torque"), sigma, scalars, machine=machine)
+
+
+def _unit(heading: list[str] | None, place: int) -> float:
+    """Return the factor to SI units of a column whose heading names its unit."""
+    return 1e-3 if heading is not None and _MILLI.search(heading[place]) else 1.0
 
 
 def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, int]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from drive_id.files.inputs.input_file import shown_size
 
 DAMAGED = (
-    OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError,
+    OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, RecursionError,
     NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 """What reading a damaged archive, and what is made of its arrays, may raise."""

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.errors import TruncatedBagError
+from drive_id.files.inputs.matlab import check_unpacked_size
 from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows, shares
+from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64
 _NUMBERS = "iufb"
@@ -28,6 +31,7 @@ class MatLog:
 
         self.path = path
         self._arrays: dict[str, NDArray[Any]] = {}
+        check_unpacked_size(path, UnpackBudget(path.stat().st_size).limit)
         tree = loadmat(str(path), squeeze_me=True, struct_as_record=False)
         for name, value in tree.items():
             if not name.startswith("__"):
@@ -95,9 +99,19 @@ class Hdf5Log:
 
         def take(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+                created = item.id.get_create_plist()  # the shape of a virtual dataset opens other files
+                if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
+                    raise TruncatedBagError(
+                        f"Dataset '{name:.60}' of {path} is stored in other files, which are not opened: write one "
+                        "file that holds the samples itself."
+                    )
                 self._take(name, name.replace("/", separator), item)
 
-        self._file.visititems(take)
+        try:
+            self._file.visititems(take)
+        except BaseException:
+            self._file.close()
+            raise
         self.groups = grouped(self._lengths)
 
     def _take(self, dataset: str, name: str, item: Any) -> None:

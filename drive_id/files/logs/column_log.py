@@ -97,6 +97,8 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
     MissingTopicError
         When there is none, or several groups have one.
     """
+    if not log.groups:
+        raise MissingTopicError(f"{log.path} holds no column of numbers: give a log that does.")
     near = [entry for entry in log.groups if not group or same_name(entry.name, group)]
     if not near and any(same_name(known, f"{group}.{name}") for entry in log.groups for known in entry.columns):
         near, name = list(log.groups), f"{group}.{name}"  # the group is a struct

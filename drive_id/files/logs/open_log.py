@@ -11,10 +11,13 @@ from drive_id.errors import DriveIdError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import reason
 from drive_id.files.logs.column_log import ROWS, missing_library
 from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.storage.container import UnpackBudget
 
 if TYPE_CHECKING:
     from drive_id.files.logs.column_log import Column, ColumnLog, Rows
 
+_NUMBER = 8
+"""Bytes."""
 _NAMES = {
     "csv": "CSV",
     "parquet": "Parquet",
@@ -56,8 +59,10 @@ class _Guarded:
         self.kind, self.path, self.bounded, self.groups = log.kind, log.path, log.bounded, log.groups
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
+        """Yield the wanted columns part by part; refuse what is too much for the size of the file."""
         with _one_sentence(self.path, self.kind):
+            lengths = {group.name: group.rows or 0 for group in self.groups}
+            UnpackBudget(self.path.stat().st_size).take(_NUMBER * sum(lengths[column.group] for column in wanted))
             parts = self._log.parts(wanted, rows)
         while True:
             with _one_sentence(self.path, self.kind):
@@ -76,7 +81,7 @@ def _one_sentence(path: Path, kind: str) -> Iterator[None]:
     """Turn what the libraries raise for damaged files into one error."""
     try:
         yield
-    except DriveIdError:
+    except (DriveIdError, MemoryError):
         raise
     except ImportError as error:
         raise missing_library(path, _NAMES[kind], error) from error

@@ -7,20 +7,14 @@ ahead. Equal phase fluxes require i_pm = J i_sr, psi_pm = J psi_sr and theta_pm 
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drive_id.errors import ConfigurationError
-from drive_id.files.inputs.archive import unpacked_limit
-from drive_id.files.inputs.input_file import open_input, shown_size
+from drive_id.files.inputs.matlab import check_unpacked_size
 
-_HEADER, _TAG = 128, 8
-_MATRIX, _COMPRESSED = 14, 15
-_LARGEST, _MOST_MATRICES, _DEEPEST = 1 << 27, 50_000, 20
 _OVER_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 
 
@@ -49,6 +43,8 @@ def read_syre(path: Path) -> dict[str, Any]:
         content = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=["motorModel"])
     except NotImplementedError as error:
         raise ConfigurationError(f"Machine file '{path}' has MATLAB's version 7.3: save it with '-v7'.") from error
+    except MemoryError:
+        raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"Machine file '{path}' is damaged or not a MATLAB file: export it again.") from error
     model = content.get("motorModel")
@@ -72,50 +68,6 @@ def read_syre(path: Path) -> dict[str, Any]:
         if value.size == 1 and value.dtype.kind in "fiu" and float(value) > 0:
             values[key] = value
     return values
-
-
-def check_unpacked_size(path: Path) -> None:
-    """Check what a file of MATLAB's version 5 to 7 unpacks to, before scipy takes an object for each of its matrices.
-
-    Raises
-    ------
-    ValueError
-        When it is too large.
-    """
-    with open_input(path, _LARGEST) as stream:
-        data = stream.read()
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
-    if order is None:
-        return  # another version, which holds no struct, or which scipy refuses
-    limit, at = unpacked_limit(len(data), _LARGEST), _HEADER
-    while at + _TAG <= len(data):
-        kind, count = struct.unpack_from(f"{order}II", data, at)
-        body = data[at + _TAG : at + _TAG + count]
-        if kind == _COMPRESSED:
-            body = zlib.decompressobj().decompress(body, limit + 1)
-            limit -= len(body)
-            if limit < 0:
-                raise ValueError(f"it unpacks to more than {shown_size(unpacked_limit(len(data), _LARGEST))}")
-        _matrices(memoryview(body), order, kind == _MATRIX, 0)
-        at += _TAG + count
-
-
-def _matrices(body: memoryview, order: str, inside: bool, depth: int) -> int:
-    """Return the number of matrices in an element, cells and fields of structs included."""
-    at, found = 0, int(inside)
-    while at + _TAG <= len(body):
-        kind, count = struct.unpack_from(f"{order}II", body, at)
-        if kind >> 16:  # a small element, in its own tag
-            at += _TAG
-            continue
-        if kind == _MATRIX:
-            if depth > _DEEPEST:
-                raise ValueError("it is nested too deeply")
-            found += _matrices(body[at + _TAG : at + _TAG + count], order, True, depth + 1)
-        if found > _MOST_MATRICES:
-            raise ValueError("it holds too many matrices")
-        at += _TAG + -(-count // 8) * 8
-    return found
 
 
 def _syre_flat(flat: Any) -> dict[str, Any]:

@@ -91,7 +91,9 @@ class TimeSource:
         if isinstance(self.sample_period, str):
             self.check_path(self.sample_period, "sample_period")
         elif self.sample_period is not None and not 0 < self.sample_period < 1e4:
-            raise ConfigurationError(f"sample_period is {self.sample_period} s: it must be positive.")
+            raise ConfigurationError(
+                f"sample_period is {self.sample_period} s: it must be positive and below 10 000 s."
+            )
         if self.first_sample:
             self.check_path(self.first_sample, "first_sample")
 

@@ -455,13 +455,13 @@ class SignalBuilder:
     def _check_period(self, period: float, stamp: int | IntArray) -> None:
         if not 0.0 < period < _LONGEST_PERIOD:
             raise SamplePeriodError(
-                f"A message on {self.topic} stamped {stamp} ns declares a sample period of {period} s: correct its "
-                "publisher, or give the period in a signals file."
+                f"A message on {self.topic} stamped {np.min(stamp)} ns declares a sample period of {period} s: correct "
+                "its publisher, or give the period in a signals file."
             )
         declared = self.period or period
         if abs(period - declared) > _SAME_PERIOD * declared:
             raise SamplePeriodError(
-                f"The sample period of {self.topic} changes from {declared} to {period} s at stamp {stamp} ns: "
+                f"The sample period of {self.topic} changes from {declared} to {period} s at stamp {np.min(stamp)} ns: "
                 "record each rate in a bag of its own."
             )
 

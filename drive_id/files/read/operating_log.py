@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from drive_id.core.signals.signal import Signal
 from drive_id.core.steady.averaging import averaged
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError, DataError, NoOverlapError
-from drive_id.files.messages.signal_sources import SignalMap
+from drive_id.files.logs.open_log import open_log
+from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.reader import read_recording, read_signals_only
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
 
@@ -45,7 +47,8 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
     """Read the log of a drive as slow telemetry.
 
     Currents and voltages in frame ``dq`` are taken as they are, and need a speed but no angle. Phase quantities must be
-    sampled so fast that the rotor turns by less than 0.5 rad per sample; they are averaged.
+    sampled so fast that the rotor turns by less than 0.5 rad per sample; they are averaged. Where a log of columns has
+    no time, and its signals file names none, each row is an operating point.
 
     Parameters
     ----------
@@ -80,12 +83,38 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
         )
     plain = {name: replace(getattr(known, name), angle="", angle_advance=0.0) for name in ("currents", "voltages")}
     needed = replace(known, **plain, reference=None)
+    timed = not known.of_columns or _names_time(path, needed)
+    needed = needed if timed else _numbered(needed)
     found, digests, warnings = read_signals_only(path, needed, namespace=namespace)
     try:
         data, last_stamp = _joined(found, known)
     except DataError as error:
         raise type(error)(f"In {path}: {error}") from error
-    return OperatingLog(data, None, digests, last_stamp, warnings)
+    data = data if timed else replace(data, time=None)
+    return OperatingLog(data, None, digests, last_stamp if timed else 0, warnings)
+
+
+def _names_time(path: Path, signals: SignalMap) -> bool:
+    """Tell whether the signals file names a time, or the log of columns has its own."""
+    named = (entry.stamp not in NAMED_STAMPS or entry.sample_period is not None for entry in _sections(signals))
+    if any(named):
+        return True
+    with open_log(path) as log:
+        return any(group.own_time for group in log.groups)
+
+
+def _numbered(signals: SignalMap) -> SignalMap:
+    """Take the number of the row as its time, for all sections alike."""
+
+    def numbered(entry: Any) -> Any:
+        return replace(entry, stamp="index", sample_period=1.0)
+
+    rows = {name: numbered(getattr(signals, name)) for name in ("currents", "voltages", "resolver")}
+    return replace(signals, **rows, optional={name: numbered(entry) for name, entry in signals.optional.items()})
+
+
+def _sections(signals: SignalMap) -> tuple[TimeSource, ...]:
+    return (signals.currents, signals.voltages, signals.resolver)
 
 
 def _joined(found: dict[str, Signal], signals: SignalMap) -> tuple[OperatingData, int]:

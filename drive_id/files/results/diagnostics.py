@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from drive_id.core.validation.residuals import AngleBins, TimeBins
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import ResultError
 from drive_id.files.inputs.archive import read_arrays
-from drive_id.files.inputs.input_file import open_input
 from drive_id.types import FloatArray
 
 DIAGNOSTICS = "diagnostics.npz"
@@ -50,20 +48,20 @@ def diagnostics_bytes(diagnostics: Diagnostics) -> bytes:
     return stream.getvalue()
 
 
-def read_diagnostics(directory: Path, shape: tuple[int, ...]) -> Diagnostics | None:
+def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | None:
     """Read what was stored beside a result.
 
     Parameters
     ----------
-    directory : Path
-        Result folder.
+    content : bytes
+        Of ``diagnostics.npz``.
     shape : (int, int)
-        Of its flux map.
+        Of the flux map beside it.
 
     Returns
     -------
     Diagnostics or None
-        None where the folder has none, as those of earlier versions and of imported maps, or that of a newer version.
+        None for a file of a newer version.
 
     Raises
     ------
@@ -71,11 +69,7 @@ def read_diagnostics(directory: Path, shape: tuple[int, ...]) -> Diagnostics | N
         When the file is damaged, whatever numpy and zipfile raise; see
         :func:`~drive_id.files.results.identification.read_results`.
     """
-    path = directory / DIAGNOSTICS
-    if not path.exists():
-        return None
-    with open_input(path, _LARGEST) as stream:
-        arrays = read_arrays(stream, largest=_LARGEST)
+    arrays = read_arrays(content, largest=_LARGEST)
     if int(arrays["format_version"]) > _FORMAT_VERSION:
         return None
     return _diagnostics(arrays, shape)

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import read_text_input
+from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
 
 FORMAT = "drive_id/identification"
 MARKER = "identification.json"
 """The file by which a folder is known as a result of a fit, and the format that it names."""
 LARGEST_MARKER = 1 << 23
 """Bytes."""
+_STAGED = ".drive_id-"
+"""How the names of folders begin in which files are written before they are put in their place."""
 
 
 def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, kind: str = FORMAT) -> None:
@@ -75,7 +80,11 @@ def replace_folder(
     force: bool = False,
     stale: Collection[str] = (),
 ) -> None:
-    """Write files to a folder so that they appear under their names only when all of them are complete.
+    """Write files to a folder in one step: at any moment, even after a kill or a power cut, it is the old or the new.
+
+    A new folder with the files, and with links to what else the old one holds, is exchanged with the old one. Where
+    that is impossible (a mounted or the current folder, a parent that is not writable, another system than Linux)
+    the files are replaced one by one, ``marker`` first: its digests then tell which files are not yet its own.
 
     Parameters
     ----------
@@ -94,23 +103,67 @@ def replace_folder(
     """
     check_output(directory, force=force, marker=marker, kind=kind)
     try:
-        exists = directory.is_dir()
-        base = directory if exists else directory.parent  # where a file can be renamed to its place
-        base.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=base, prefix=".drive_id-") as temporary:
-            staged = Path(temporary) / "results"
-            staged.mkdir()
-            for name, content in files.items():
-                (staged / name).write_bytes(content)
-            if not exists:
-                staged.rename(directory)
-                return
-            for name in sorted(files, key=lambda name: name == marker):
-                (staged / name).replace(directory / name)
-            for name in stale:
-                (directory / name).unlink(missing_ok=True)
+        target = directory.resolve()
+        for name in files:
+            if (target / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"{name} in it is a folder")
+        grown = make_folder(target.parent, exist_ok=True)
+        if not _put_in_place(target, files, {*files, *stale}):
+            _replace_each(target, files, marker, stale)
+        for folder in {*grown, target.parent}:
+            sync_folder(folder)
     except OSError as error:
         raise _refused(directory, error) from error
+
+
+def _put_in_place(target: Path, files: Mapping[str, bytes], replaced: Collection[str]) -> bool:
+    """Put a new folder in the place of one, or of none; tell whether that was possible."""
+    if target == Path.cwd() or target in Path.cwd().parents or not os.access(target.parent, os.W_OK | os.X_OK):
+        return False
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=_STAGED, ignore_cleanup_errors=True) as temporary:
+        staged = Path(temporary) / "results"
+        staged.mkdir()
+        for name, content in files.items():
+            write_synced(staged / name, content)
+        if not target.is_dir():
+            sync_folder(staged)
+            try:
+                staged.rename(target)
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+            else:
+                return True  # otherwise another one was faster
+        shutil.copytree(
+            target,
+            staged,
+            symlinks=True,
+            ignore=lambda folder, names: set(replaced).intersection(names) if Path(folder) == target else (),
+            copy_function=_linked,
+            dirs_exist_ok=True,
+        )
+        sync_folder(staged)
+        return exchanged(staged, target)
+
+
+def _replace_each(target: Path, files: Mapping[str, bytes], marker: str, stale: Collection[str]) -> None:
+    target.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target, prefix=_STAGED) as temporary:
+        for name, content in files.items():
+            write_synced(Path(temporary) / name, content)
+        for name in sorted(files, key=lambda name: name != marker):
+            (Path(temporary) / name).replace(target / name)
+        for name in stale:
+            (target / name).unlink(missing_ok=True)
+    sync_folder(target)
+
+
+def _linked(source: str, target: str) -> None:
+    """Link a file to another name, or copy it where the file system knows no links."""
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(source, target, follow_symlinks=False)
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -122,11 +175,13 @@ def replace_file(path: Path, content: bytes) -> None:
         When it cannot be written.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".drive_id-") as temporary:
+        grown = make_folder(path.parent, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=_STAGED) as temporary:
             staged = Path(temporary) / "file"
-            staged.write_bytes(content)
+            write_synced(staged, content)
             staged.replace(path)
+        for folder in {*grown, path.parent}:
+            sync_folder(folder)
     except OSError as error:
         raise _refused(path, error) from error
 

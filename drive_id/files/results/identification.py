@@ -12,6 +12,7 @@ import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from drive_id.core.result.identification import (
 )
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
-from drive_id.files.inputs.input_file import NotAFileError, open_input, read_text_input, reason
+from drive_id.files.inputs.input_file import NotAFileError, read_input, read_text_input, reason
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.origins import ORIGINS
@@ -126,11 +127,11 @@ def write_results(
     OutputError
         See :func:`~drive_id.files.results.folder.replace_folder`.
     """
-    tree = results_tree(identification, provenance)
-    text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
     found = {_NPZ: _flux_map(identification, provenance), **harmonics, **judged}
+    digests = {name: sha256(content).hexdigest() for name, content in found.items()}
+    text = json.dumps(results_tree(identification, provenance) | {"files": digests}, indent=1, allow_nan=False) + "\n"
     files = {**found, **(pictures or {}), MARKER: text.encode()}
     stale = {name for name in _earlier(directory) if name not in files}
     replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
@@ -150,29 +151,58 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     ResultError
         When it is not a result folder, is damaged, or was written by a newer version.
     """
-    where = directory / MARKER
     try:
-        if not where.exists():
-            raise ResultError(
-                f"{directory} is not a result folder (it has no {MARKER}): give a folder that 'drive-id fit' wrote."
-            )
-        tree = json.loads(read_text_input(where, LARGEST_MARKER))
-        if not isinstance(tree, dict) or tree["format"] != FORMAT:
-            raise TypeError("another format")
-        if int(tree["format_version"]) > FORMAT_VERSION:
-            raise ResultError(
-                f"{directory} was written by a newer drive_id (format {tree['format_version']}, and this "
-                f"drive_id, {VERSION}, knows format {FORMAT_VERSION}): update it."
-            )
-        flux_map = _read_flux_map(directory / _NPZ)
-        harmonics = _read_harmonics(directory / _HARMONICS, flux_map.psi_d.shape) if tree["harmonics"] else ()
-        modes = _read_modes(directory / _NPZ, flux_map.psi_d.shape, len(tree["inverter_curve"]["current"]))
-        return _identification(tree, flux_map, harmonics, modes), _provenance(tree, str(directory))
-    except ResultError:
-        raise
+        try:
+            return _read(directory)
+        except _MixedError:
+            return _read(directory)  # it may have been replaced between the first file and the last
     except _DAMAGE as error:
+        if isinstance(error, ResultError) and not isinstance(error, _MixedError):
+            raise
         said = reason(error) if isinstance(error, NotAFileError) else f"{error!r:.99}"
+        said = str(error) if isinstance(error, _MixedError) else said
         raise ResultError(f"The result folder {directory} is damaged ({said}): fit the recording again.") from error
+
+
+class _MixedError(ResultError):
+    """A file of a result folder is not the one that was written with the others."""
+
+
+def _read(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
+    where = directory / MARKER
+    if not where.exists():
+        raise ResultError(
+            f"{directory} is not a result folder (it has no {MARKER}): give a folder that 'drive-id fit' wrote."
+        )
+    tree = _tree(directory)
+    if tree["format"] != FORMAT:
+        raise TypeError("another format")
+    if int(tree["format_version"]) > FORMAT_VERSION:
+        raise ResultError(
+            f"{directory} was written by a newer drive_id (format {tree['format_version']}, and this "
+            f"drive_id, {VERSION}, knows format {FORMAT_VERSION}): update it."
+        )
+    stored = _content(directory, _NPZ, tree)
+    flux_map = _read_flux_map(stored)
+    shape = flux_map.psi_d.shape
+    harmonics = _read_harmonics(_content(directory, _HARMONICS, tree), shape) if tree["harmonics"] else ()
+    modes = _read_modes(stored, shape, len(tree["inverter_curve"]["current"]))
+    return _identification(tree, flux_map, harmonics, modes), _provenance(tree, str(directory))
+
+
+def _tree(directory: Path) -> dict[str, Any]:
+    tree = json.loads(read_text_input(directory / MARKER, LARGEST_MARKER))
+    if not isinstance(tree, dict):
+        raise TypeError("another format")
+    return tree
+
+
+def _content(directory: Path, name: str, tree: Mapping[str, Any]) -> bytes:
+    """Return a file's content; refuse that of another fit, which results of earlier versions cannot tell."""
+    content = read_input(directory / name, _LARGEST)
+    if "files" in tree and tree["files"].get(name) != sha256(content).hexdigest():
+        raise _MixedError(f"{name} was not written with its {MARKER}, as after a kill or a change by hand")
+    return content
 
 
 def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
@@ -184,7 +214,9 @@ def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
         When the file is damaged.
     """
     try:
-        return read_diagnostics(directory, flux_map.psi_d.shape)
+        if not (directory / DIAGNOSTICS).exists():
+            return None
+        return read_diagnostics(_content(directory, DIAGNOSTICS, _tree(directory)), flux_map.psi_d.shape)
     except _DAMAGE as error:
         said = str(error) if isinstance(error, ResultError) else type(error).__name__
         raise ResultError(
@@ -284,9 +316,8 @@ def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
 _PHASES = ("voltage_a", "voltage_b", "voltage_c")
 
 
-def _read_flux_map(path: Path) -> FluxMap:
-    with open_input(path, _LARGEST) as stream:
-        file = read_arrays(stream, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
+def _read_flux_map(content: bytes) -> FluxMap:
+    file = read_arrays(content, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
     arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
     shape = (len(arrays["i_d"]), len(arrays["i_q"]))
     if min(shape) < 4 or any(values.shape != shape for name, values in arrays.items() if not name.startswith("i_")):
@@ -296,10 +327,9 @@ def _read_flux_map(path: Path) -> FluxMap:
     return FluxMap(**arrays)
 
 
-def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes | None:
+def _read_modes(content: bytes, shape: tuple[int, ...], points: int) -> ErrorModes | None:
     """Read the joint errors, which results of earlier versions do not have."""
-    with open_input(path, _LARGEST) as stream:
-        file = read_arrays(stream, _MODES, largest=_LARGEST)
+    file = read_arrays(content, _MODES, largest=_LARGEST)
     if not any(name in file for name in _MODES):
         return None
     found = {name[6:]: np.asarray(file[name]) for name in _MODES}
@@ -311,9 +341,8 @@ def _read_modes(path: Path, shape: tuple[int, ...], points: int) -> ErrorModes |
     return ErrorModes(found["psi_d"].astype(np.float32), found["psi_q"].astype(np.float32), **numbers)
 
 
-def _read_harmonics(path: Path, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
-    with open_input(path, _LARGEST) as stream:
-        file = read_arrays(stream, ("order", *_AMPLITUDES), largest=_LARGEST)
+def _read_harmonics(content: bytes, shape: tuple[int, ...]) -> tuple[HarmonicMap, ...]:
+    file = read_arrays(content, ("order", *_AMPLITUDES), largest=_LARGEST)
     orders, amplitudes = file["order"].tolist(), [np.asarray(file[name], float) for name in _AMPLITUDES]
     if any(values.shape != (len(orders), *shape) for values in amplitudes):
         raise ValueError(f"{_HARMONICS} has amplitudes that do not fit the flux map")

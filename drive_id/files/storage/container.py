@@ -123,10 +123,15 @@ class UnpackBudget:
     ----------
     size : int
         Of the file, bytes.
+
+    Attributes
+    ----------
+    limit : int
+        Most bytes.
     """
 
     def __init__(self, size: int) -> None:
-        self._limit = _UNPACKED + _RATIO * size
+        self.limit = _UNPACKED + _RATIO * size
         self._taken = 0
 
     def restart(self) -> None:
@@ -136,8 +141,8 @@ class UnpackBudget:
     def take(self, count: int) -> None:
         """Note further bytes; ValueError when there are too many."""
         self._taken += count
-        if self._taken > self._limit:
-            raise ValueError(f"it unpacks to more than {shown_size(self._limit)}, too much for its size")
+        if self._taken > self.limit:
+            raise ValueError(f"it unpacks to more than {shown_size(self.limit)}, too much for its size")
 
 
 def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:

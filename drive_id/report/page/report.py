@@ -25,7 +25,8 @@ def report_files(result: Identification, stem: str = "report", *, pdf: bool = Fa
     operation = torque_map(result)
     content, figures = content_of(result, operation), figures_of(result, operation)
     pictures = {name: rendered(figure, dpi=_DPI) for name, figure in figures.items()}
-    files = {f"{stem}.html": rendered_page(content, charts_of(result, operation), pictures).encode()}
+    page = rendered_page(content, charts_of(result, operation), pictures)
+    files = {f"{stem}.html": page.encode(errors="backslashreplace")}  # names of files may hold any byte
     if pdf:
         files[f"{stem}.pdf"] = rendered_pdf(content, figures)
     return files

@@ -94,3 +94,24 @@ def test_a_drive_that_never_rests_is_refused():
 def test_bad_arrays_are_refused(arrays, error, said):
     with pytest.raises(error, match=said):
         OperatingData(*arrays)
+
+
+@pytest.mark.parametrize(("frequency", "rate"), [(7.3, 10_000.0), (7.3, 2000.0), (1.0, 10_000.0)])
+def test_a_moving_current_in_a_fast_log_is_no_rest(frequency, rate):
+    """The derivative of the fluxes, unknown to the equations, takes percents of the voltage."""
+    time = np.arange(int(3 * rate)) / rate
+    turns = 2 * np.pi * frequency * time
+    i_dq = 100 * np.column_stack([np.cos(turns) * np.cos(0.31 * turns), np.cos(turns) * np.sin(0.31 * turns)])
+    i_dq += 0.1 * np.random.default_rng(1).standard_normal(i_dq.shape)
+    data = OperatingData(i_dq, np.ones_like(i_dq), np.full(len(time), 209.0), time)
+    with pytest.raises(CoverageError, match=r"do not rest: .* hold each operating point .*--method full"):
+        operating_points(data)
+
+
+def test_held_currents_rest_in_a_fast_log():
+    rng = np.random.default_rng(2)
+    held = np.repeat(disc_points(rng, 100.0, 12), 3000, axis=0)
+    i_dq = held + 0.5 * rng.standard_normal(held.shape)
+    data = OperatingData(i_dq, np.ones_like(i_dq), np.full(len(held), 209.0), np.arange(len(held)) / 10_000)
+    assert len(operating_points(data)) >= 12  # noise divides some of them
+    assert operating_points(data).count.sum() > 35_900

@@ -5,12 +5,15 @@ from __future__ import annotations
 import builtins
 import contextlib
 import gc
+import os
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from bag_samples import assert_equal_samples, make_samples
 from column_files import WRITERS, write_csv, write_mdf, write_tdms
+from scipy.io import savemat
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.join import joined
@@ -257,3 +260,54 @@ def test_mdf_files_are_read_without_loading_others(tmp_path, columns):
         "assert 'pandas' in sys.modules and not {'asammdf', 'h5py', 'nptdms'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _virtual(file, name, count, source):
+    layout = h5py.VirtualLayout((count,), "f8")
+    layout[:] = h5py.VirtualSource(source, "x", (count,))
+    file.create_virtual_dataset(name, layout)
+
+
+def _growing(file, name, count, source):
+    layout = h5py.VirtualLayout((count,), "f8", (None,))
+    layout[: h5py.h5s.UNLIMITED] = h5py.VirtualSource(source, "x", (count,), maxshape=(None,))[: h5py.h5s.UNLIMITED]
+    file.create_virtual_dataset(name, layout)
+
+
+def _external(file, name, count, source):
+    file.create_dataset(name, (count,), "f8", external=[(source, 0, h5py.h5f.UNLIMITED)])
+
+
+@pytest.mark.parametrize("store", [_virtual, _growing, _external])
+def test_samples_in_other_files_are_refused_before_those_are_opened(store, tmp_path, columns):
+    """The other file is a FIFO: opening it would wait for ever."""
+    os.mkfifo(tmp_path / "fifo")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name in columns:
+            store(file, f"log/{name}", N, "fifo")
+    with pytest.raises(DriveIdError, match=r"is stored in other files, which are not opened: write one file"):
+        read_recording(tmp_path / "log.h5", mapped("log.h5")[1])
+
+
+def test_links_to_other_files_are_no_columns(tmp_path, columns):
+    os.mkfifo(tmp_path / "fifo")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name in columns:
+            file[f"log/{name}"] = h5py.ExternalLink("fifo", "x")
+    with pytest.raises(MissingTopicError, match="holds no column of numbers"):
+        read_recording(tmp_path / "log.h5", mapped("log.h5")[1])
+
+
+def test_a_sparse_log_is_refused_by_its_size(tmp_path, columns):
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name in columns:
+            file.create_dataset(f"log/{name}", (10**11,), "f8", chunks=(1 << 16,))
+    with pytest.raises(DriveIdError, match="it unpacks to more than 269 MB, too much for its size"):
+        read_recording(tmp_path / "log.h5", mapped("log.h5")[1])
+
+
+def test_a_packed_log_is_refused_by_its_size(tmp_path):
+    path = tmp_path / "log.mat"
+    savemat(path, {"x": np.zeros(1 << 27, np.int8), "y": np.zeros(1 << 28, np.int8)}, do_compression=True)
+    with pytest.raises(DriveIdError, match=r"it unpacks to more than .* MB, too much for its size"), open_log(path):
+        pass

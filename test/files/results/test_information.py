@@ -18,7 +18,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.errors import InformationError, OutputError
-from drive_id.files.results import information
+from drive_id.files.results import folder, information
 from drive_id.files.results.information import (
     FORMAT_VERSION,
     check_information_output,
@@ -330,7 +330,7 @@ def test_a_full_disk_leaves_what_was_there(accumulated, encoded, tmp_path, monke
 
     path = tmp_path / "x.info"
     path.write_bytes(encoded)
-    monkeypatch.setattr(information.Path, "write_bytes", full)
+    monkeypatch.setattr(folder, "write_synced", full)
     with pytest.raises(OutputError, match=r"x.info cannot be written \(No space left on device\): make room"):
         write_information(path, accumulated)
     assert path.read_bytes() == encoded

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from result_folder import forget_digests
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import OutputError, ResultError
@@ -78,6 +81,7 @@ def test_the_flux_map_is_as_agreed(written, fitted):
 
 def test_joint_errors_are_read_again_and_may_be_missing(written, fitted):
     modes, again = fitted.drive.error_modes, read_results(written)[0].error_modes
+    forget_digests(written)
     for name in ("psi_d", "psi_q", "resistance", "inverter_voltage", "voltage_error"):
         np.testing.assert_allclose(getattr(again, name), getattr(modes, name), rtol=1e-6, err_msg=name)
     with np.load(written / "flux_map.npz") as file:
@@ -100,7 +104,7 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
         "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
         "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient",
-        "torque", "linear_machine",
+        "torque", "linear_machine", "files",
     }  # fmt: skip
     assert (tree["pole_pairs"], tree["u_dc"], tree["duration"]) == (4, 400.0, pytest.approx(2.0))
     assert tree["speed_range"] == pytest.approx([500 * np.pi / 30 * 4] * 2, rel=1e-5)
@@ -190,7 +194,7 @@ def test_what_is_unknown_is_read_as_unknown(fitted, tmp_path):
     assert provenance.nrmse is None
 
 
-NEWER = ("pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient")
+NEWER = ("pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient", "files")
 
 
 def test_an_older_result_is_read(written, fitted):
@@ -204,7 +208,7 @@ def test_an_older_result_is_read(written, fitted):
     np.savez(written / "flux_map.npz", **arrays)
     drive, provenance = read_results(written)
     assert drive.resistance == fitted.resistance
-    assert [getattr(provenance, name) for name in NEWER[:-1]] == [None, None, None, None, ""]
+    assert [getattr(provenance, name) for name in NEWER[:-2]] == [None, None, None, None, ""]
 
 
 def edited(written, **entries):
@@ -227,8 +231,15 @@ def edited(written, **entries):
         (lambda written: edited(written, harmonics=[6]), "is damaged (FileNotFoundError("),
         (lambda written: edited(written, settings={"method": "best"}), "is damaged (ConfigurationError("),
         (lambda written: (written / "flux_map.npz").unlink(), "is damaged (FileNotFoundError("),
-        (lambda written: (written / "flux_map.npz").write_bytes(b"PK"), "is damaged ("),
-        (lambda written: np.savez(written / "flux_map.npz", i_d=np.arange(9.0)), "is damaged (KeyError("),
+        (
+            lambda written: (written / "flux_map.npz").write_bytes(b"PK"),
+            "is damaged (flux_map.npz was not written with its identification.json, as after a kill or ",
+        ),
+        (lambda written: (forget_digests(written) / "flux_map.npz").write_bytes(b"PK"), "is damaged ("),
+        (
+            lambda written: np.savez(forget_digests(written) / "flux_map.npz", i_d=np.arange(9.0)),
+            "is damaged (KeyError(",
+        ),
     ],
 )  # fmt: skip
 def test_what_is_not_a_result_is_said_in_one_sentence(written, damage, said):
@@ -273,30 +284,34 @@ def test_the_working_folder_may_be_the_output(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b.bin", "mark.json"]
 
 
-def test_the_marker_comes_last(tmp_path, monkeypatch):
-    """Whoever sees a new identification.json sees the map that belongs to it."""
+def test_one_by_one_the_marker_comes_first(tmp_path, monkeypatch):
+    """Its digests refuse what is not yet its own."""
     put(tmp_path / "out")
     order = []
     move = Path.replace
+    monkeypatch.chdir(tmp_path / "out")
     monkeypatch.setattr(Path, "replace", lambda path, target: order.append(target.name) or move(path, target))
-    put(tmp_path / "out", {"mark.json": b"{}", "z.bin": b"z", "b.bin": b"new"})
-    assert order[-1] == "mark.json"
+    put(Path(), {"mark.json": b"{}", "z.bin": b"z", "b.bin": b"new"}, stale=["b.bin"])
+    assert order[0] == "mark.json"
     assert sorted(order) == ["b.bin", "mark.json", "z.bin"]
+    assert sorted(path.name for path in Path().iterdir()) == ["mark.json", "z.bin"]
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_a_failure_half_way_leaves_everything_as_it_was(tmp_path, monkeypatch, existing):
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_failure_half_way_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, inside):
     if existing:
         put(tmp_path / "out")
+        monkeypatch.chdir(tmp_path / "out" if inside else tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    write = Path.write_bytes
+    write = results.write_synced
 
     def full(path, data):
         if path.name == "mark.json":
             raise OSError(28, "No space left on device")
-        return write(path, data)
+        write(path, data)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(results, "write_synced", full)
     with pytest.raises(OutputError, match="No space left on device"):
         put(tmp_path / "out", {"b.bin": b"new", "mark.json": b""})
     assert sorted(tmp_path.rglob("*")) == before
@@ -304,16 +319,92 @@ def test_a_failure_half_way_leaves_everything_as_it_was(tmp_path, monkeypatch, e
         assert (tmp_path / "out" / "b.bin").read_bytes() == b"b"
 
 
-def test_existing_results_need_no_permission_beside_them(tmp_path, monkeypatch):
+@pytest.mark.parametrize("hindrance", ["no such call", "a parent that is not writable"])
+def test_existing_results_need_no_permission_beside_them(tmp_path, monkeypatch, hindrance):
     """The folder may be a mount point, or the only writable one."""
     put(tmp_path / "out")
-    made = []
-    make = results.tempfile.TemporaryDirectory
-    monkeypatch.setattr(
-        results.tempfile, "TemporaryDirectory", lambda **options: made.append(options["dir"]) or make(**options)
-    )
+    inode = (tmp_path / "out").stat().st_ino
+    if hindrance == "no such call":
+        monkeypatch.setattr(results, "exchanged", lambda *_: False)
+    else:
+        monkeypatch.setattr(results.os, "access", lambda path, _mode: Path(path) != tmp_path)
+    put(tmp_path / "out", FILES | {"b.bin": b"new"})
+    assert (tmp_path / "out").stat().st_ino == inode
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == FILES | {"b.bin": b"new"}
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_else_is_in_the_folder_stays(tmp_path):
+    out = tmp_path / "out"
+    put(out, FILES | {"old.bin": b"old"})
+    (out / "notes" / "deep").mkdir(parents=True)
+    (out / "notes" / "deep" / "b.bin").write_text("of the same name")
+    (out / "link").symlink_to("nowhere")
+    out.chmod(0o750)
+    put(out, FILES | {"b.bin": b"new"}, stale=["old.bin"])
+    assert out.stat().st_mode & 0o777 == 0o750
+    assert (out / "notes" / "deep" / "b.bin").read_text() == "of the same name"
+    assert (out / "link").readlink() == Path("nowhere")
+    assert sorted(path.name for path in out.iterdir()) == ["b.bin", "link", "mark.json", "notes"]
+    assert (out / "b.bin").read_bytes() == b"new"
+
+
+def test_files_and_names_are_on_the_disk_before_they_are_seen(tmp_path, monkeypatch):
     put(tmp_path / "out")
-    assert made == [tmp_path / "out"]
+    synced, exchange, sync = [], results.exchanged, results.sync_folder
+    monkeypatch.setattr(results, "sync_folder", lambda folder: synced.append(folder.name) or sync(folder))
+    monkeypatch.setattr(results, "exchanged", lambda one, other: synced.append("exchange") or exchange(one, other))
+    put(tmp_path / "out")
+    assert synced == ["results", "exchange", tmp_path.name]
+
+
+KILLS = """
+import os, random, signal, sys, time
+from pathlib import Path
+from drive_id.files.results.folder import FORMAT, MARKER, replace_folder
+from drive_id.files.results.identification import read_results
+
+base, rounds = Path(sys.argv[1]), int(sys.argv[2])
+contents = [{path.name: path.read_bytes() for path in (base / name).iterdir()} for name in ("one", "two")]
+seen = set()
+for k in range(rounds):
+    children = []
+    for first in (k, k + 1):  # two fits into one folder
+        if not (child := os.fork()):
+            while True:
+                for content in (contents[first % 2], contents[1 - first % 2]):
+                    replace_folder(base / "out", content, marker=MARKER, kind=FORMAT)
+        children.append(child)
+    time.sleep(random.uniform(0.002, 0.03))
+    for child in children:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    if not (base / "out").exists():
+        continue
+    found = {path.name: path.read_bytes() for path in (base / "out").iterdir()}
+    assert found in contents, sorted(found)
+    seen.add(read_results(base / "out")[0].resistance)
+print(len(seen))
+"""
+
+
+def test_a_kill_leaves_the_old_or_the_new(written, fitted, tmp_path):
+    """Of two fits that write into one folder, killed at random moments: 200 kills."""
+    written.rename(tmp_path / "one")
+    write_results(tmp_path / "two", replace(fitted.drive, resistance=5.0), fitted.provenance)
+    ran = subprocess.run(
+        [sys.executable, "-c", KILLS, tmp_path, "100"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (ran.stdout.strip(), ran.returncode) == ("2", 0), ran.stderr
+
+
+def test_a_mixed_folder_is_refused(written, fitted, tmp_path):
+    write_results(tmp_path / "two", replace(fitted.drive, resistance=5.0), replace(fitted.provenance, u_dc=123.0))
+    (tmp_path / "two" / "flux_map.npz").replace(written / "flux_map.npz")
+    with pytest.raises(
+        ResultError, match=r"flux_map\.npz was not written with its identification\.json, as after a kill"
+    ):
+        read_results(written)
 
 
 def test_a_folder_in_the_way_of_a_file(tmp_path):

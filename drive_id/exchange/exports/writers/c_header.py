@@ -22,7 +22,7 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
         "DRIVE_ID_I_MAX": (machine.i_max, "A, largest current amplitude of the experiment"),
         "DRIVE_ID_U_DC": (machine.u_dc, "V"),
     }
-    lines = [_INTRODUCTION.format(name=_comment(table.result.machine or "unknown"))]
+    lines = [_INTRODUCTION.format(name=_comment(table.result.machine or "unknown"), source=_comment(table.source))]
     lines += [f"#define {name} {_real(value)} /* {unit} */" for name, (value, unit) in constants.items() if value]
     lines += [f"#define DRIVE_ID_ND {len(table.i_d)}", f"#define DRIVE_ID_NQ {len(table.i_q)}", ""]
     lines += _array("drive_id_i_d", "[DRIVE_ID_ND]", table.i_d[None, :], "A")
@@ -69,16 +69,18 @@ def _literal(value: float) -> str:
 
 _INTRODUCTION = """\
 /*
- * Flux map of machine {name}, written by drive_id.
+ * Flux map of machine {name}.
+ * {source}
  *
- * Units: A, Wb, ohm, V. Peak values; d on the magnet axis, q leads it by 90 degrees electrical.
+ * Peak values; d on the magnet axis, q leads it by 90 degrees electrical.
  *
  *   drive_id_psi_d(i_d, i_q), drive_id_psi_q(i_d, i_q)                  bilinear, continuous
  *   drive_id_psi_d_bicubic(i_d, i_q), drive_id_psi_q_bicubic(i_d, i_q)  bicubic, with continuous slopes
  *   drive_id_inside(i_d, i_q)                                           1 where data surround the current
  *
  * Currents beyond the axes are moved to their ends. Points without data are NaN (unless the table was filled) and make
- * the result NaN: ask drive_id_inside first. The bicubic functions use the neighbouring cells, too.
+ * the result NaN: ask drive_id_inside first. The bicubic functions use the neighbouring cells, too; where one of these
+ * has no data, they are bilinear.
  *
  * For tables in double precision, define DRIVE_ID_DOUBLE before this header is included.
  */
@@ -202,7 +204,7 @@ static inline drive_id_real drive_id_bicubic(const drive_id_real *table, drive_i
         }
         sum += along_d[j] * line;
     }
-    return sum;
+    return sum == sum ? sum : drive_id_bilinear(table, i_d, i_q); /* next to points without data */
 }
 
 static inline drive_id_real drive_id_psi_d(drive_id_real i_d, drive_id_real i_q)

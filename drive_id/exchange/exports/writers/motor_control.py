@@ -33,7 +33,7 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
             "idRefTable": control.i_d.T,
             "iqRefTable": control.i_q.T,
         }
-    L = machine.inductances(0.0, 0.0)
+    L = machine.control_inductances(0.0, 0.0)
     pmsm = {
         "p": float(machine.known_pole_pairs()),
         "Rs": table.known_resistance(),

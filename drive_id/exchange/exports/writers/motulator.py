@@ -10,7 +10,7 @@ from drive_id.exchange.exports.writers.archives import npz_bytes
 
 
 def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # a Writer
-    """Write ``i_s_dq``, ``psi_s_dq``, ``inside``, indexed [i_d, i_q], and ``R_s``, ``n_p``, ``tau_M`` where known."""
+    """Write ``i_s_dq``, ``psi_s_dq``, ``inside``, indexed [i_d, i_q], and the machine's data where known."""
     (i_d, i_q), (psi_d, psi_q) = table.grid, table.psi
     values = {"i_s_dq": i_d + 1j * i_q, "psi_s_dq": psi_d + 1j * psi_q, "inside": table.inside}
     return npz_bytes(values | _scalars(table))
@@ -41,7 +41,9 @@ def write_samples(table: MapTable, options: ExportOptions) -> bytes:  # noqa: AR
 
 def _scalars(table: MapTable, *, with_torque: bool = True) -> dict[str, object]:
     machine = table.machine
-    values: dict[str, object] = {}
+    values: dict[str, object] = {"i_max": np.asarray(machine.i_max), "source": np.asarray(table.source)}
+    if machine.u_dc is not None:
+        values["u_dc"] = np.asarray(machine.u_dc)
     if np.isfinite(machine.resistance):
         values["R_s"] = np.asarray(machine.resistance)
     if machine.pole_pairs is not None:

@@ -55,6 +55,6 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
                 variable[:] = np.stack([amplitudes[..., part] for _, amplitudes in table.harmonics])
                 variable.units = "Wb"
         for name, value in (_TEXTS | table.facts()).items():
-            setattr(file, name, value)
+            setattr(file, name, value.encode() if isinstance(value, str) else value)
         file.flush()
         return stream.getvalue()

@@ -1,0 +1,64 @@
+"""What files of MATLAB's versions 5 to 7 unpack to."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+from drive_id.files.inputs.archive import unpacked_limit
+from drive_id.files.inputs.input_file import read_input, shown_size
+
+_HEADER, _TAG = 128, 8
+_MATRIX, _COMPRESSED = 14, 15
+_LARGEST, _MOST_MATRICES, _DEEPEST = 1 << 27, 50_000, 20
+
+
+def check_unpacked_size(path: Path, limit: int | None = None) -> None:
+    """Check what a file of MATLAB's version 5 to 7 unpacks to, before scipy takes an object for each of its matrices.
+
+    Parameters
+    ----------
+    path : Path
+    limit : int, optional
+        Most bytes, packed or not; default: those of a map.
+
+    Raises
+    ------
+    ValueError
+        When it is too large.
+    """
+    data = read_input(path, limit or _LARGEST)
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
+    if order is None:
+        return  # another version, which holds no struct, or which scipy refuses
+    most, at = limit or unpacked_limit(len(data), _LARGEST), _HEADER
+    left = most
+    while at + _TAG <= len(data):
+        kind, count = struct.unpack_from(f"{order}II", data, at)
+        body = data[at + _TAG : at + _TAG + count]
+        if kind == _COMPRESSED:
+            body = zlib.decompressobj().decompress(body, left + 1)
+            left -= len(body)
+            if left < 0:
+                raise ValueError(f"it unpacks to more than {shown_size(most)}, too much for its size")
+        _matrices(memoryview(body), order, kind == _MATRIX, 0)
+        at += _TAG + count
+
+
+def _matrices(body: memoryview, order: str, inside: bool, depth: int) -> int:
+    """Return the number of matrices in an element, cells and fields of structs included."""
+    at, found = 0, int(inside)
+    while at + _TAG <= len(body):
+        kind, count = struct.unpack_from(f"{order}II", body, at)
+        if kind >> 16:  # a small element, in its own tag
+            at += _TAG
+            continue
+        if kind == _MATRIX:
+            if depth > _DEEPEST:
+                raise ValueError("it is nested too deeply")
+            found += _matrices(body[at + _TAG : at + _TAG + count], order, True, depth + 1)
+        if found > _MOST_MATRICES:
+            raise ValueError("it holds too many matrices")
+        at += _TAG + -(-count // 8) * 8
+    return found

@@ -1,0 +1,72 @@
+"""Propose a signals file for slow logs in d and q without an angle, by the names of the columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.wording import listed, quoted
+
+_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
+_RPM = {"rpm", "n", "min", "drehzahl", "speed"}
+"""Words of a speed that is likely one of the shaft, in rpm."""
+
+
+def static_draft(contents: Contents) -> tuple[list[str], list[str]] | None:
+    """Return the lines of a signals file for method ``static``, and what is unsure; None without d, q and a speed.
+
+    Rows may have blank cells, as where each CAN frame is a row: each section takes the rows in which it has values.
+    """
+    for table in contents.tables:
+        pairs = [group for group in name_groups(list(table.columns)) if group.frame == "dq"]
+        pairs = [group for group in pairs if not suggests(group.stem, "reference")]
+        currents = [group.names for group in pairs if suggests(group.stem, "current")]
+        voltages = [group.names for group in pairs if suggests(group.stem, "voltage") and group.names not in currents]
+        taken = {name for group in pairs for name in group.names}
+        speeds = [name for name in table.columns if suggests(name, "speed") and name not in taken]
+        speeds.sort(key=lambda name: suggests(name, "reference"))
+        if currents and voltages and speeds:
+            return _lines(contents, table, currents[0], voltages[0], speeds[0])
+    return None
+
+
+def _lines(
+    contents: Contents, table: Table, currents: Sequence[str], voltages: Sequence[str], speed: str
+) -> tuple[list[str], list[str]]:
+    unsure = []
+    where = [f"topic: {table.name}"] if contents.is_bag else []
+    if table.name and len(contents.tables) > 1 and not contents.is_bag:
+        where = [f"group: {quoted(table.name)}"]
+    time = next((name for name, x in table.columns.items() if suggests(name, "time") and _is_time(x)), "")
+    if time and not len(table.stamp):
+        said = _UNIT.search(time.lower())
+        unit = said.group(1).replace("µ", "u") if said else "s"
+        where += [f"stamp: {quoted(time)}", f"stamp_unit: {unit}"]
+        if not said:
+            unsure.append(f"The unit of {time} was taken to be s.")
+    elif not len(table.stamp):
+        unsure.append("The log has no time column, so each row is taken for an operating point.")
+    scale = "  scale: 0.001" if any("[ma]" in name.lower() or "(ma)" in name.lower() for name in currents) else ""
+    shaft = bool(words(speed) & _RPM) and "el" not in words(speed)
+    unit = "rpm" if shaft else "rad/s"
+    unsure.append(
+        f"{speed} was taken as {f'the speed of the shaft in {unit}' if shaft else f'the electrical speed in {unit}'}: "
+        "the fluxes follow its unit" + (" and pole_pairs, which no data show." if shaft else ".")
+    )
+    body = [f"defaults: {{{', '.join(where)}}}"] if where else []
+    body += ["currents:", "  frame: dq", f"  fields: {listed(currents)}   # A, peak"]
+    body += [scale] if scale else []
+    body += ["voltages:", "  frame: dq", f"  fields: {listed(voltages)}   # V, peak, phase to neutral, as commanded"]
+    body += ["resolver:", f"  speed: {quoted(speed)}", f"  speed_unit: {unit}"]
+    if shaft:
+        body += ["  mechanical: true", "  pole_pairs: 1   # EDIT: that of the machine"]
+    return body, unsure
+
+
+def _is_time(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+    there = values[np.isfinite(values)]
+    return len(there) > 2 and bool(np.all(np.diff(there) >= 0)) and there[-1] > there[0]

@@ -35,6 +35,7 @@ def drive(shared):
     given = {"speed_min": nothing, "speed_max": nothing, "current_limit": nothing, "repeat": 1} | SETTINGS
     assert shared.set_parameters(**given, trajectory="lissajous").successful
     shared.ros.wait(lambda: shared.state() in {"idle", "tripped"}, "rest")
+    shared.clear()
     shared.forget()
     return shared
 
@@ -105,8 +106,10 @@ def test_the_speed_leaves_its_band(drive):
     assert drive.status().level == b"\x02"
     _, wanted = drive.ended_at_zero()
     assert_smooth(wanted)
-    drive.refuses("Not started: The speed is 418.9 rad/s")
+    drive.refuses("Not started: it tripped before. The speed is ")
+    assert "Not cleared: The speed is 418.9 rad/s" in drive.trigger("clear_fault").message
     assert drive.set_parameters("bench_simulator", speeds=[500.0]).successful
+    drive.clear()
     drive.start()
 
 
@@ -118,6 +121,7 @@ def test_the_current_exceeds_its_limit(drive):
     assert drive.state() == "tripped"
     _, wanted = drive.ended_at_zero()
     assert np.hypot(*np.diff(wanted, axis=0).T).max() > 50.0  # at once, not by a ramp
+    drive.clear()
     drive.start()
 
 
@@ -149,7 +153,8 @@ def test_the_truth_is_in_its_file_and_in_no_topic(drive):
     assert (truth.machine, truth.resistance) == ("ipm", machine_map("ipm").resistance)
     assert "R 0.01 ohm" in drive.bench.output
     topics = {name for name, _ in drive.ros.node.get_topic_names_and_types() if name.startswith("/cell")}
-    own = ("current_reference", "phase_currents", "phase_voltages", "resolver", "trajectory_publisher/transition_event")
+    own = ("current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "emergency_stop")
+    own += tuple(f"trajectory_publisher/{name}" for name in ("transition_event", "state", "heartbeat"))
     assert topics == {f"/cell/{name}" for name in own}
     publishers = drive.ros.node.get_publishers_info_by_topic("/rosout")
     assert "bench_simulator" not in {publisher.node_name for publisher in publishers}
@@ -186,10 +191,11 @@ def test_a_killed_bench_trips_the_watchdog():
         drive.bench.popen.kill()
         drive.wait_for_message("Nothing has arrived on")
         drive.wait_for_state("tripped")
-        drive.refuses("Not started: Nothing has arrived on")
+        drive.ask("clear_fault", lambda reply: "Not cleared: Nothing has arrived on" in reply.message, "a refusal")
         _, wanted = drive.ended_at_zero(alive=False)
         assert_smooth(wanted)
         drive.replace_bench()
+        drive.clear()
         drive.start()
 
 
@@ -204,7 +210,7 @@ def test_two_drives_on_one_graph_one_of_them_with_other_names():
         left.rest()
         assert "under way (running)" in right.trigger("start").message
         rival = ros.start(PUBLISHER, parameters=SETTINGS, namespace="/left")
-        left.refuses("other nodes publish current_reference")
+        left.refuses("Another node publishes current_reference")
         assert rival.interrupt()[0] == 0
 
 

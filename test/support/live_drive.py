@@ -109,9 +109,13 @@ class LiveDrive:
         self.start()
         self.ros.wait(lambda: self.is_driven(amplitude), "current")
 
+    def clear(self):
+        """Clear a fault as soon as its cause is gone."""
+        return self.ask("clear_fault", lambda reply: reply.success, "a cleared fault")
+
     def rest(self):
         """Stop, and wait until nothing is running any more."""
-        self.ask("stop", lambda reply: reply.message == "Nothing is running.", "rest")
+        self.ask("stop", lambda reply: reply.message.startswith("Nothing is running."), "rest")
         self.ros.wait(self.is_at_zero, "zero current")
 
     def ended_at_zero(self, alive=True):

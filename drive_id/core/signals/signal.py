@@ -113,6 +113,11 @@ class SampleCount:
         self.blocks += 1
         self.zeros += first_sample == 0
 
+    @property
+    def due(self) -> int | None:
+        """Number of the first sample of the next block; None before the first one."""
+        return self._next
+
     def interrupt(self) -> None:
         """Have the next block begin anew: what is missing before it is not lost."""
         self._next = None

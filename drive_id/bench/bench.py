@@ -154,7 +154,8 @@ class Bench:
         """
         if self._start is None:
             self._start = self._now = now
-        self._drifted += self.faults.clock_drift * (now - self._now)
+        drift = self.faults.clock_drift  # without one, the clock is synchronized again
+        self._drifted = self._drifted + drift * (now - self._now) if drift else 0.0
         self._now = now
         size = self._settings.block_size
         exist = int((now - self._stamp(self._done)) // (self._period * NANOSECONDS))

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Identify, StartRecording, StopRecording
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -171,7 +172,8 @@ class Bench:
         self._names = {self._node.resolve_service_name(node): node for node in NODES}
         self._services = {name: self._node.create_client(kind, name) for name, kind in SERVICES.items()}
         self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
-        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=steady)
         # After the clients: a node that is heard here knows of them, and its replies are not lost.
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 

@@ -26,7 +26,7 @@ class LiveDrive:
     Their time is simulated while the test waits, by the ``clock`` given, or by the bench itself without any.
     """
 
-    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, **remaps):
+    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, **remaps):
         from diagnostic_msgs.msg import DiagnosticArray
         from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
 
@@ -35,7 +35,7 @@ class LiveDrive:
         arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
         bench = {"use_sim_time": clock is not None} | (bench or {})
         publisher = SETTINGS | {"use_sim_time": True} | (publisher or {})
-        self.bench = ros.start(BENCH, parameters=bench, arguments=arguments, namespace=namespace)
+        self.bench = ros.start(simulator, parameters=bench, arguments=arguments, namespace=namespace)
         self.publisher = ros.start(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
         self.messages, self._before = {}, {}
         for kind, name in (

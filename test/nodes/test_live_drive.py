@@ -32,7 +32,13 @@ def drive(shared):
     assert shared.set_parameters("bench_simulator", speeds=[500.0]).successful
     shared.rest()
     nothing = float("nan")
-    given = {"speed_min": nothing, "speed_max": nothing, "current_limit": nothing, "repeat": 1} | SETTINGS
+    given = {
+        "speed_min": nothing,
+        "speed_max": nothing,
+        "current_limit": nothing,
+        "repeat": 1,
+        "dry_run": False,
+    } | SETTINGS
     assert shared.set_parameters(**given, trajectory="lissajous").successful
     shared.ros.wait(lambda: shared.state() in {"idle", "tripped"}, "rest")
     shared.clear()
@@ -125,6 +131,51 @@ def test_the_current_exceeds_its_limit(drive):
     drive.start()
 
 
+def test_a_clock_that_is_paused_trips(drive):
+    """Neither side has time, so the references never come due: what runs no more must not be said to run."""
+    assert drive.set_parameters(watch_timeout=5.0).successful
+    drive.run_without_end()
+    drive.clock.stands = True
+    try:
+        drive.wait_for_message("The clock of this node has stood still for 5.")
+        assert drive.state() == "tripped"
+    finally:
+        drive.clock.stands = False
+    drive.ended_at_zero()
+    drive.clear()
+
+
+def test_a_dry_run_publishes_nothing(drive):
+    assert drive.set_parameters(dry_run=True, repeat=0).successful
+    drive.ask("start", lambda reply: "published to nobody" in reply.message, "a start")
+    drive.wait_for_state("running")
+    assert drive.trigger("stop").success
+    drive.wait_for_state("idle")
+    assert drive.messages["current_reference"] == []
+    assert drive.set_parameters(dry_run=False).successful
+
+
+def test_the_state_is_there_for_late_subscribers(drive):
+    from drive_id_msgs.msg import PublisherState
+
+    from drive_id.nodes.support.qos import LATCHED
+
+    heard = []
+
+    def subscribe():
+        topic = f"{drive.namespace}/trajectory_publisher/state"
+        drive.ros.node.create_subscription(PublisherState, topic, heard.append, LATCHED)
+
+    subscribe()
+    drive.ros.wait(lambda: heard and heard[-1].state == PublisherState.IDLE, "the state at rest")
+    drive.run_without_end()
+    drive.ros.wait(lambda: heard[-1].state == PublisherState.RUNNING, "the state of a run")
+    assert heard[-1].session == drive.last("current_reference").session != 0
+    assert drive.trigger("stop").success
+    drive.ros.wait(lambda: heard[-1].state == PublisherState.IDLE, "the end")
+    assert heard[-1].reason == "Stopped on request."
+
+
 def test_parameters_are_refused_with_the_reason(drive):
     drive.run_without_end()
     for values, reason in (
@@ -138,6 +189,9 @@ def test_parameters_are_refused_with_the_reason(drive):
         ({"current_limit": float("inf")}, "finite"),
         ({"speed_min": None}, "cannot be undeclared"),
         ({"publish_rate": 20.0}, "read-only"),
+        ({"watch": False}, "read-only"),
+        ({"require_status": False}, "read-only"),
+        ({"current_ceiling": 1e3}, "read-only"),
         ({"frequency": 20.0}, "declared"),
     ):
         result = drive.set_parameters(**values)
@@ -237,6 +291,11 @@ def test_a_wrong_start_is_one_sentence():
         ("trajectory_publisher", {"i_max": 0.0}, "i_max"),
         ("trajectory_publisher", {"i_max": 100}, "i_max"),
         ("trajectory_publisher", {"slew_rate": 1000.0}, "slew_rate"),
+        (
+            "trajectory_publisher",
+            {"i_max": 100.0, "current_ceiling": 90.0},
+            "i_max is 100 A, above current_ceiling, 90 A",
+        ),
     ]
     with ros_bench() as ros:
         for module, parameters, _ in wrong:

@@ -169,7 +169,10 @@ class SupervisedExperiment:
             )
         self._judge(now, fault)
         blocks = self._experiment.advance(now)
-        if self._rest and not self._experiment.active:
+        rival = bool(self.trip_reason) and (publishers > 1 or self._watchdog.flows())
+        if (
+            self._rest or rival
+        ) and not self._experiment.active:  # after a trip, nobody else drives before it is cleared
             blocks.append(self._experiment.rest(now))
         self._rest = False
         self._take_settings()

@@ -516,6 +516,21 @@ def test_a_stop_at_rest_brings_others_to_zero(bench):
     assert not np.any(bench.references.last)
 
 
+def test_after_a_trip_nobody_else_drives_until_it_is_cleared(running):
+    trips(running, "Another node publishes current_reference", 0.02, publishers=2)
+    running.ticks(30)
+    for _ in range(10):
+        running.references.add(running.now, 1e-3, *np.full((2, 100), 3, np.float32), session=7)
+        running.ticks(3)
+        assert not np.any(running.references.last)
+    running.publishers = 1
+    running.ticks(2)
+    running.blocks.clear()
+    running.ticks(20)
+    assert running.blocks == []
+    assert running.clear()[0]
+
+
 def test_every_run_is_a_session_of_its_own(running):
     first = {block.session for block in running.blocks}
     running.ticks(400)

@@ -63,16 +63,16 @@ class Hazard:
 
 
 HAZARDS = {
-    "~/stop": Hazard(0.15, act="stop"),
-    "emergency stop": Hazard(0.15, act="press", reason="emergency stop"),
-    "drive clock 5 s behind": Hazard(0.35, {"clock_offset": -5.0}, reason="The stamps of"),
-    "drive clock 1 s ahead": Hazard(0.35, {"clock_offset": 1.0}, reason="The stamps of"),
+    "~/stop": Hazard(0.3, act="stop"),
+    "emergency stop": Hazard(0.3, act="press", reason="emergency stop"),
+    "drive clock 5 s behind": Hazard(0.5, {"clock_offset": -5.0}, reason="The stamps of"),
+    "drive clock 1 s ahead": Hazard(0.5, {"clock_offset": 1.0}, reason="The stamps of"),
     "drive clock drifts by 0.5 s/s": Hazard(0.8, {"clock_drift": 0.5}, reason="The stamps of"),
     "drive ignores references": Hazard(0.5, {"ignore_references": True}, reason="does not follow"),
-    "stamps of feedback frozen": Hazard(0.35, {"freeze": "stamps"}, reason="do not advance"),
-    "samples of feedback frozen": Hazard(0.4, {"freeze": "samples"}, reason="does not follow"),
-    "drive restarts": Hazard(0.15, {"restarts": 1}, reason="the drive was restarted"),
-    "drive trips": Hazard(0.15, {"trip": True}, reason="The drive reports a fault"),
+    "stamps of feedback frozen": Hazard(0.5, {"freeze": "stamps"}, reason="do not advance"),
+    "samples of feedback frozen": Hazard(0.5, {"freeze": "samples"}, reason="does not follow"),
+    "drive restarts": Hazard(0.3, {"restarts": 1}, reason="the drive was restarted"),
+    "drive trips": Hazard(0.3, {"trip": True}, reason="The drive reports a fault"),
     "all messages lost": Hazard(0.9, {"loss": 1.0}, reason=" "),
     "messages 0.4 s late": Hazard(1.0, {"latency": 0.4}, reason=" "),
     "second publisher, silent": Hazard(0.5, act="appear", reason="Another node publishes"),
@@ -301,7 +301,8 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
     trouble = cell.begin()
     cell.graph.spin(rng.uniform(0.0, 0.8))
     since, alive = time.monotonic(), set(cell.nodes)
-    deadline, done = 0.0, []
+    deadline = 0.0
+    done: list[str] = []
     for name in names:
         hazard = HAZARDS[name]
         if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:

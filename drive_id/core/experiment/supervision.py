@@ -154,8 +154,9 @@ class SupervisedExperiment:
         return self._judge(now, self._watchdog.emergency_stop(steady, pressed))
 
     def heartbeat(self, steady: float) -> None:
-        """Note a sign of life of the client that starts experiments."""
+        """Note a sign of life of the client that starts experiments, or has just started one."""
         self._heartbeat = steady
+        self._leased |= self._experiment.active
 
     def advance(self, now: int, steady: float, publishers: int = 1) -> list[ReferenceBlock]:
         """Return the blocks to publish now; ``publishers`` as in :meth:`start`."""

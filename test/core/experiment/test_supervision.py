@@ -472,6 +472,16 @@ def test_a_client_that_dies_brings_the_current_to_zero():
     trips(bench, "The client that started has sent no heartbeat for 0.2", 0.22)
 
 
+def test_the_first_heartbeat_may_come_after_the_start():
+    bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.watched.heartbeat(bench.steady)
+    bench.ticks(10)
+    assert bench.state() == "running"
+    trips(bench, "The client that started has sent no heartbeat for 0.2", 0.12)
+
+
 def test_a_start_by_hand_needs_no_heartbeat_unless_it_is_required(bench):
     assert bench.start()[0]
     bench.ticks(30)

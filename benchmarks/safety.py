@@ -320,6 +320,8 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
             continue
         if any(HAZARDS[other].act == "suspend" for other in done) and hazard.act in {"stop", "kill"}:
             continue  # it does not answer
+        if hazard.act == "intrude" and any(HAZARDS[other].act in {"stop", "kill"} for other in done):
+            continue  # it intrudes on nobody: the drive is at rest, and free for the next session
         begin = cell.inject(hazard)
         done.append(name)
         deadline = deadline or begin - since + hazard.stated

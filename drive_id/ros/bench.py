@@ -236,6 +236,7 @@ class Bench:
         ExperimentError
             When a node refuses, does not answer, or the trajectory is stopped before its end.
         """
+        self._heartbeats.publish(Empty())  # long before the start, which may require it
         self._begun = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
         if not started.success:  # the recorder may be busy for another client, who shall not be stopped

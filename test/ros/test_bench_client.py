@@ -153,13 +153,11 @@ def test_an_experiment_calls_the_services_in_order(nodes):
     assert (result.output, result.message) == ("/out", "identification/identify says so.")
 
 
-def test_heartbeats_come_before_the_start_and_all_the_time(nodes):
+def test_heartbeats_come_as_long_as_an_experiment_runs(nodes):
     """The publisher ramps down without them: nothing runs on when this process is gone."""
     nodes.script = ["running"] * 40 + ["idle"]
     with client() as bench:
         bench.wait_until_ready(30.0)
-        assert nodes.beats
-        nodes.beats.clear()
         bench.run_experiment()
         assert len(nodes.beats) >= 5
         assert max(b - a for a, b in itertools.pairwise(nodes.beats)) < 1.5

@@ -180,6 +180,7 @@ class Cell:
             last = [when for when, peak in self.peaks if peak > REST]
             return time.monotonic() > max([since, *last[-1:]]) + QUIET
 
+        self.graph.spin(QUIET)  # first of all, hear what has arrived meanwhile
         self.graph.wait(over, 10.0)
         return max((when for when, peak in self.peaks if peak > REST and when > since), default=since) - since
 

@@ -35,8 +35,8 @@ CONFIG = Path(__file__).parent.parent / "config"
 I_MAX, LIMIT = 100.0, 125.0
 REST = 3.0
 """Current of a drive at rest, A: the ripple of the inverter."""
-QUIET = 0.4
-"""Time without current after which a drive counts as at rest, s."""
+QUIET = 0.7
+"""Time without current after which a drive counts as at rest, s: more than messages are ever late."""
 _ATTEMPTS = 4
 PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
 
@@ -186,7 +186,7 @@ class Cell:
 
     def inject(self, hazard: Hazard) -> float:
         """Let something go wrong, and return when: for a fault of the drive, when it has confirmed it."""
-        self.sensed = hazard.faults.get("freeze") != "samples"
+        self.sensed &= hazard.faults.get("freeze") != "samples"
         begin = time.monotonic()
         if hazard.act:
             getattr(self, hazard.act)()

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
-from drive_id.core.full.model import EFFECTS, PENALTIES, FullModel, ModelSpec
+from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
@@ -148,7 +148,7 @@ def search_effects(
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(spec)
     names = {each.name for each in taken}
-    if names <= {DELAY}:
+    if names <= {DELAY} and not _remains(solver):
         extended = sums
     taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
     return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
@@ -186,6 +186,12 @@ def _plausible(name: str, value: float, period: float) -> bool:
     if name.startswith("flux_lag_"):
         return 0 <= value < _LARGEST_LAG
     return _family(name) not in _POSITIVE or value >= 0
+
+
+def _remains(solver: Solver) -> bool:
+    """Tell whether the remainder matters without effects: what the current does between samples."""
+    own = solver.model.effect("remainder").start
+    return bool(solver.total[own, own] > _LEAST_VOLTAGE**2 * solver.total[VOLTAGE, VOLTAGE])
 
 
 def _family(name: str) -> str:

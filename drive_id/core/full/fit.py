@@ -15,6 +15,7 @@ from drive_id.core.full.effect_search import EffectSearch, Taken
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
 from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
+from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
@@ -160,8 +161,8 @@ class EarlierFit:
     ----------
     orders : tuple of int
         Harmonics that its sums covered.
-    fine : bool
-        Whether they were over fine cells.
+    cells : Resolution, optional
+        Cells of its map and harmonics, if not the usual ones.
     spec : ModelSpec
     columns : EffectColumns
     taken : tuple of Taken
@@ -173,7 +174,7 @@ class EarlierFit:
     """
 
     orders: tuple[int, ...]
-    fine: bool
+    cells: Resolution | None
     spec: ModelSpec
     columns: EffectColumns
     taken: tuple[Taken, ...]
@@ -201,7 +202,7 @@ class EarlierFit:
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
         advantage = fit.selection.advantage
         model = fit.model
-        return cls(orders=model.orders, fine=model.fine, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
+        return cls(orders=model.orders, cells=model.cells, spec=fit.spec, advantage=advantage, **of_fit, **of_search)
 
 
 _KEPT_OF_FIT = (
@@ -214,11 +215,11 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
 
     Standard errors, lack of fit and outliers are those of the earlier fit, because they require the windows themselves.
     """
-    if earlier.fine:
-        sums = sums.with_fine_cells(earlier.orders)
+    if earlier.cells is not None:
+        sums = sums.resolved(earlier.cells, earlier.orders)
     elif earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
-    if earlier.spec.effects:
+    if earlier.spec.effects or earlier.remains:
         sums = sums.with_effects(earlier.columns)
     solver = Solver.over(sums)
     plain = solver.solve(earlier.spec)

@@ -23,6 +23,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
+from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.windows import LAGS, SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import BasisRows, ColumnArray
@@ -30,10 +31,8 @@ from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-FLUX_CELLS, FLUX_DEGREE = 16, 4
-HARMONIC_CELLS, HARMONIC_DEGREE = 4, 3
-FINE_FLUX_CELLS, FINE_HARMONIC_CELLS = 24, 8
-"""Cells of a fine model."""
+FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
+"""Of the co-energies of map and harmonics."""
 SENSOR_CELLS, SENSOR_DEGREE = 3, 3
 SENSOR_ORDERS = (1, 2)
 
@@ -173,8 +172,8 @@ class FullModel:
         Sum over the columns of reciprocal maps only, a third fewer, see :attr:`summed`.
     sensors : tuple of int
         Candidate harmonics that current sensors cause.
-    fine: bool
-        More cells for the map and its harmonics, for machines with finer detail than the usual cells resolve.
+    cells: Resolution, optional
+        Cells of the map and its harmonics; default: the usual ones.
     """
 
     low: FloatArray
@@ -184,7 +183,12 @@ class FullModel:
     _: KW_ONLY
     reciprocal: bool = False
     sensors: tuple[int, ...] = SENSOR_ORDERS
-    fine: bool = False
+    cells: Resolution | None = None
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Cells of the map and its harmonics."""
+        return self.cells or Resolution.usual(self.low, self.high)
 
     @cached_property
     def shapes(self) -> CapacitiveShapes:
@@ -194,14 +198,12 @@ class FullModel:
     @cached_property
     def flux(self) -> GradientSpline:
         """Space of the flux map."""
-        cells = FINE_FLUX_CELLS if self.fine else FLUX_CELLS
-        return GradientSpline.within(self.low, self.high, cells, FLUX_DEGREE)
+        return GradientSpline(self.resolution.d, self.resolution.q, FLUX_DEGREE)
 
     @cached_property
     def harmonic(self) -> GradientSpline:
         """Space of the amplitudes of a rotor-position harmonic."""
-        cells = FINE_HARMONIC_CELLS if self.fine else HARMONIC_CELLS
-        return GradientSpline.within(self.low, self.high, cells, HARMONIC_DEGREE)
+        return GradientSpline.within(self.low, self.high, self.resolution.harmonic, HARMONIC_DEGREE)
 
     @cached_property
     def sensor(self) -> GradientSpline:

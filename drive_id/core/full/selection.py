@@ -19,6 +19,7 @@ from drive_id.core.full.model import (
     FullModel,
     ModelSpec,
 )
+from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import (
     CurrentNoise,
     FullSolution,
@@ -54,6 +55,9 @@ _SEARCHES = 2
 _OFFSET, _BY_OFFSET = 1, 5.0
 """Harmonic that a current offset causes, and the largest excess over noise that it may cause."""
 _MOST_WINDOWS = 1500
+_MISFIT_WINDOWS = 6000
+_REFINEMENTS = 4
+_LOCAL = 1e-3
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
 
@@ -98,6 +102,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums = sums.freed(sums.model.all_orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _compensated(solver, _first_spec(sums, settings, turn))
+    sums, solver, start = _resolved(sums, solver, start, noise)
     between = between_crossings(sums, solver, start, noise)
     if between and not _offset_shows(between, noise):
         sums, crossings = between.sums, between.excess
@@ -121,34 +126,52 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         start = _with_early_steps(solver, _compensated(solver, _first_spec(sums, settings, turn)))
         del solver
         selection = _select(sums, start, settings, turn, noise)
-    selection = _with_fine_cells(plain, selection, settings, turn, noise) or selection
     return selection.search.sums, replace(selection, crossings=crossings)
 
 
-def _with_fine_cells(
-    plain: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
-) -> Selection | None:
-    """Return the selection with fine cells of map and harmonics if the data require them, else None.
+def _resolved(
+    sums: WindowSums, solver: Solver, solution: FullSolution, noise: CurrentNoise
+) -> tuple[WindowSums, Solver, FullSolution]:
+    """Return sums, solver and solution with finer cells where residuals exceed noise and held-out data gain by them.
 
-    The residuals must exceed noise by a voltage that matters, and the fine model must predict held-out data clearly
-    better, both with the spec selected so far and with its own. Whether maps are free is not selected again: fine free
-    maps have too many unknowns.
+    The cells of the map are divided first, then those of the harmonics as well.
     """
-    solver, solution = selection.solver, selection.solution
-    if not solution.spec.reciprocal or not _misfit_shows(solver, solution, noise):
-        return None
-    sums = plain.with_fine_cells(tuple(order for order in solution.spec.orders if order not in SENSOR_ORDERS))
-    fine, without = Solver.over(sums), replace(solution.spec, effects=())
-    error = solver.left_out(solution.spec)[:, 0]
-    by_usual = solver.left_out(without)[:, 0] if solution.spec.effects else error
-    if not _advantage(fine, without, by_usual)[1]:
-        return None
-    start = fine.solve(replace(without, delay=0.0 if settings.calibrate_delay else settings.voltage_delay))
-    del fine  # its matrices are large
-    found = _select(sums, start, replace(settings, maps="reciprocal"), turn, noise)
-    if not _advantage(found.solver, found.solution.spec, error)[1]:
-        return None
-    return replace(found, advantage=selection.advantage)
+    spec, error = solver.best_penalty(solution.spec)
+    for _ in range(_REFINEMENTS):
+        cells = sums.model.resolution
+        misfit = _misfit(sums, solution, noise, solver.total_voltage)
+        if not misfit.shows:
+            break
+        local = cells.finer(misfit)
+        tried = [local, local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else [local]
+        for candidate in tried:
+            finer = sums.resolved(candidate, sums.model.orders)
+            other = Solver.over(finer)
+            found, by_finer = other.best_penalty(spec)
+            if _clearly_better(solver, error, by_finer):
+                sums, solver, spec, error, solution = finer, other, found, by_finer, other.solve(found)
+                break
+        else:
+            break
+    return sums, solver, solution
+
+
+def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total_voltage: float) -> Misfit:
+    model, windows = sums.model, Windows.joined(list(sums.kept())).thinned(_MISFIT_WINDOWS)
+    squares = np.square(model.residuals(windows, solution.estimate)).sum(axis=1)
+    expected = noise.variance * squared_inductances(model, solution.estimate, windows)
+    return misfit_by_cell(model.resolution, windows.i_dq, squares, expected, _LOCAL**2 * total_voltage)
+
+
+def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
+    """Tell whether squared errors (F,) on data left out are clearly smaller than others.
+
+    Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage.
+    """
+    folds = predictable(error)
+    enough = (error - other)[folds].mean() > _LEAST_SAVED**2 * solver.total_voltage
+    saved = 1.0 - float(other[folds].sum() / error[folds].sum())
+    return bool(enough and saved > _CLEAR_GAIN and np.sum((other < error)[folds]) >= folds.sum() - 1)
 
 
 def _misfit_shows(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> bool:

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 _UNPREDICTABLE = 4.0
 _THINNED = 2000
+_ROUNDING = 1e-13
+"""Sum of squared residuals, relative to that of the voltages, that is rounding."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -237,7 +239,8 @@ class Solver:
         moment = self.total[further] @ solution.summed
         scale = np.sqrt(np.maximum(np.diag(left), _TINY))
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
-        return float((moment / scale) @ found / max(solution.sum_of_squares, _TINY)), -found / scale
+        floor = _ROUNDING * self.total[VOLTAGE, VOLTAGE]
+        return float((moment / scale) @ found / max(solution.sum_of_squares, floor, _TINY)), -found / scale
 
     def delay(self, solution: FullSolution) -> tuple[float, float, float]:
         """Estimate by how many samples the voltages act later than recorded.

@@ -13,6 +13,7 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, SENSOR_ORDERS, FullModel
+from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.solver import with_products
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
@@ -113,9 +114,9 @@ class WindowSums:
         """Return the sums over the kept windows for a model with other harmonics."""
         return self._over(replace(self.model, orders=orders), self._kept)
 
-    def with_fine_cells(self, orders: tuple[int, ...]) -> WindowSums:
-        """Return the sums over the kept windows for a fine model with these harmonics."""
-        return self._over(replace(self.model, orders=orders, fine=True), self._kept)
+    def resolved(self, cells: Resolution, orders: tuple[int, ...]) -> WindowSums:
+        """Return the sums over the kept windows for a model with other cells and these harmonics."""
+        return self._over(replace(self.model, orders=orders, cells=cells), self._kept)
 
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""

@@ -15,14 +15,12 @@ from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import (
-    FINE_FLUX_CELLS,
-    FINE_HARMONIC_CELLS,
-    FLUX_CELLS,
     MAGNET,
     RESISTANCE,
     SENSOR_ORDERS,
     FullModel,
 )
+from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
@@ -404,14 +402,16 @@ def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
 
 def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
     """Say that fine cells were used, and for which share of the windows."""
-    if not fit.model.fine:
+    cells = fit.model.resolution
+    if not cells.finer_than_usual:
         return ()
     used = fit.selection.search.sums.windows
     some = "" if used == sums.windows else f", from {used} of {sums.windows} windows spread evenly over the recordings"
     return (
         (
             f"The map has finer detail than the usual {FLUX_CELLS} spline cells per axis can resolve: it was fitted "
-            f"with {FINE_FLUX_CELLS}, and its harmonics with {FINE_HARMONIC_CELLS}{some}."
+            f"with {len(cells.d) - 1} cells along i_d and {len(cells.q) - 1} along i_q, down to "
+            f"{min(np.diff(cells.d).min(), np.diff(cells.q).min()):.2g} A wide{some}."
         ),
     )
 

@@ -1,0 +1,133 @@
+"""Cells of the maps: how fine they are, where the residuals show that they are too coarse, and finer ones there.
+
+A window's residual holds the flux error at both of its ends. The misfit beyond current noise is therefore attributed to
+the cells along i_d and i_q that the ends lie in, by nonnegative least squares: m_c >= 0 for every cell in
+
+    |r_n|^2 = noise_n + sum of m_c over the cells c of both ends of window n.
+
+A machine whose iron bridges saturate at small i_q misfits in the cells around i_q = 0 and nowhere else. What spreads
+evenly (iron loss, delays, a curve of the inverter, which follows the phase currents) does not stand out in any cell, and
+finer cells do not predict it better either, which is tested on data left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from drive_id.core.maps.coenergy import bent_edges
+from drive_id.types import FloatArray, IntArray
+
+FLUX_CELLS, HARMONIC_CELLS = 16, 4
+"""Usual cells per axis of the map and of the amplitudes of its harmonics."""
+_MOST_CELLS = 1200
+"""Of the plane, at most: memory grows with their square, time with their third power."""
+_OF_LARGEST = 1 / 30
+"""Smallest misfit of a cell that is divided, relative to the largest: the next division shows what remains."""
+_STRONG = 10.0
+"""Misfit over noise, both squared, from which on a cell is divided by four instead of two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resolution:
+    """Cells of the map and of its harmonics.
+
+    Parameters
+    ----------
+    d, q : (C + 1,) float
+        Edges of the map's cells along i_d and i_q, increasing, A.
+    harmonic : int
+        Cells per axis of the amplitudes of harmonics.
+    """
+
+    d: FloatArray
+    q: FloatArray
+    harmonic: int = HARMONIC_CELLS
+
+    @classmethod
+    def usual(cls, low: FloatArray, high: FloatArray) -> Resolution:
+        """Return the usual cells of the rectangle from ``low`` (2,) to ``high`` (2,), A."""
+        return cls(*(bent_edges(start, end, FLUX_CELLS) for start, end in zip(low, high, strict=True)))
+
+    @property
+    def finer_than_usual(self) -> bool:
+        """Whether there are more cells than usual."""
+        return max(len(self.d), len(self.q)) > FLUX_CELLS + 1 or self.harmonic > HARMONIC_CELLS
+
+    def finer(self, misfit: Misfit) -> Resolution:
+        """Return a resolution with the cells divided where the misfit exceeds noise, or this one if it does nowhere."""
+        d, q = _divided(self.d, misfit.d, misfit.least), _divided(self.q, misfit.q, misfit.least)
+        return replace(self, d=d, q=q) if len(d) * len(q) <= _MOST_CELLS else self
+
+    def with_finer_harmonics(self) -> Resolution:
+        """Return a resolution with twice the cells per axis for the harmonics."""
+        return replace(self, harmonic=2 * self.harmonic)
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Squared residuals beyond noise in the cells of each axis, relative to the mean noise.
+
+    Parameters
+    ----------
+    d, q : (C,) float
+    least : float
+        From which on a cell is too coarse.
+    """
+
+    d: FloatArray
+    q: FloatArray
+    least: float
+
+    @property
+    def shows(self) -> bool:
+        """Whether any cell is too coarse."""
+        return bool(max(self.d.max(), self.q.max()) > self.least)
+
+
+def misfit_by_cell(
+    resolution: Resolution, i_dq: FloatArray, squares: FloatArray, expected: FloatArray, negligible: float
+) -> Misfit:
+    """Attribute residuals beyond noise to cells.
+
+    Parameters
+    ----------
+    resolution : Resolution
+    i_dq : (N, 2, 2) float
+        Currents at both ends of windows, A.
+    squares, expected : (N,) float
+        Squared residuals, and what noise explains of them, (Vs)^2.
+    negligible : float
+        Squared residual that matters to nobody, (Vs)^2.
+    """
+    met = []
+    for axis, edges in enumerate((resolution.d, resolution.q)):
+        ends = np.stack([_cell(edges, i_dq[:, end, axis]) for end in (0, 1)], axis=1)
+        met.append(np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64))
+    columns = np.concatenate([*met, np.ones((len(i_dq), 1))], axis=1)
+    unit = max(float(expected.mean()), np.finfo(np.float64).tiny)
+    excess, least = (squares - expected) / unit, max(1.0, negligible / unit)
+    found = np.zeros(columns.shape[1])
+    if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
+        from scipy.optimize import nnls  # noqa: PLC0415  # slow to import, and most drives do without
+
+        found, _ = nnls(columns, excess)
+    split = met[0].shape[1]
+    return Misfit(found[:split], found[split:-1], max(least, _OF_LARGEST * float(found[:-1].max())))
+
+
+def _cell(edges: FloatArray, current: FloatArray) -> IntArray:
+    return np.clip(np.searchsorted(edges, current, side="right") - 1, 0, len(edges) - 2)
+
+
+def _divided(edges: FloatArray, misfit: FloatArray, least: float) -> FloatArray:
+    """Divide cells where the misfit is too large, and their neighbours in two, so that widths change gradually."""
+    parts = np.where(misfit > _STRONG * least, 4, np.where(misfit > least, 2, 1))
+    beside = np.maximum(np.r_[parts[1:], 1], np.r_[1, parts[:-1]])
+    parts = np.maximum(parts, np.minimum(beside, 2))
+    inner = [
+        np.linspace(low, high, count, endpoint=False) for (low, high), count in zip(pairwise(edges), parts, strict=True)
+    ]
+    return np.concatenate([*inner, edges[-1:]])

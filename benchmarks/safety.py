@@ -330,7 +330,7 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
     if "messages 0.4 s late" in done:  # so is what is seen here
         deadline += HAZARDS["messages 0.4 s late"].faults["latency"]
     took = cell.rested(since)
-    for name in done:
+    for name in reversed(done):  # a node that was killed first
         cell.undo(HAZARDS[name])
     cell.graph.spin(QUIET)
     latest = max((when for when, peak in cell.peaks if peak > REST), default=since) - since

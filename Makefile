@@ -32,7 +32,7 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench population fuzz endure lint ament docs coverage mutation package colcon clean
+.PHONY: help setup demo test bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -54,6 +54,9 @@ bench: setup ## run the benchmarks
 
 population: setup ## fit 300 random drives and compare with the truth: make population ARGS="--seed 2", ARGS="--only 17"
 	@$(RUN) python benchmarks/population.py $(ARGS)
+
+safety: setup ## measure reaction times to trouble, ten times each: make safety ARGS="--rounds 0 --scripts 200"
+	@$(RUN) python benchmarks/safety.py $(ARGS)
 
 fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300", ARGS=--bombs
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)

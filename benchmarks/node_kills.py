@@ -137,7 +137,8 @@ class Rounds:
             else:
                 self._quiet_from = 0.0
                 reply = None
-                for _ in range(20):  # it refuses until the drive's messages have arrived
+                for _ in range(20):  # it refuses until the drive's messages have arrived, and after a trip
+                    self.graph.call(Trigger, "/trajectory_publisher/clear_fault")
                     reply = self.graph.call(Trigger, "/trajectory_publisher/start")
                     if reply is None or reply.success:
                         break

@@ -84,6 +84,8 @@ class NodeProcess:
         if not self.alive:
             return f"{self.log.name} ended by itself with code {self.popen.returncode}"
         self.popen.send_signal(number)
+        if self.popen.stdin is not None:
+            self.popen.stdin.close()
         try:
             code = self.popen.wait(PATIENCE)
         except subprocess.TimeoutExpired:

@@ -26,7 +26,17 @@ CONTRACT = {
     "msg/PhaseCurrents": BLOCK + "float32[] a; float32[] b; float32[] c",
     "msg/PhaseVoltages": BLOCK + "float32[] a; float32[] b; float32[] c",
     "msg/Resolver": BLOCK + "float32[] angle; float32[] speed",
-    "msg/CurrentReference": BLOCK + "float32[] d; float32[] q",
+    "msg/CurrentReference": BLOCK + "float32[] d; float32[] q; uint64 session; uint64 count; bool safe",
+    "msg/DriveStatus": (
+        "std_msgs/Header header; uint64 count; bool enabled; string fault; uint64 session; uint64 applied; "
+        "float32 i_d; float32 i_q; float32 speed; float32 dc_link_voltage; float32 winding_temperature; "
+        "float32 magnet_temperature; float32 current_limit; float32 speed_limit; float32 dc_link_voltage_limit; "
+        "float32 winding_temperature_limit"
+    ),
+    "msg/PublisherState": (
+        "std_msgs/Header header; string state; string reason; bool dry_run; uint64 session; float64 elapsed; "
+        "float64 duration; float64 i_d; float64 i_q; float64 coverage"
+    ),
     "msg/ScalarSamples": BLOCK + "float32[] value",
     "msg/FluxMap": (
         "std_msgs/Header header; string method; string machine; float64[] i_d; float64[] i_q; "
@@ -155,7 +165,8 @@ def generated_fields(interface):
     fields = []
     for field, kind in interface.get_fields_and_field_types().items():
         written = re.sub(r"^sequence<(.*)>$", r"\1[]", kind).removeprefix("drive_id_msgs/")
-        written = written.replace("boolean", "bool").replace("double", "float64").replace("float[]", "float32[]")
+        written = written.replace("boolean", "bool").replace("double", "float64")
+        written = re.sub(r"^float\b", "float32", written)
         fields.append(f"{written} {field}")
     return fields
 

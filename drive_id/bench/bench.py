@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.bench.drive import Drive, build_machine
+from drive_id.bench.faults import FaultSettings
 from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment.feedback import DriveStatus
 from drive_id.health import Health, Level
 from drive_id.types import FloatArray, GroundTruth, MachineMap
 
@@ -19,6 +22,8 @@ _SAMPLES_AT_ONCE = 5000
 """Most samples simulated in one call, so that references and services are served in between."""
 _CLOCK_AHEAD = 0.02  # s
 _LARGEST_LAG = 0.5  # s, above which the diagnostics warn
+_STATUS_PERIOD = 0.02
+"""Time between two messages of the status, s."""
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 Columns = tuple[NDArray[np.float32], ...]
@@ -83,6 +88,8 @@ class Bench:
     machine_map : MachineMap
     drive : SimulationSettings
     bench : BenchSettings
+    faults : FaultSettings, optional
+        They can be replaced at any time.
 
     Raises
     ------
@@ -90,16 +97,33 @@ class Bench:
         When the settings fit neither each other nor the machine.
     """
 
-    def __init__(self, machine_map: MachineMap, drive: SimulationSettings, bench: BenchSettings) -> None:
+    def __init__(
+        self,
+        machine_map: MachineMap,
+        drive: SimulationSettings,
+        bench: BenchSettings,
+        faults: FaultSettings | None = None,
+    ) -> None:
+        self.faults = faults or FaultSettings()
         self._settings = bench
         self._drive = Drive(build_machine(machine_map, drive), drive)
-        self.references = ReferenceBuffer(self._drive.machine.i_max, bench.zero_slew_rate)
         self._every = drive.log_decimation
         self._period = self._every * drive.sample_period
         self._strides = scalar_strides(drive, self._period)
         self._start: int | None = None
         self._done = 0
+        self._now = 0
+        self._drifted = 0.0
+        self._last: MessageBlock | None = None
         self._lag = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget references and session, and count from 0, as a drive does whose power came back."""
+        self.references = ReferenceBuffer(self._drive.machine.i_max, self._settings.zero_slew_rate)
+        self._first = self._done
+        self._statuses = 0
+        self._status_due = 0.0
         self._reported = (0, 0, 0)
 
     def truth(self) -> GroundTruth:
@@ -129,7 +153,10 @@ class Bench:
             When the simulation breaks off.
         """
         if self._start is None:
-            self._start = now
+            self._start = self._now = now
+        drift = self.faults.clock_drift  # without one, the clock is synchronized again
+        self._drifted = self._drifted + drift * (now - self._now) if drift else 0.0
+        self._now = now
         size = self._settings.block_size
         exist = int((now - self._stamp(self._done)) // (self._period * NANOSECONDS))
         self._lag = max(0.0, (exist // size - 1) * size * self._period)
@@ -139,7 +166,9 @@ class Bench:
         first, count = self._done, blocks * size
         grid = np.arange(first * self._every, (first + count) * self._every, dtype=np.int64)
         period = self._drive.settings.sample_period
-        stamps = self._start + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
+        stamps = self._start + self._ahead + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
+        if self.faults.trip:
+            self.references.fail("The parameter trip is set.")
         samples = self._drive.step_block(self.references.take(stamps, period)).samples
         late = samples.stamp - np.round(grid[:: self._every] * (period * NANOSECONDS)).astype(np.int64)
         scalars = samples.scalars()
@@ -147,10 +176,12 @@ class Bench:
         angle = np.clip(samples.angle.astype(np.float32), -_JUST_BELOW_PI, _JUST_BELOW_PI)
         currents, voltages = samples.i_abc.astype(np.float32).T, samples.u_abc.astype(np.float32).T
         speed = samples.speed.astype(np.float32)
-        return [
+        if np.max(np.abs(speed)) > self._speed_limit:
+            self.references.fail(f"The speed exceeds {self._settings.speed_limit:g} rpm.")
+        made = [
             MessageBlock(
-                self._stamp(first + k) + int(late[k]),
-                first + k,
+                self._stamp(first + k) + self._ahead + int(late[k]),
+                first + k - self._first,
                 self._period,
                 tuple(column[k : k + size] for column in currents),
                 tuple(column[k : k + size] for column in voltages),
@@ -159,6 +190,52 @@ class Bench:
             )
             for k in range(0, count, size)
         ]
+        return [self._frozen(block) for block in made]
+
+    def status(self) -> DriveStatus | None:
+        """Return what the drive says of itself, if it is time for it."""
+        if self._last is None or self._done * self._period < self._status_due:
+            return None
+        self._status_due = self._done * self._period + _STATUS_PERIOD
+        self._statuses += 1
+        last, references, machine = self._last, self.references, self._drive.machine
+        tripped, scalars = self.faults.trip, {name: float(block.values[-1]) for name, block in last.scalars.items()}
+        return DriveStatus(
+            stamp=last.stamp + round(len(last.resolver[0]) * self._period * NANOSECONDS),
+            count=self._statuses - 1,
+            enabled=not tripped,
+            fault=references.fault,
+            session=references.session or 0,
+            applied=references.applied,
+            i_d=float(references.last[0]),
+            i_q=float(references.last[1]),
+            speed=float(last.resolver[1][-1]),
+            dc_link_voltage=scalars.get("dc_link_voltage", machine.u_dc),
+            winding_temperature=scalars.get("winding_temperature", math.nan),
+            magnet_temperature=scalars.get("magnet_temperature", math.nan),
+            current_limit=machine.i_max,
+            speed_limit=self._speed_limit,
+        )
+
+    @property
+    def _speed_limit(self) -> float:
+        """Electrical, rad/s."""
+        return self._settings.speed_limit * self._drive.machine.pole_pairs * math.pi / 30
+
+    @property
+    def _ahead(self) -> int:
+        """What the clock of the drive is ahead, ns."""
+        return round(self.faults.clock_offset * NANOSECONDS + self._drifted)
+
+    def _frozen(self, block: MessageBlock) -> MessageBlock:
+        """Return the block as it is published, with repeated stamps or samples if these are frozen."""
+        last = self._last
+        if last is not None and self.faults.freeze == "stamps":
+            block = replace(block, stamp=last.stamp)
+        elif last is not None and self.faults.freeze == "samples":
+            block = replace(block, currents=last.currents, voltages=last.voltages, resolver=last.resolver)
+        self._last = block
+        return block
 
     def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, ScalarBlock]:
         """Return every n-th sample of the optional signals of a block that begins with sample number ``first``."""
@@ -174,8 +251,8 @@ class Bench:
     def health(self) -> Health:
         """Return whether the bench keeps up and follows; only what a real bench would know, too."""
         counts, references = self.references.counts, self.references
-        now = (counts.late, counts.unusable, counts.limited)
-        late, unusable, limited = (a - b for a, b in zip(now, self._reported, strict=True))
+        now = (counts.late, counts.unusable, counts.foreign)
+        late, unusable, foreign = (a - b for a, b in zip(now, self._reported, strict=True))
         self._reported = now
         values = {
             "samples": str(self._done),
@@ -183,14 +260,17 @@ class Bench:
             "references waiting": str(len(references)),
             "references late": str(counts.late),
             "references unusable": str(counts.unusable),
-            "references limited": str(counts.limited),
+            "references beyond the limit": str(counts.beyond),
+            "references of no session in force": str(counts.foreign),
         }
         if self._lag > _LARGEST_LAG:
             sentence = f"The simulation is {self._lag:.1f} s behind the clock: lower time_scale, or raise block_size."
+        elif references.fault:
+            sentence = f"Zero current: {references.fault}"
         elif unusable:
             sentence = f"{unusable} set-points were rejected: different lengths, no period, NaN, or far too many."
-        elif limited:
-            sentence = f"{limited} set-points above the largest current were limited: lower the publisher's i_max."
+        elif foreign:
+            sentence = f"{foreign} set-points belong to a session that has ended, or whose beginning was not received."
         elif late:
             sentence = f"{late} set-points arrived too late: raise the publisher's lead_time."
         else:

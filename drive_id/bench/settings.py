@@ -143,6 +143,9 @@ class BenchSettings:
     zero_slew_rate: float = setting(
         10000.0, "|di/dt| to zero current when references run out", unit="A/s", minimum=1.0, maximum=1e9
     )
+    speed_limit: float = setting(
+        10000.0, "Mechanical speed in both directions above which the drive switches off", unit="rpm", minimum=1.0
+    )
     frame_id: str = setting("drive", "Name of the drive in the message headers")
     truth_file: str = setting("", "File for the ground truth of the simulated machine (.npz); empty: none")
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -16,7 +16,9 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from drive_id.bench.bench import Bench, MessageBlock, Pace
+from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment import feedback
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
@@ -31,7 +33,7 @@ _LONGEST_TICK = 2e-2
 
 
 class BenchSimulator(Node):
-    """Follows current references and publishes what a real bench would measure, nothing else."""
+    """Follows current references, and publishes what a real drive measures and says of itself, nothing else."""
 
     def __init__(self) -> None:
         # The log holds the ground truth, so it must not be published on /rosout.
@@ -42,7 +44,10 @@ class BenchSimulator(Node):
         self._follows_clock = bool(self.get_parameter("use_sim_time").value)
         if self._follows_clock and self._settings.time_scale != 1.0:
             raise ConfigurationError("With time_scale this node publishes /clock: do not set use_sim_time for it, too.")
-        self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings)
+        faults = declare_settings(self, FaultSettings)
+        self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings, faults)
+        self._heard: Channel[CurrentReference] = Channel(self._drive.seed)
+        self._said: Channel[MessageBlock | feedback.DriveStatus] = Channel(self._drive.seed + 1)
         self._pace: Pace | None = None
         self._tell_truth()
         self._publishers_kept = {
@@ -53,6 +58,7 @@ class BenchSimulator(Node):
                 (Resolver, "resolver"),
             )
         }
+        self._status_publisher = self.create_publisher(DriveStatus, "drive_status", STREAM)
         self._scalar_publishers = {
             name: self.create_publisher(ScalarSamples, name, STREAM) for name in self._drive.log_scalars
         }
@@ -63,6 +69,7 @@ class BenchSimulator(Node):
         )
         self._subscription = self.create_subscription(CurrentReference, "current_reference", self._on_reference, STREAM)
         on_change(self, SimulationSettings, self._check, self._on_settings)
+        on_change(self, FaultSettings, lambda _: None, self._on_faults)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
         self._timer = self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=steady)
@@ -100,8 +107,15 @@ class BenchSimulator(Node):
         now = self._now()
         if now <= 0:
             return  # no /clock yet
-        for block in self._bench.advance(now):
-            self._publish(block)
+        self._follow([])
+        made: list[MessageBlock | feedback.DriveStatus] = [*self._bench.advance(now)]
+        if made and (status := self._bench.status()) is not None:
+            made.append(status)
+        for item in self._said.carry(made, time.monotonic(), self._bench.faults):
+            if isinstance(item, MessageBlock):
+                self._publish(item)
+            else:
+                self._publish_status(item)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
 
@@ -124,10 +138,27 @@ class BenchSimulator(Node):
             message.value = array.array("f", scalar.values.tobytes())
             self._scalar_publishers[name].publish(message)
 
+    def _publish_status(self, status: feedback.DriveStatus) -> None:
+        fields = vars(status).copy()
+        message = DriveStatus()
+        message.header.stamp = Time(nanoseconds=fields.pop("stamp")).to_msg()
+        message.header.frame_id = self._settings.frame_id
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self._status_publisher.publish(message)
+
     def _on_reference(self, message: CurrentReference) -> None:
-        stamp = Time.from_msg(message.header.stamp).nanoseconds
-        d, q = (np.frombuffer(field, np.float32) for field in (message.d, message.q))
-        self._bench.references.add(stamp, message.sample_period, d, q)
+        self._follow([message])
+
+    def _follow(self, received: list[CurrentReference]) -> None:
+        """Follow the references that have arrived."""
+        for message in self._heard.carry(received, time.monotonic(), self._bench.faults):
+            if self._bench.faults.ignore_references:
+                continue
+            stamp = Time.from_msg(message.header.stamp).nanoseconds
+            d, q = (np.frombuffer(field, np.float32) for field in (message.d, message.q))
+            session, count, safe = message.session, message.count, message.safe
+            self._bench.references.add(stamp, message.sample_period, d, q, session=session, count=count, safe=safe)
 
     def _check(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:
@@ -137,6 +168,11 @@ class BenchSimulator(Node):
         if settings.speeds != self._drive.speeds:
             self._bench.set_speeds(settings.speeds, settings.ramp_time)
         self._drive = settings
+
+    def _on_faults(self, faults: FaultSettings) -> None:
+        if faults.restarts != self._bench.faults.restarts:
+            self._bench.restart()
+        self._bench.faults = faults
 
 
 def main() -> None:

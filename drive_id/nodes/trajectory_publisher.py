@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import array
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, Resolver
-from numpy.typing import NDArray
+from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.time import Time
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger
 
+from drive_id.core.experiment import feedback
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
+from drive_id.core.experiment.state_machine import NANOSECONDS, ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import SupervisedExperiment
+from drive_id.core.experiment.watchdog import CURRENTS, ESTOP, RESOLVER, STATUS
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.managed import guard_transitions
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
 """Time for the last blocks to be acknowledged before the publisher is gone."""
+_REFERENCES = "current_reference"
+_STATE_PERIOD = 0.1
+"""Time between messages of the state of a running experiment, s."""
+_READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling")
+"""Parameters that are fixed at the start of the process: nobody loosens them while current flows."""
 _NO_EVENTS = {"use_default_callbacks": False}
 """An event of a destroyed publisher or subscription kills the events executor of rclpy up to 9.1."""
 
@@ -43,19 +50,24 @@ class TrajectoryPublisher(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("trajectory_publisher")
         guard_transitions(self)
-        settings = declare_settings(self, ExperimentSettings, read_only=["publish_rate", "frame_id"])
+        settings = declare_settings(self, ExperimentSettings, read_only=_READ_ONLY)
         autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
         self._experiment = self._new_experiment(settings)
         self._frame_id = settings.frame_id
         self._logged = ""
         self._incompatible: list[str] = []
-        self._active = False
+        self._active = self._finalized = False
+        self._published_state: tuple[Any, ...] = ()
+        self._state_due = 0.0
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
         self._services_kept = [
             self.create_service(Trigger, "~/start", self._on_start),
             self.create_service(Trigger, "~/stop", self._on_stop),
+            self.create_service(Trigger, "~/clear_fault", self._on_clear_fault),
         ]
+        self._state_publisher = self.create_publisher(PublisherState, "~/state", LATCHED)
+        self._heartbeats = self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
         on_change(self, ExperimentSettings, lambda _: None, self._on_settings)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(1.0 / settings.publish_rate, self._on_timer, clock=steady)
@@ -66,23 +78,33 @@ class TrajectoryPublisher(LifecycleNode):
             self.get_logger().info(f"Ready: {self._experiment.plan()}")
         else:
             self.get_logger().info(f"Waiting to be configured and activated: {self._experiment.plan()}")
+        if not settings.watch:
+            self.get_logger().warning("watch is false: current will flow whatever the drive does.")
 
     def _new_experiment(self, settings: ExperimentSettings) -> SupervisedExperiment:
-        watched = (self.resolve_topic_name(name) for name in ("phase_currents", "resolver"))
-        return SupervisedExperiment(settings, *watched)
+        names = {name: self.resolve_topic_name(name) for name in (CURRENTS, RESOLVER, STATUS, ESTOP)}
+        return SupervisedExperiment(settings, names)
 
     # Transitions
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Connect to the drive, without energising it."""
         self._publisher = self.create_lifecycle_publisher(
-            CurrentReference, "current_reference", STREAM, event_callbacks=PublisherEventCallbacks(**_NO_EVENTS)
+            CurrentReference, _REFERENCES, STREAM, event_callbacks=PublisherEventCallbacks(**_NO_EVENTS)
         )
         options: Any = {"event_callbacks": SubscriptionEventCallbacks(**_NO_EVENTS)}
         self._subscriptions_kept = [  # best effort receives from any publisher; a lost block does no harm here
-            self.create_subscription(PhaseCurrents, "phase_currents", self._on_currents, STREAM_BEST_EFFORT, **options),
-            self.create_subscription(Resolver, "resolver", self._on_resolver, STREAM_BEST_EFFORT, **options),
-        ]
+            self.create_subscription(kind, name, handle, STREAM_BEST_EFFORT, **options)
+            for kind, name, handle in (
+                (PhaseCurrents, CURRENTS, self._on_currents),
+                (Resolver, RESOLVER, self._on_resolver),
+                (DriveStatus, STATUS, self._on_status),
+                (Bool, ESTOP, self._on_emergency_stop),
+            )
+        ]  # and the last message of an emergency stop that was pressed before, if its publisher keeps it
+        self._subscriptions_kept.append(
+            self.create_subscription(Bool, ESTOP, self._on_emergency_stop, LATCHED, **options)
+        )
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -104,6 +126,7 @@ class TrajectoryPublisher(LifecycleNode):
         """Bring the current to zero and disconnect from the drive."""
         self._end_at_zero("Stopped, because the node was shut down.")
         self._disconnect()
+        self._finalized = True
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -149,7 +172,7 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _with_subscriptions(self, health: Health) -> Health:
         """Add the subscriptions that cannot receive the references; a start is not refused: one may be a display."""
-        found = incompatible_subscriptions(self, "current_reference")
+        found = incompatible_subscriptions(self, _REFERENCES)
         for sentence in found:
             if sentence not in self._incompatible:
                 self.get_logger().warning(sentence)
@@ -157,35 +180,62 @@ class TrajectoryPublisher(LifecycleNode):
         return Health.of(health.message, [(Level.OK, sentence) for sentence in found], health.values)
 
     def _stage(self) -> str:
-        return "unconfigured" if self._publisher is None else "inactive"
+        return "finalized" if self._finalized else "unconfigured" if self._publisher is None else "inactive"
 
     def _inactive(self) -> str:
         """Return a sentence on how to permit starts."""
+        if self._finalized:
+            return "The node was shut down and stays so: start its process again."
         steps = "activate it" if self._publisher is not None else "configure and activate it"
         return f"The node is {self._stage()}: {steps} (ros2 lifecycle set {self.get_fully_qualified_name()} ...)."
 
     def _on_timer(self) -> None:
-        if not self._active:
+        if self._active:
+            now, steady = self._now(), time.monotonic()
+            self._publish(self._experiment.advance(now, steady, self.count_publishers(_REFERENCES)))
+            reason = self._experiment.trip_reason
+            if reason and reason != self._logged:
+                self.get_logger().error(f"Tripped: {reason}")
+            self._logged = reason
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        now, steady = self._now(), time.monotonic()
+        report = self._experiment.report(now, steady)
+        reason = report.reason if self._active else self._inactive()
+        shown = (report.state, reason.partition(":")[0], self._active)  # not for each figure that grows
+        runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
+        if shown == self._published_state and not (runs and steady >= self._state_due):
             return
-        self._publish(self._experiment.advance(self._now(), time.monotonic()))
-        reason = self._experiment.trip_reason
-        if reason and reason != self._logged:
-            self.get_logger().error(f"Tripped: {reason}")
-        self._logged = reason
+        self._published_state, self._state_due = shown, steady + _STATE_PERIOD
+        message = PublisherState(state=report.state.value, reason=reason, session=report.session)
+        message.dry_run = bool(self.get_parameter("dry_run").value)
+        message.header.stamp = Time(nanoseconds=now).to_msg()
+        message.header.frame_id = self._frame_id
+        message.elapsed, message.duration, message.coverage = report.elapsed, report.duration, report.coverage
+        message.i_d, message.i_q = report.i_dq.tolist()
+        self._state_publisher.publish(message)
 
     def _on_currents(self, message: PhaseCurrents) -> None:
-        if self._publisher is None:
-            return  # a message that arrived before the cleanup
-        i_abc = _arrays(message.a, message.b, message.c)
-        if self._experiment.currents(self._now(), time.monotonic(), message.first_sample, i_abc):
-            self._on_timer()
+        self._judge(self._experiment.currents, _block(message, message.a, message.b, message.c))
 
     def _on_resolver(self, message: Resolver) -> None:
-        if self._publisher is None:
-            return
-        signals = _arrays(message.angle, message.speed)
-        if self._experiment.resolver(self._now(), time.monotonic(), message.first_sample, signals):
+        self._judge(self._experiment.resolver, _block(message, message.angle, message.speed))
+
+    def _on_status(self, message: DriveStatus) -> None:
+        fields = {name: getattr(message, name) for name in feedback.DriveStatus.__dataclass_fields__ if name != "stamp"}
+        self._judge(self._experiment.status, feedback.DriveStatus(stamp=_stamp(message), **fields))
+
+    def _on_emergency_stop(self, message: Bool) -> None:
+        self._judge(self._experiment.emergency_stop, message.data)
+
+    def _judge(self, check: Callable[[int, float, Any], bool], heard: Any) -> None:
+        """Have a message checked; what trips the experiment is answered at once, not at the next tick."""
+        if self._publisher is not None and check(self._now(), time.monotonic(), heard):
             self._on_timer()
+
+    def _on_heartbeat(self, _: Empty) -> None:
+        self._experiment.heartbeat(time.monotonic())
 
     def _on_settings(self, settings: ExperimentSettings) -> None:
         self._experiment.change(self._now(), settings)
@@ -195,13 +245,17 @@ class TrajectoryPublisher(LifecycleNode):
         if not self._active:
             response.message = f"Not started. {self._inactive()}"
             return response
-        publishers = self.count_publishers("current_reference")
+        publishers = self.count_publishers(_REFERENCES)
         response.success, response.message = self._experiment.start(self._now(), time.monotonic(), publishers)
         return self._answer("start", response)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = self._experiment.stop(self._now())  # inactive: nothing is running
         return self._answer("stop", response)
+
+    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self._experiment.clear_fault(self._now(), time.monotonic())
+        return self._answer("clear_fault", response)
 
     def _answer(self, request: str, response: Trigger.Response) -> Trigger.Response:
         self._on_timer()
@@ -216,12 +270,20 @@ class TrajectoryPublisher(LifecycleNode):
             message = CurrentReference(first_sample=block.first_sample, sample_period=block.sample_period)
             message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
             message.header.frame_id = self._frame_id
+            message.session, message.count, message.safe = block.session, block.count, block.safe
             message.d, message.q = (array.array("f", column.tobytes()) for column in block.i_dq.T)
             self._publisher.publish(message)
 
 
-def _arrays(*fields: array.array[float]) -> list[NDArray[np.float32]]:
-    return [np.frombuffer(field, np.float32) for field in fields]
+def _stamp(message: PhaseCurrents | Resolver | DriveStatus) -> int:
+    """Return the stamp of a message, ns; rclpy's Time refuses negative ones, which a node may send nevertheless."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+def _block(message: PhaseCurrents | Resolver, *fields: array.array[float]) -> feedback.SampleBlock:
+    """Return a received block without copying its arrays."""
+    values = tuple(np.frombuffer(field, np.float32) for field in fields)
+    return feedback.SampleBlock(_stamp(message), message.first_sample, message.sample_period, values)
 
 
 def main() -> None:

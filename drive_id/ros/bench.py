@@ -14,9 +14,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Identify, StartRecording, StopRecording
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from drive_id.errors import ExperimentError
@@ -40,6 +42,8 @@ _LATEST_START = 5.0
 """Time after the start within which the publisher reports a trajectory, s."""
 _STOPPING = 5.0
 """Longest wait for each node when a bench is brought to rest, s."""
+_HEARTBEAT = 0.2
+"""Time between signs of life to the publisher, s: a tenth of the time after which it stops without them."""
 _SPIN, _TOLD = 0.05, 1.0
 """Longest pause between looks at a condition, and time between reports of progress, s."""
 
@@ -123,6 +127,9 @@ class Identified:
 class Bench:
     """Calls the nodes of one drive in sequence, each call with a deadline.
 
+    While it waits for something, it sends heartbeats to the trajectory publisher, which ramps to zero current without
+    them: nothing keeps running when this process dies or hangs.
+
     It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. At the end of a ``with`` block, and
     by :meth:`close`, it stops a trajectory and a recording that it began and that have not ended.
 
@@ -164,6 +171,9 @@ class Bench:
         self._executor.add_node(self._node)
         self._names = {self._node.resolve_service_name(node): node for node in NODES}
         self._services = {name: self._node.create_client(kind, name) for name, kind in SERVICES.items()}
+        self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=steady)
         # After the clients: a node that is heard here knows of them, and its replies are not lost.
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -226,6 +236,7 @@ class Bench:
         ExperimentError
             When a node refuses, does not answer, or the trajectory is stopped before its end.
         """
+        self._heartbeats.publish(Empty())  # long before the start, which may require it
         self._begun = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
         if not started.success:  # the recorder may be busy for another client, who shall not be stopped

@@ -9,6 +9,7 @@ import pytest
 
 from drive_id.bench.bench import Bench, Pace
 from drive_id.bench.drive import Drive, build_machine, simulate
+from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import logged_scalars
@@ -62,7 +63,7 @@ def test_later_blocks_take_back_what_follows_them():
     references = buffer()
     references.add(T0, T, np.full(100, 10, np.float32), np.zeros(100, np.float32))
     references.take(GRID[:20], T)
-    references.add(int(GRID[30]), T, np.full(50, 5, np.float32), np.zeros(50, np.float32))
+    references.add(int(GRID[30]), T, np.full(50, 5, np.float32), np.zeros(50, np.float32), count=100)
     taken = references.take(GRID[20:70], T)[:, 0]
     np.testing.assert_array_equal(taken, [10] * 10 + [5] * 40)
 
@@ -93,17 +94,83 @@ def test_what_makes_no_sense_is_left_out(period, d, q):
     np.testing.assert_array_equal(references.take(GRID[:5], T), 0.0)
 
 
-def test_beyond_the_drives_limit_they_are_drawn_in():
+def test_beyond_the_drives_limit_they_are_ignored_not_scaled():
     references = buffer()
-    references.add(T0, T, values(300), values(400))
-    np.testing.assert_allclose(references.take(GRID[:1], T), [[60, 80]])
-    assert references.counts.limited == 1
+    references.add(T0, T, values(60), values(79))
+    np.testing.assert_array_equal(references.take(GRID[:1], T), [[60, 79]])
+    references.add(T0 + 100 * US, T, values(300), values(400), count=1)
+    np.testing.assert_allclose(np.hypot(*references.take(GRID[1:3], T).T), [98.2, 97.2], atol=0.1)
+    assert references.counts.beyond == 1
+    assert references.fault == "Set-points of 500 A exceed the limit of 100 A."
+
+
+def full(value, count=100):
+    return np.full(count, value, np.float32), np.zeros(count, np.float32)
+
+
+def test_a_safe_block_acts_on_receipt_and_ends_its_session():
+    """Whoever sends it, whenever it is due; what follows in the session is ignored, a new one is not."""
+    references = buffer()
+    references.add(T0, T, *full(50), session=5)
+    references.take(GRID[:10], T)
+    references.add(T0 + 10**12, T, values(0), values(0), session=9, count=77, safe=True)
+    np.testing.assert_allclose(references.take(GRID[10:70], T)[:, 0], np.maximum(49 - np.arange(60.0), 0), atol=1e-9)
+    assert references.dry
+    references.add(int(GRID[70]), T, *full(50), session=5, count=100)
+    np.testing.assert_array_equal(references.take(GRID[70:80], T), 0.0)
+    references.add(int(GRID[80]), T, *full(50), session=6)
+    np.testing.assert_array_equal(references.take(GRID[80:90], T)[:, 0], 50.0)
+    assert (references.session, references.applied) == (6, 9)
+
+
+def test_a_session_whose_beginning_was_missed_is_not_followed():
+    """As after a restart of the drive."""
+    references = buffer()
+    references.add(T0, T, *full(50), session=5, count=1000)
+    np.testing.assert_array_equal(references.take(GRID[:10], T), 0.0)
+    assert references.counts.foreign == 100
+
+
+def test_what_follows_a_gap_is_not_taken_up_again():
+    references = buffer()
+    references.add(T0, T, *full(50, 10), session=5)
+    references.add(T0 + 2000 * US, T, *full(50), session=5, count=20)
+    taken = references.take(GRID[:100], T)[:, 0]
+    np.testing.assert_array_equal(taken[:11], 50.0)
+    np.testing.assert_array_equal(taken[70:], 0.0)
+    assert references.dry
+
+
+def test_a_straggler_is_ignored():
+    references = buffer()
+    references.add(T0, T, *full(10, 10), session=5)
+    references.add(T0 + 1000 * US, T, *full(30), session=5, count=10)
+    references.add(T0, T, *full(99, 10), session=5)
+    np.testing.assert_array_equal(references.take(GRID[:60], T)[:, 0], [10.0] * 10 + [30.0] * 50)
+
+
+def test_two_publishers_bring_the_drive_to_zero_until_both_are_silent():
+    references = buffer()
+    references.add(T0, T, *full(50), session=5)
+    references.take(GRID[:10], T)
+    references.add(T0 + 1000 * US, T, *full(80), session=6)
+    taken = references.take(GRID[10:100], T)
+    assert taken[0, 0] == pytest.approx(49.0)
+    np.testing.assert_array_equal(taken[60:], 0.0)
+    assert references.fault == "Two publishers send references at the same time."
+    references.add(int(GRID[100]), T, *full(50), session=7)
+    np.testing.assert_array_equal(references.take(GRID[100:110], T), 0.0)
+    later = GRID + 1100 * MS
+    references.take(later[:10], T)
+    assert references.fault == ""
+    references.add(int(later[10]), T, *full(50), session=8)
+    np.testing.assert_array_equal(references.take(later[10:20], T)[:, 0], 50.0)
 
 
 def test_the_buffer_forgets():
     references = buffer()
     for k in range(0, 2000, 100):
-        references.add(int(GRID[k]), T, np.ones(100, np.float32), np.ones(100, np.float32))
+        references.add(int(GRID[k]), T, np.ones(100, np.float32), np.ones(100, np.float32), count=k)
         references.take(GRID[k : k + 100], T)
     assert len(references) <= 1
 
@@ -171,12 +238,90 @@ def test_health_tells_of_references_that_could_not_be_followed(map_of_ipm):
     bench.references.add(T0, T, values(np.nan), values(0))
     assert "1 set-points were rejected" in bench.health().message
     bench.references.add(T0, T, values(1000), values(0))
-    assert "above the largest current" in bench.health().message
+    assert "exceed the limit of" in bench.health().message
     bench.advance(T0 + 10 * MS)
+    bench.advance(T0 + 1200 * MS)
+    bench.advance(T0 + 1200 * MS)
+    bench.advance(T0 + 1200 * MS)
     bench.references.add(T0, T, values(1), values(0))
     assert "too late" in bench.health().message
     assert bench.health().level is Level.OK
     assert not any("ipm" in text or "500" in text for text in bench.health().values.values())
+
+
+def statuses(bench, *times):
+    found = []
+    for now in times:
+        bench.advance(now)
+        found.append(bench.status())
+    return found
+
+
+def test_the_status_tells_clock_session_and_reference_in_force(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench.references.add(T0, T, *full(-20, 300), session=5)
+    _, first, second, third = statuses(bench, T0, T0 + 10 * MS, T0 + 20 * MS, T0 + 30 * MS)
+    assert (first.count, first.stamp, first.session, first.applied) == (0, T0 + 10 * MS, 5, 99)
+    assert (second, third.count, third.i_d, third.i_q) == (None, 1, -20.0, 0.0)
+    assert (first.enabled, first.fault, first.dc_link_voltage) == (True, "", 400.0)
+    assert first.speed == pytest.approx(500 * 4 * np.pi / 30)
+
+
+def test_the_clock_of_the_drive_can_be_wrong(map_of_ipm):
+    """Stamps and due times alike."""
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings(), FaultSettings(clock_offset=-5.0, clock_drift=0.5))
+    bench.references.add(T0 - 5000 * MS + 10 * MS, T, *full(-20, 300), session=5)
+    bench.advance(T0)
+    blocks = bench.advance(T0 + 10 * MS)
+    assert blocks[0].stamp == T0 - 5000 * MS + 5 * MS  # half of 10 ms gained
+    assert bench.references.last[0] == -20.0
+
+
+def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench.references.add(T0, T, *full(-20, 300), session=5)
+    bench.advance(T0)
+    assert bench.advance(T0 + 20 * MS)[-1].first_sample == 100
+    bench.restart()
+    bench.references.add(T0 + 30 * MS, T, *full(-20, 300), session=5, count=300)
+    assert bench.advance(T0 + 40 * MS)[0].first_sample == 0
+    assert bench.references.dry
+    assert bench.status().count == 0
+
+
+@pytest.mark.parametrize("freeze", ["stamps", "samples"])
+def test_a_frozen_drive_repeats_itself(map_of_ipm, freeze):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench.advance(T0)
+    last = bench.advance(T0 + 10 * MS)[-1]
+    bench.faults = FaultSettings(freeze=freeze)
+    blocks = bench.advance(T0 + 50 * MS)
+    assert [block.first_sample for block in blocks] == [100, 200, 300, 400]
+    assert {block.stamp == last.stamp for block in blocks} == {freeze == "stamps"}
+    assert {block.currents is last.currents for block in blocks} == {freeze == "samples"}
+
+
+def test_a_drive_trips_by_itself(map_of_ipm):
+    bench = Bench(map_of_ipm, DRIVE, BenchSettings(speed_limit=400.0))
+    _, status = statuses(bench, T0, T0 + 10 * MS)
+    assert status.fault == "The speed exceeds 400 rpm."
+    bench.faults = FaultSettings(trip=True)
+    (status,) = statuses(bench, T0 + 40 * MS)
+    assert not status.enabled
+
+
+def test_a_channel_delays_loses_and_reorders():
+    lossy = Channel(1)
+    arrived = lossy.carry(range(10_000), 0.0, FaultSettings(loss=0.3))
+    assert arrived == sorted(arrived)
+    assert len(arrived) == pytest.approx(7000, abs=150)
+    late = Channel(1)
+    assert late.carry([1, 2], 0.0, FaultSettings(latency=0.1)) == []
+    assert late.carry([3], 0.1, FaultSettings(latency=0.1)) == [1, 2]
+    mixed = Channel(1)
+    arrived = [item for k in range(100) for item in mixed.carry([k], k * 0.01, FaultSettings(disorder=0.3))]
+    assert arrived != sorted(arrived)
+    assert len(set(arrived)) == len(arrived) > 90
 
 
 def test_scaled_time_waits_for_the_simulation():

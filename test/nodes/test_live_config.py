@@ -11,13 +11,14 @@ import yaml
 from live_drive import BENCH, PUBLISHER
 from ros_bench import ros_bench
 
+from drive_id.bench.faults import FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.settings import ExperimentSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 FILES = {
     "trajectory_publisher": (PUBLISHER, (ExperimentSettings,)),
-    "bench_simulator": (BENCH, (BenchSettings, SimulationSettings)),
+    "bench_simulator": (BENCH, (BenchSettings, SimulationSettings, FaultSettings)),
 }
 
 

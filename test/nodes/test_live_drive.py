@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import numpy as np
@@ -32,9 +33,16 @@ def drive(shared):
     assert shared.set_parameters("bench_simulator", speeds=[500.0]).successful
     shared.rest()
     nothing = float("nan")
-    given = {"speed_min": nothing, "speed_max": nothing, "current_limit": nothing, "repeat": 1} | SETTINGS
+    given = {
+        "speed_min": nothing,
+        "speed_max": nothing,
+        "current_limit": nothing,
+        "repeat": 1,
+        "dry_run": False,
+    } | SETTINGS
     assert shared.set_parameters(**given, trajectory="lissajous").successful
     shared.ros.wait(lambda: shared.state() in {"idle", "tripped"}, "rest")
+    shared.clear()
     shared.forget()
     return shared
 
@@ -105,8 +113,10 @@ def test_the_speed_leaves_its_band(drive):
     assert drive.status().level == b"\x02"
     _, wanted = drive.ended_at_zero()
     assert_smooth(wanted)
-    drive.refuses("Not started: The speed is 418.9 rad/s")
+    drive.refuses("Not started: it tripped before. The speed is ")
+    assert "Not cleared: The speed is 418.9 rad/s" in drive.trigger("clear_fault").message
     assert drive.set_parameters("bench_simulator", speeds=[500.0]).successful
+    drive.clear()
     drive.start()
 
 
@@ -118,7 +128,53 @@ def test_the_current_exceeds_its_limit(drive):
     assert drive.state() == "tripped"
     _, wanted = drive.ended_at_zero()
     assert np.hypot(*np.diff(wanted, axis=0).T).max() > 50.0  # at once, not by a ramp
+    drive.clear()
     drive.start()
+
+
+def test_a_clock_that_is_paused_trips(drive):
+    """Neither side has time, so the references never come due: what runs no more must not be said to run."""
+    assert drive.set_parameters(watch_timeout=5.0).successful
+    drive.run_without_end()
+    drive.clock.stands = True
+    try:
+        drive.wait_for_state("tripped")  # the drive is silent for as long: whichever is noticed first
+        assert re.search(r"clock of this node has stood still|Nothing has arrived on", drive.status().message)
+    finally:
+        drive.clock.stands = False
+    drive.ended_at_zero()
+    drive.clear()
+
+
+def test_a_dry_run_publishes_nothing(drive):
+    assert drive.set_parameters(dry_run=True, repeat=0).successful
+    drive.ask("start", lambda reply: "published to nobody" in reply.message, "a start")
+    drive.wait_for_state("running")
+    assert drive.trigger("stop").success
+    drive.wait_for_state("idle")
+    assert drive.messages["current_reference"] == []
+    assert drive.set_parameters(dry_run=False).successful
+
+
+def test_the_state_is_there_for_late_subscribers(drive):
+    from drive_id_msgs.msg import PublisherState
+
+    from drive_id.nodes.support.qos import LATCHED
+
+    heard = []
+
+    def subscribe():
+        topic = f"{drive.namespace}/trajectory_publisher/state"
+        drive.ros.node.create_subscription(PublisherState, topic, heard.append, LATCHED)
+
+    subscribe()
+    drive.ros.wait(lambda: heard and heard[-1].state == PublisherState.IDLE, "the state at rest")
+    drive.run_without_end()
+    drive.ros.wait(lambda: heard[-1].state == PublisherState.RUNNING, "the state of a run")
+    assert heard[-1].session == drive.last("current_reference").session != 0
+    assert drive.trigger("stop").success
+    drive.ros.wait(lambda: heard[-1].state == PublisherState.IDLE, "the end")
+    assert heard[-1].reason == "Stopped on request."
 
 
 def test_parameters_are_refused_with_the_reason(drive):
@@ -134,6 +190,9 @@ def test_parameters_are_refused_with_the_reason(drive):
         ({"current_limit": float("inf")}, "finite"),
         ({"speed_min": None}, "cannot be undeclared"),
         ({"publish_rate": 20.0}, "read-only"),
+        ({"watch": False}, "read-only"),
+        ({"require_status": False}, "read-only"),
+        ({"current_ceiling": 1e3}, "read-only"),
         ({"frequency": 20.0}, "declared"),
     ):
         result = drive.set_parameters(**values)
@@ -149,7 +208,8 @@ def test_the_truth_is_in_its_file_and_in_no_topic(drive):
     assert (truth.machine, truth.resistance) == ("ipm", machine_map("ipm").resistance)
     assert "R 0.01 ohm" in drive.bench.output
     topics = {name for name, _ in drive.ros.node.get_topic_names_and_types() if name.startswith("/cell")}
-    own = ("current_reference", "phase_currents", "phase_voltages", "resolver", "trajectory_publisher/transition_event")
+    own = ("current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "emergency_stop")
+    own += tuple(f"trajectory_publisher/{name}" for name in ("transition_event", "state", "heartbeat"))
     assert topics == {f"/cell/{name}" for name in own}
     publishers = drive.ros.node.get_publishers_info_by_topic("/rosout")
     assert "bench_simulator" not in {publisher.node_name for publisher in publishers}
@@ -186,10 +246,11 @@ def test_a_killed_bench_trips_the_watchdog():
         drive.bench.popen.kill()
         drive.wait_for_message("Nothing has arrived on")
         drive.wait_for_state("tripped")
-        drive.refuses("Not started: Nothing has arrived on")
+        drive.ask("clear_fault", lambda reply: "Not cleared: Nothing has arrived on" in reply.message, "a refusal")
         _, wanted = drive.ended_at_zero(alive=False)
         assert_smooth(wanted)
         drive.replace_bench()
+        drive.clear()
         drive.start()
 
 
@@ -204,7 +265,7 @@ def test_two_drives_on_one_graph_one_of_them_with_other_names():
         left.rest()
         assert "under way (running)" in right.trigger("start").message
         rival = ros.start(PUBLISHER, parameters=SETTINGS, namespace="/left")
-        left.refuses("other nodes publish current_reference")
+        left.refuses("Another node publishes current_reference")
         assert rival.interrupt()[0] == 0
 
 
@@ -231,6 +292,11 @@ def test_a_wrong_start_is_one_sentence():
         ("trajectory_publisher", {"i_max": 0.0}, "i_max"),
         ("trajectory_publisher", {"i_max": 100}, "i_max"),
         ("trajectory_publisher", {"slew_rate": 1000.0}, "slew_rate"),
+        (
+            "trajectory_publisher",
+            {"i_max": 100.0, "current_ceiling": 90.0},
+            "i_max is 100 A, above current_ceiling, 90 A",
+        ),
     ]
     with ros_bench() as ros:
         for module, parameters, _ in wrong:

@@ -137,14 +137,18 @@ def test_without_autostart_each_state_permits_what_it_should(ros):
     assert managed.change("shutdown")
     managed.assert_ends_at_zero()
     assert managed.state() == "finalized"
-    assert not managed.call("start").success
+    refusal = managed.call("start")
+    assert not refusal.success
+    assert refusal.message == "Not started. The node was shut down and stays so: start its process again."
     managed.close()
 
 
 def test_it_activates_itself_and_ends_at_zero_with_the_process(ros):
     managed = Managed(ros)
-    managed.begin()
     assert managed.state() == "active"
+    managed.rest()
+    assert managed.blocks == []  # no current without a start
+    managed.begin()
     assert not managed.change("configure")
     assert managed.state() == "active"
     assert managed.process.interrupt()[0] == 0

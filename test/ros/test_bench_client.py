@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from types import SimpleNamespace
@@ -25,6 +26,7 @@ class Nodes:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from rclpy.parameter import Parameter
+        from std_msgs.msg import Empty
         from std_srvs.srv import Trigger
 
         from drive_id.nodes.support.middleware import without_type_lookup
@@ -47,6 +49,7 @@ class Nodes:
         )
         identification.create_service(Trigger, "~/reset", self.answer("identification/reset"))
         identification.create_service(Identify, "~/identify", self.answer("identification/identify", output="/out"))
+        publisher.create_subscription(Empty, "~/heartbeat", lambda _: self.beats.append(time.monotonic()), 10)
         self.diagnostics = publisher.create_publisher(DiagnosticArray, "/diagnostics", 10)
         publisher.create_timer(0.05, self.report)
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -57,7 +60,7 @@ class Nodes:
 
     def begin(self):
         """Forget what a test has told and called."""
-        self.calls, self.refused, self.slow = [], set(), {}
+        self.calls, self.refused, self.slow, self.beats = [], set(), {}, []
         self.script, self.state = ["running", "running", "idle"], "idle"
         self.waiting, self.playing = False, iter(())
 
@@ -148,6 +151,20 @@ def test_an_experiment_calls_the_services_in_order(nodes):
     ]  # fmt: skip
     assert (recording.uri, recording.samples, recording.dropped, recording.duration) == ("/data/bag", 7, 2, 0.5)
     assert (result.output, result.message) == ("/out", "identification/identify says so.")
+
+
+def test_heartbeats_come_as_long_as_an_experiment_runs(nodes):
+    """The publisher ramps down without them: nothing runs on when this process is gone."""
+    nodes.script = ["running"] * 40 + ["idle"]
+    with client() as bench:
+        bench.wait_until_ready(30.0)
+        bench.run_experiment()
+        assert len(nodes.beats) >= 5
+        assert max(b - a for a, b in itertools.pairwise(nodes.beats)) < 1.5
+    time.sleep(0.5)
+    nodes.beats.clear()
+    time.sleep(0.5)
+    assert nodes.beats == []
 
 
 def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):

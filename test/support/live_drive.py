@@ -26,7 +26,7 @@ class LiveDrive:
     Their time is simulated while the test waits, by the ``clock`` given, or by the bench itself without any.
     """
 
-    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, **remaps):
+    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, **remaps):
         from diagnostic_msgs.msg import DiagnosticArray
         from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
 
@@ -35,7 +35,7 @@ class LiveDrive:
         arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
         bench = {"use_sim_time": clock is not None} | (bench or {})
         publisher = SETTINGS | {"use_sim_time": True} | (publisher or {})
-        self.bench = ros.start(BENCH, parameters=bench, arguments=arguments, namespace=namespace)
+        self.bench = ros.start(simulator, parameters=bench, arguments=arguments, namespace=namespace)
         self.publisher = ros.start(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
         self.messages, self._before = {}, {}
         for kind, name in (
@@ -109,9 +109,13 @@ class LiveDrive:
         self.start()
         self.ros.wait(lambda: self.is_driven(amplitude), "current")
 
+    def clear(self):
+        """Clear a fault as soon as its cause is gone."""
+        return self.ask("clear_fault", lambda reply: reply.success, "a cleared fault")
+
     def rest(self):
         """Stop, and wait until nothing is running any more."""
-        self.ask("stop", lambda reply: reply.message == "Nothing is running.", "rest")
+        self.ask("stop", lambda reply: reply.message.startswith("Nothing is running."), "rest")
         self.ros.wait(self.is_at_zero, "zero current")
 
     def ended_at_zero(self, alive=True):

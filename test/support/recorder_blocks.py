@@ -31,7 +31,8 @@ def block(type_name, first, size=100, seed=0):
     if type_name == RESOLVER:
         angle = SPEED * PERIOD * (first + np.arange(size))
         values = [((angle + np.pi) % (2 * np.pi) - np.pi).astype(np.float32), np.full(size, SPEED, np.float32)]
-    return encode_block(START + round(first * PERIOD * 1e9), first, PERIOD, values, "drive")
+    session = (1, first, False) if type_name == CURRENT_REFERENCE else None
+    return encode_block(START + round(first * PERIOD * 1e9), first, PERIOD, values, "drive", session)
 
 
 def feed(session, count, *, size=100, first=0, topics=TOPICS, lose=()):

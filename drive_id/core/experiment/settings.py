@@ -57,16 +57,64 @@ class ExperimentSettings:
         maximum=10.0,
     )
     frame_id: str = setting("drive", "Name of the drive in the message headers")
+    dry_run: bool = setting(False, "Compute and supervise an experiment, but publish no references")
     watch: bool = setting(
-        True, "Run only while resolver and phase_currents arrive without a fault; false: without feedback"
+        True, "Run only while the drive reports, follows and is in order; false: without feedback, at your own risk"
     )
+    require_status: bool = setting(True, "Run only with a drive that publishes drive_status")
     watch_timeout: float = setting(
-        0.5, "Longest time without a message of resolver or phase_currents", unit="s", minimum=1e-2, maximum=60.0
+        0.5,
+        "Longest time without a message of resolver, phase_currents or drive_status, or with a clock that stands still",
+        unit="s",
+        minimum=1e-2,
+        maximum=60.0,
     )
-    speed_min: float | None = setting(None, "Lowest electrical speed allowed; default: any", unit="rad/s")
-    speed_max: float | None = setting(None, "Highest electrical speed allowed; default: any", unit="rad/s")
+    clock_offset: float | None = setting(
+        None,
+        "Largest distance of the drive's stamps from the clock of this node; default: half of lead_time",
+        unit="s",
+        minimum=1e-3,
+    )
+    follow_band: float | None = setting(
+        None, "Largest distance of measured currents from the references; default: 0.2 i_max", unit="A", minimum=0.0
+    )
+    follow_time: float = setting(
+        0.1, "Time constant by which this distance is averaged", unit="s", minimum=1e-3, maximum=10.0
+    )
+    speed_min: float | None = setting(None, "Lowest electrical speed allowed; default: -speed_max", unit="rad/s")
+    speed_max: float | None = setting(
+        None, "Highest electrical speed allowed; default: the limit in drive_status, or no start", unit="rad/s"
+    )
     current_limit: float | None = setting(
         None, "Largest measured phase current allowed; default: 1.25 i_max", unit="A", minimum=0.0
+    )
+    current_ceiling: float | None = setting(
+        None,
+        "What neither i_max nor current_limit may exceed; fixed at start: what machine and inverter stand",
+        unit="A",
+        minimum=0.0,
+    )
+    temperature_max: float | None = setting(
+        None, "Highest winding or magnet temperature allowed; default: the limit in drive_status", unit="degC"
+    )
+    dc_link_voltage_min: float | None = setting(None, "Lowest DC-link voltage allowed; default: any", unit="V")
+    dc_link_voltage_max: float | None = setting(
+        None, "Highest DC-link voltage allowed; default: the limit in drive_status", unit="V"
+    )
+    emergency_stop_timeout: float | None = setting(
+        None,
+        "Longest time without a message on emergency_stop; default: the topic may be silent",
+        unit="s",
+        minimum=1e-2,
+        maximum=60.0,
+    )
+    require_lease: bool = setting(False, "Start only for a client that sends heartbeats")
+    lease_time: float = setting(
+        2.0,
+        "Longest time without a heartbeat, if the client that started has sent any",
+        unit="s",
+        minimum=0.1,
+        maximum=60.0,
     )
 
     def __post_init__(self) -> None:
@@ -76,6 +124,13 @@ class ExperimentSettings:
                 f"speed_min is {self.speed_min:g} rad/s and speed_max {self.speed_max:g} rad/s: the band must not be "
                 "empty."
             )
+        for name in ("i_max", "current_limit"):
+            value = getattr(self, name)
+            if None not in (value, self.current_ceiling) and value > self.current_ceiling:
+                raise ConfigurationError(
+                    f"{name} is {value:g} A, above current_ceiling, {self.current_ceiling:g} A, which is fixed when "
+                    "the node starts."
+                )
         if self.current_limit is not None and self.current_limit < self.i_max:
             raise ConfigurationError(
                 f"current_limit is {self.current_limit:g} A, below i_max, {self.i_max:g} A: the trajectory itself "
@@ -111,7 +166,18 @@ class ExperimentSettings:
     @property
     def largest_phase_current(self) -> float:
         """Limit of the measured phase currents, A."""
-        return 1.25 * self.i_max if self.current_limit is None else self.current_limit
+        wanted = 1.25 * self.i_max if self.current_limit is None else self.current_limit
+        return wanted if self.current_ceiling is None else min(wanted, self.current_ceiling)
+
+    @property
+    def largest_clock_offset(self) -> float:
+        """Limit of the distance between stamps and clock, s."""
+        return 0.5 * self.lead_time if self.clock_offset is None else self.clock_offset
+
+    @property
+    def largest_distance(self) -> float:
+        """Limit of the distance between measured currents and references, A."""
+        return 0.2 * self.i_max if self.follow_band is None else self.follow_band
 
 
 def make_trajectory(settings: ExperimentSettings) -> Trajectory:

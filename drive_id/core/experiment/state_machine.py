@@ -1,8 +1,8 @@
 """State machine of an experiment: ramp in, run, ramp out, and safe ends from every state.
 
-Set-points are published ahead of time on a fixed time grid. The drive must obey two rules: a block replaces all
-set-points due at or after its stamp (a stop takes effect at once, whatever was published ahead), and when set-points
-run out, the current goes to zero (a dead publisher leaves no current behind).
+Set-points are published ahead of time on a fixed time grid. The drive must obey two rules: a safe block brings the
+current to zero on receipt (a stop takes effect at once, whatever was published ahead and whatever its clock says), and
+when set-points run out, the current goes to zero (a dead publisher leaves no current behind).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from drive_id.core.experiment.limits import approach, follow, inside_disc
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.trajectories import Trajectory
 from drive_id.core.maps.coverage import Visits, disc_points
-from drive_id.types import FloatArray
+from drive_id.core.signals.signal import block_stamps
+from drive_id.types import FloatArray, IntArray
 
 NANOSECONDS = 1_000_000_000
 LARGEST_BLOCK = 1000
@@ -51,12 +52,24 @@ class ReferenceBlock:
         s.
     i_dq : (N, 2) float32
         A.
+    session, count : int
+        Session, and running count of the first set-point in it.
+    safe : bool
+        The drive goes to zero current on receipt.
     """
 
     stamp: int
     first_sample: int
     sample_period: float
     i_dq: NDArray[np.float32]
+    session: int
+    count: int
+    safe: bool
+
+    @property
+    def due(self) -> IntArray:
+        """Due times of the set-points (N,), ns."""
+        return block_stamps(self.stamp, len(self.i_dq), self.sample_period)
 
 
 class Experiment:
@@ -75,7 +88,9 @@ class Experiment:
     def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
         self.trip_reason = ""
         self.stop_reason = ""
-        self._first_sample = 0
+        self.session = 0
+        self._first_sample = self._session_start = 0
+        self._safe = False
         self._active = False
         self._pending = False  # the next set-points are due at once, not ahead
         self._cut = False  # the reference went to zero without a ramp
@@ -132,10 +147,11 @@ class Experiment:
         position = self._index(now) - (self._next - len(self._ahead))
         return self._ahead[position].copy() if 0 <= position < len(self._ahead) else np.zeros(2)
 
-    def start(self, now: int) -> None:
-        """Start an experiment and clear an earlier trip; only while none is active."""
+    def start(self, now: int, session: int = 1) -> None:
+        """Start an experiment in a session of its own and clear an earlier trip; only while none is active."""
         assert not self._active
         self.trip_reason = self.stop_reason = ""
+        self.session, self._session_start, self._safe = session, self._first_sample, False
         self._active = self._pending = True
         self._cut = False
         self._epoch = now + self._nanoseconds(self.settings.lead_time) // 2
@@ -196,6 +212,12 @@ class Experiment:
         self._active = False
         return blocks
 
+    def rest(self, now: int) -> ReferenceBlock:
+        """Return a block that brings the drive to zero current, whoever drives it; only while none is active."""
+        assert not self._active
+        self._safe = True
+        return self._block(now, np.zeros((1, 2), np.float32))
+
     # Time grid
 
     def _nanoseconds(self, seconds: float) -> int:
@@ -244,7 +266,7 @@ class Experiment:
 
     def _override(self, now: int, *, immediate: bool) -> None:
         """Withdraw all set-points due from now on, and go to zero from the present one."""
-        self._cut = immediate
+        self._cut, self._safe = immediate, True
         self._point = np.zeros(2) if immediate else self.current(now)
         first = max(self._index(now) + 1, 0)
         kept = len(self._ahead) - (self._next - first)
@@ -274,14 +296,15 @@ class Experiment:
             return []
         values = inside_disc(np.concatenate(pieces), self.settings.i_max)
         self._ahead = np.concatenate((self._ahead, values))
-        blocks = []
-        for start in range(0, len(values), LARGEST_BLOCK):
-            part = values[start : start + LARGEST_BLOCK]
-            blocks.append(
-                ReferenceBlock(self._stamp(first + start), self._first_sample, self.settings.sample_period, part)
-            )
-            self._first_sample += len(part)
-        return blocks
+        return [
+            self._block(self._stamp(first + start), values[start : start + LARGEST_BLOCK])
+            for start in range(0, len(values), LARGEST_BLOCK)
+        ]
+
+    def _block(self, stamp: int, values: NDArray[np.float32]) -> ReferenceBlock:
+        first, period = self._first_sample, self.settings.sample_period
+        self._first_sample += len(values)
+        return ReferenceBlock(stamp, first, period, values, self.session, first - self._session_start, self._safe)
 
     def _piece(self, count: int) -> FloatArray:
         """Return up to ``count`` further set-points of the present state; none when it is over."""

@@ -1,133 +1,47 @@
-"""Experiments under supervision: a watchdog over the signals of the drive permits a start and demands a stop."""
+"""Experiments under supervision: a watchdog over the drive permits a start and demands a stop."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.state_machine import NANOSECONDS, Experiment, ExperimentState, ReferenceBlock
-from drive_id.core.signals.signal import SampleCount
+from drive_id.core.experiment.watchdog import Fault, Watchdog
 from drive_id.health import Health, Level
+from drive_id.types import FloatArray
+
+_CLEAR = "Call ~/clear_fault when the cause is gone."
 
 
 @dataclass(frozen=True)
-class Fault:
-    """Why the drive must not be driven.
+class Report:
+    """State of a supervised experiment.
 
     Parameters
     ----------
+    state : ExperimentState
     reason : str
-        A sentence.
-    immediate : bool
-        Set the reference to zero at once, without a ramp.
+        Why it tripped, was stopped, or would not start; empty otherwise.
+    session : int
+    elapsed, duration : float
+        s.
+    i_dq : (2,) float
+        Reference that is due now, A.
+    coverage : float
+        0 to 1.
     """
 
+    state: ExperimentState
     reason: str
-    immediate: bool
-
-
-@dataclass
-class _Stream:
-    name: str
-    arrived: float | None = None
-    fault: Fault | None = None
-    count: SampleCount = field(default_factory=SampleCount)
-
-
-class Watchdog:
-    """Checks that phase currents and resolver keep arriving, are finite and stay within their limits.
-
-    Times are seconds of a monotonic clock.
-
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    currents, resolver : str, optional
-        Names of the topics, for messages.
-    """
-
-    def __init__(
-        self, settings: ExperimentSettings, currents: str = "phase_currents", resolver: str = "resolver"
-    ) -> None:
-        self.settings = settings
-        self._currents = _Stream(currents)
-        self._resolver = _Stream(resolver)
-
-    @property
-    def lost(self) -> dict[str, int]:
-        """Samples lost per signal, by the running count of the blocks."""
-        return {stream.name: stream.count.lost for stream in (self._currents, self._resolver)}
-
-    def currents(self, now: float, first_sample: int, i_abc: Sequence[NDArray[np.float32]]) -> Fault | None:
-        """Check a block of phase currents, three (N,) arrays, A, and return its fault."""
-        fault = _malformed(self._currents.name, i_abc)
-        limit = self.settings.largest_phase_current
-        if fault is None and len(i_abc[0]):
-            peaks = [float(np.max(np.abs(phase))) for phase in i_abc]
-            if max(peaks) > limit:
-                phase = "abc"[int(np.argmax(peaks))]
-                fault = Fault(
-                    f"The current of phase {phase} is {max(peaks):.4g} A, above {limit:.4g} A.", immediate=True
-                )
-        return _note(self._currents, now, first_sample, len(i_abc[0]), fault)
-
-    def resolver(self, now: float, first_sample: int, signals: Sequence[NDArray[np.float32]]) -> Fault | None:
-        """Check a block of angle, rad, and electrical speed, rad/s, (N,) each, and return its fault."""
-        fault = _malformed(self._resolver.name, signals)
-        speed = signals[1]
-        low, high = self.settings.speed_min, self.settings.speed_max
-        if fault is None and len(speed):
-            slowest, fastest = float(np.min(speed)), float(np.max(speed))
-            if low is not None and slowest < low:
-                fault = Fault(f"The speed is {slowest:.4g} rad/s, below speed_min, {low:.4g} rad/s.", immediate=False)
-            elif high is not None and fastest > high:
-                fault = Fault(f"The speed is {fastest:.4g} rad/s, above speed_max, {high:.4g} rad/s.", immediate=False)
-        return _note(self._resolver, now, first_sample, len(speed), fault)
-
-    def fault(self, now: float) -> Fault | None:
-        """Return the present fault: a signal that is silent, or the fault of its last block."""
-        for stream in (self._currents, self._resolver) if self.settings.watch else ():
-            silence = self._silence(stream, now)
-            if silence is not None:
-                return silence
-        timeout = self.settings.watch_timeout
-        recent = [
-            s.fault for s in (self._currents, self._resolver) if s.arrived is not None and now - s.arrived <= timeout
-        ]
-        return next((fault for fault in recent if fault), None)
-
-    def _silence(self, stream: _Stream, now: float) -> Fault | None:
-        if stream.arrived is None:
-            return Fault(f"Nothing has arrived on {stream.name}: start the drive, or remap the topic.", immediate=False)
-        silence = now - stream.arrived
-        if silence <= self.settings.watch_timeout:
-            return None
-        return Fault(
-            f"Nothing has arrived on {stream.name} for {silence:.2f} s, longer than watch_timeout, "
-            f"{self.settings.watch_timeout:g} s.",
-            immediate=False,
-        )
-
-
-def _malformed(name: str, arrays: Sequence[NDArray[np.float32]]) -> Fault | None:
-    if len({len(array) for array in arrays}) > 1:
-        return Fault(f"A block of {name} has arrays of different lengths.", immediate=True)
-    if not all(np.isfinite(array).all() for array in arrays):
-        return Fault(f"Samples of {name} are NaN or infinite.", immediate=True)
-    return None
-
-
-def _note(stream: _Stream, now: float, first_sample: int, samples: int, fault: Fault | None) -> Fault | None:
-    if samples or fault:
-        stream.arrived = now
-        stream.fault = fault
-        stream.count.add(first_sample, samples)
-    return fault
+    session: int
+    elapsed: float
+    duration: float
+    i_dq: FloatArray
+    coverage: float
 
 
 def rehearse(settings: ExperimentSettings) -> None:
@@ -147,18 +61,18 @@ class SupervisedExperiment:
     Parameters
     ----------
     settings : ExperimentSettings
-    currents, resolver : str, optional
-        Names of the topics, for messages.
+    names : mapping of str to str, optional
+        Of topics, for messages: see :class:`~.watchdog.Watchdog`.
     """
 
-    def __init__(
-        self, settings: ExperimentSettings, currents: str = "phase_currents", resolver: str = "resolver"
-    ) -> None:
+    def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:
         rehearse(settings)
         self._experiment = Experiment(settings)
-        self._watchdog = Watchdog(settings, currents, resolver)
+        self._watchdog = Watchdog(settings, names)
         self._settings = settings
         self._duration = total_duration(settings, make_trajectory(settings))
+        self._heartbeat = -math.inf
+        self._leased = self._rest = False
 
     @property
     def trip_reason(self) -> str:
@@ -170,7 +84,8 @@ class SupervisedExperiment:
         settings = self._settings
         seconds = total_duration(settings, make_trajectory(settings))
         how_long = "until it is stopped" if math.isinf(seconds) else f"for {seconds:.4g} s"
-        return f"{settings.trajectory} within {settings.i_max:g} A {how_long}"
+        dry = ", published to nobody (dry_run)" if settings.dry_run else ""
+        return f"{settings.trajectory} within {settings.i_max:g} A {how_long}{dry}"
 
     def start(self, now: int, steady: float, publishers: int = 1) -> tuple[bool, str]:
         """Start, or return why not; ``publishers`` is the number of publishers of references, this one included."""
@@ -179,23 +94,41 @@ class SupervisedExperiment:
             return False, f"An experiment is under way ({state}): stop it, or wait for its end."
         if now <= 0:
             return False, "The time is 0: use_sim_time is set, but nobody publishes /clock."
-        if publishers > 1:
-            return (
-                False,
-                f"{publishers - 1} other nodes publish current_reference: stop them, a drive follows only one.",
-            )
-        fault = self._watchdog.fault(steady)
+        if self.trip_reason:
+            return False, f"Not started: it tripped before. {self.trip_reason} {_CLEAR}"
+        self._watchdog.publishers = publishers
+        fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
         if fault is not None:
-            return False, f"{self._tripped()}Not started: {fault.reason}"
-        self._experiment.start(now)
+            return False, f"Not started: {fault.reason}"
+        self._leased = steady - self._heartbeat <= self._settings.lease_time
+        if self._settings.require_lease and not self._leased:
+            return False, "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
+        self._experiment.start(now, secrets.randbits(63) | 1)
         return True, f"Started: {self.plan()}."
 
     def stop(self, now: int) -> tuple[bool, str]:
-        """Ramp down to zero; succeeds, too, when nothing is running."""
-        if not self._experiment.active:
-            return True, "Nothing is running."
+        """Ramp down to zero; when nothing is running, bring a drive to zero that somebody else drives."""
+        self._rest = not self._experiment.active
         self._experiment.stop(now, "Stopped on request.")
-        return True, "Stopping: the current ramps down to zero."
+        if self._watchdog.flows():
+            return False, f"{self._doing()} But the drive does not go to zero current: use the emergency stop."
+        return True, self._doing()
+
+    def clear_fault(self, now: int, steady: float) -> tuple[bool, str]:
+        """Permit a start again after a trip or an emergency stop whose cause is gone."""
+        if self._experiment.active:
+            return False, f"Not cleared: {self._doing()}"
+        self._watchdog.release()
+        fault = self._watchdog.fault(now, steady)
+        if fault is not None:
+            return False, f"Not cleared: {fault.reason}"
+        was, self._experiment.trip_reason = self.trip_reason, ""
+        return True, f"Cleared: {was}" if was else "There was no fault."
+
+    def _doing(self) -> str:
+        """Return a sentence on what stop and clear_fault find."""
+        ends = "Stopping: the current ramps down to zero." if self._experiment.active else "Nothing is running."
+        return f"{ends} It tripped: {self.trip_reason} {_CLEAR}" if self.trip_reason else ends
 
     def change(self, now: int, settings: ExperimentSettings) -> None:
         """Change the settings; a running experiment is stopped first."""
@@ -204,51 +137,95 @@ class SupervisedExperiment:
         self._experiment.stop(now, "Stopped, because parameters were changed.")
         self._take_settings()
 
-    def currents(self, now: int, steady: float, first_sample: int, i_abc: Sequence[NDArray[np.float32]]) -> bool:
+    def currents(self, now: int, steady: float, block: SampleBlock) -> bool:
         """Check a block of phase currents (three (N,) arrays, A); return whether it trips the experiment."""
-        return self._judge(now, self._watchdog.currents(steady, first_sample, i_abc))
+        return self._judge(now, self._watchdog.currents(now, steady, block))
 
-    def resolver(self, now: int, steady: float, first_sample: int, signals: Sequence[NDArray[np.float32]]) -> bool:
+    def resolver(self, now: int, steady: float, block: SampleBlock) -> bool:
         """Check a block of angle, rad, and speed, rad/s, (N,) each; return whether it trips the experiment."""
-        return self._judge(now, self._watchdog.resolver(steady, first_sample, signals))
+        return self._judge(now, self._watchdog.resolver(now, steady, block))
 
-    def advance(self, now: int, steady: float) -> list[ReferenceBlock]:
-        """Return the blocks to publish now."""
-        if self._experiment.active:
-            self._judge(now, self._watchdog.fault(steady))
+    def status(self, now: int, steady: float, status: DriveStatus) -> bool:
+        """Check what the drive says of itself; return whether it trips the experiment."""
+        return self._judge(now, self._watchdog.status(now, steady, status))
+
+    def emergency_stop(self, now: int, steady: float, pressed: bool) -> bool:
+        """Note a message of the emergency stop; return whether it trips the experiment."""
+        return self._judge(now, self._watchdog.emergency_stop(steady, pressed))
+
+    def heartbeat(self, steady: float) -> None:
+        """Note a sign of life of the client that starts experiments, or has just started one."""
+        self._heartbeat = steady
+        self._leased |= self._experiment.active
+
+    def advance(self, now: int, steady: float, publishers: int = 1) -> list[ReferenceBlock]:
+        """Return the blocks to publish now; ``publishers`` as in :meth:`start`."""
+        self._watchdog.publishers = publishers
+        fault = self._watchdog.fault(now, steady)  # also while nothing runs: it measures how long something has lasted
+        silence = steady - self._heartbeat
+        if self._leased and silence > self._settings.lease_time:
+            fault = fault or Fault(
+                f"The client that started has sent no heartbeat for {silence:.2f} s, longer than lease_time, "
+                f"{self._settings.lease_time:g} s."
+            )
+        self._judge(now, fault)
         blocks = self._experiment.advance(now)
+        rival = bool(self.trip_reason) and (publishers > 1 or self._watchdog.flows())
+        if (
+            self._rest or rival
+        ) and not self._experiment.active:  # after a trip, nobody else drives before it is cleared
+            blocks.append(self._experiment.rest(now))
+        self._rest = False
         self._take_settings()
-        return blocks
+        return self._told(blocks, now)
 
     def finish(self, now: int, reason: str = "Stopped, because the node ends.") -> list[ReferenceBlock]:
         """Stop, and return all blocks down to the last zero: before nothing more can be published."""
-        return self._experiment.finish(now, reason)
+        return self._told(self._experiment.finish(now, reason), now)
+
+    def _told(self, blocks: list[ReferenceBlock], now: int) -> list[ReferenceBlock]:
+        """Return the blocks that are published, and have the watchdog expect the drive to follow them."""
+        if self._experiment.settings.dry_run:
+            return []
+        self._watchdog.published.add(blocks, now)
+        return blocks
+
+    def report(self, now: int, steady: float) -> Report:
+        """Return the present state."""
+        experiment = self._experiment
+        reason = experiment.trip_reason or experiment.stop_reason
+        if not experiment.active and not reason:
+            fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
+            reason = "" if fault is None else f"A start would be refused: {fault.reason}"
+        i_dq, state = experiment.current(now), experiment.state(now)
+        elapsed = experiment.elapsed(now)
+        return Report(state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage)
 
     def health(self, now: int, steady: float) -> Health:
         """Return state, time, set-point and coverage."""
-        experiment, settings = self._experiment, self._settings
-        state = experiment.state(now)
-        i_d, i_q = experiment.current(now)
-        coverage = experiment.coverage
+        settings, report = self._settings, self.report(now, steady)
         values = {
-            "state": state.value,
+            "state": report.state.value,
             "trajectory": settings.trajectory,
-            "elapsed [s]": f"{experiment.elapsed(now):.3f}",
-            "duration [s]": f"{self._duration:.3f}",
+            "elapsed [s]": f"{report.elapsed:.3f}",
+            "duration [s]": f"{report.duration:.3f}",
             "i_max [A]": f"{settings.i_max:g}",
-            "i_d [A]": f"{i_d:.4g}",
-            "i_q [A]": f"{i_q:.4g}",
-            "coverage": f"{coverage:.3f}",
+            "i_d [A]": f"{report.i_dq[0]:.4g}",
+            "i_q [A]": f"{report.i_dq[1]:.4g}",
+            "coverage": f"{report.coverage:.3f}",
+            "clock offset [s]": f"{self._watchdog.clock_offset:.3f}",
         }
         values |= {f"lost samples of {name}": str(lost) for name, lost in self._watchdog.lost.items()}
-        if state is ExperimentState.TRIPPED:
-            return Health(Level.ERROR, experiment.trip_reason, values)
-        if experiment.active:
-            return Health(Level.OK, f"{state.value}: {100 * coverage:.0f} % of the disc visited.", values)
-        fault = self._watchdog.fault(steady)
+        if report.state is ExperimentState.TRIPPED:
+            flows = " The drive does not go to zero current: use the emergency stop." if self._watchdog.flows() else ""
+            return Health(Level.ERROR, f"{report.reason}{flows} {_CLEAR}", values)
+        if self._experiment.active:
+            sentence = f"{report.state.value}: {100 * report.coverage:.0f} % of the disc visited."
+            return Health(Level.OK, sentence, values)
+        fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
         if fault is not None:
             return Health(Level.WARN, f"A start would be refused: {fault.reason}", values)
-        return Health(Level.OK, experiment.stop_reason or "Waiting for a start.", values)
+        return Health(Level.OK, self._experiment.stop_reason or "Waiting for a start.", values)
 
     def _judge(self, now: int, fault: Fault | None) -> bool:
         if fault is None or not self._experiment.active:
@@ -260,6 +237,3 @@ class SupervisedExperiment:
         if not self._experiment.active and self._experiment.settings is not self._settings:
             self._experiment.configure(self._settings)
             self._watchdog.settings = self._settings
-
-    def _tripped(self) -> str:
-        return f"Tripped before: {self._experiment.trip_reason} " if self._experiment.trip_reason else ""

@@ -129,6 +129,11 @@ class SampleCount:
             self.add(int(first_sample[start]), int(whole))
         self.blocks, self.zeros = blocks, zeros
 
+    @property
+    def due(self) -> int | None:
+        """Number of the first sample of the next block; None before the first one."""
+        return self._next
+
     def interrupt(self) -> None:
         """Have the next block begin anew: what is missing before it is not lost."""
         self._next = None

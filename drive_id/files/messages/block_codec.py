@@ -1,5 +1,7 @@
 """Codec of our sample messages, which share one CDR layout: a header and one to three float32 arrays.
 
+``CurrentReference`` goes on with session, count and a flag, which bags of earlier versions lack and no reader needs.
+
 The tests compare it with the general deserializer of rosbags.
 """
 
@@ -16,6 +18,8 @@ from numpy.typing import NDArray
 NANOSECONDS = 1_000_000_000
 _STAMP_MAX = 2**31 * NANOSECONDS
 _TIME_AND_NAME = (struct.Struct(">iII"), struct.Struct("<iII"))
+LONGEST_REST = (3, 3, 24, 3)
+"""Most bytes behind one, two or three arrays: padding, and behind two the rest of a ``CurrentReference``."""
 _COUNTS = (struct.Struct(">QdI"), struct.Struct("<QdI"))
 
 
@@ -54,7 +58,12 @@ class Block:
 
 
 def encode_block(
-    stamp: int, first_sample: int, sample_period: float, values: Sequence[NDArray[np.float32]], frame_id: str
+    stamp: int,
+    first_sample: int,
+    sample_period: float,
+    values: Sequence[NDArray[np.float32]],
+    frame_id: str,
+    session: tuple[int, int, bool] | None = None,
 ) -> bytes:
     """Serialize one block as little-endian CDR.
 
@@ -69,6 +78,8 @@ def encode_block(
         The arrays in order of definition.
     frame_id : str
         Name of the drive.
+    session : (int, int, bool), optional
+        Session, count and ``safe`` of a ``CurrentReference``.
 
     Raises
     ------
@@ -82,7 +93,10 @@ def encode_block(
     head = struct.pack("<iII", seconds, nanoseconds, len(name)) + name
     head += bytes(-len(head) % 8) + struct.pack("<Qd", first_sample, sample_period)
     arrays = b"".join(struct.pack("<I", len(v)) + v.astype("<f4").tobytes() for v in values)
-    return b"\x00\x01\x00\x00" + head + arrays
+    body = head + arrays
+    if session is not None:
+        body += bytes(-len(body) % 8) + struct.pack("<QQ?", *session)
+    return b"\x00\x01\x00\x00" + body
 
 
 def read_head(data: bytes | memoryview) -> BlockHead:
@@ -132,7 +146,7 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
             position += 4 * count
     except struct.error:
         raise ValueError("it ends too early") from None
-    if len(body) - position > 3:
+    if len(body) - position > LONGEST_REST[fields]:
         raise ValueError("it is longer than its type allows")
     if any(len(v) != len(values[0]) for v in values):
         raise ValueError(f"its arrays have different lengths, {', '.join(str(len(v)) for v in values)}")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.numerics.compiled import compiled
+from drive_id.files.messages.block_codec import LONGEST_REST
 from drive_id.types import FloatArray, IntArray
 
 ByteArray = NDArray[np.uint8]
@@ -106,7 +107,7 @@ def _read_block(data: ByteArray, start: int, stop: int, fields: int, row: IntArr
             return False
         samples = number
         position += 4 + 4 * number
-    if stop - position > 3 or first < 0:
+    if stop - position > LONGEST_REST[fields] or first < 0:
         return False
     seconds = _number(data, body, 4)
     row[STAMP] = (seconds - (1 << 32) * (seconds >> 31)) * _NANOSECONDS + nanoseconds

@@ -120,11 +120,17 @@ def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> l
 
 
 def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
-    """Tell whether a topic has our message of that name; a definition with our very text is not parsed."""
+    """Tell whether a topic has our message of that name, or an earlier one, which lacks fields behind the arrays.
+
+    A definition with our very text is not parsed.
+    """
     given = (topic.definition_format, topic.definition)
     if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
         return True
-    return _typestore_for(topic, signals).fielddefs[topic.type_name] == message_typestore().fielddefs[topic.type_name]
+    constants, fields = _typestore_for(topic, signals).fielddefs[topic.type_name]
+    ours = message_typestore().fielddefs[topic.type_name]
+    arrays = 3 + len(BLOCK_FIELDS[topic.type_name])
+    return len(fields) >= arrays and (constants, fields) == (ours[0], ours[1][: len(fields)])
 
 
 def _typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:

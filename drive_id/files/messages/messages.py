@@ -29,7 +29,10 @@ _BODIES = {
     PHASE_CURRENTS: "# Measured phase currents, A.\nfloat32[] a\nfloat32[] b\nfloat32[] c\n",
     PHASE_VOLTAGES: "# Commanded phase voltages, held for one period, V.\nfloat32[] a\nfloat32[] b\nfloat32[] c\n",
     RESOLVER: "# Electrical angle, rad, in [-pi, pi), and speed, rad/s.\nfloat32[] angle\nfloat32[] speed\n",
-    CURRENT_REFERENCE: "# Current set-points, A, the first due at the stamp.\nfloat32[] d\nfloat32[] q\n",
+    CURRENT_REFERENCE: (
+        "# Current set-points, A, the first due at the stamp; safe: zero current on receipt.\n"
+        "float32[] d\nfloat32[] q\nuint64 session\nuint64 count\nbool safe\n"
+    ),
     SCALAR_SAMPLES: "# One optional signal, V, degrees Celsius or Nm, as its topic says.\nfloat32[] value\n",
 }
 

@@ -25,6 +25,8 @@ from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray, Samples
 
 BLOCK_SIZE = 100
 """Samples per message: 100 messages a second at 10 kHz."""
+_SESSION = 1
+"""Of the references of a simulated recording, which is one run."""
 _FRAME = "drive"
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
@@ -135,7 +137,8 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> 
             stamp = int(every[start])
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
-            data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME)
+            session = None if when_full else (_SESSION, int(start), False)
+            data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME, session)
             yield RawMessage(topics.absolute(name), end_time if when_full else stamp, data)
 
 

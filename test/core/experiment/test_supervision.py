@@ -7,8 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from drive_id.bench.reference_buffer import ReferenceBuffer
+from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.supervision import SupervisedExperiment
+from drive_id.errors import ConfigurationError
 from drive_id.health import Level
 
 MS = 1_000_000
@@ -19,36 +22,73 @@ SETTINGS = ExperimentSettings(
 )  # fmt: skip
 
 
+def phase_currents(i_dq, angle):
+    """Return the phase currents (3, N) of i_dq (N, 2), written out."""
+    shifts = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])[:, None]
+    return i_dq[:, 0] * np.cos(angle - shifts) - i_dq[:, 1] * np.sin(angle - shifts)
+
+
 class Bench:
-    """A watched experiment in time, with a drive that sends blocks of 10 samples every 10 ms unless told otherwise."""
+    """A watched experiment in time, with a drive that sends blocks of 10 samples every 10 ms unless told otherwise.
+
+    It follows the references at once and exactly, at an angle that turns; what is wrong with it is set as attributes.
+    """
 
     def __init__(self, settings=SETTINGS):
         self.watched = SupervisedExperiment(settings)
-        self.now, self.steady, self.count = T0, 100.0, 0
-        self.current, self.speed = 1.0, 100.0
-        self.sends = {"phase_currents", "resolver"}
+        self.now, self.steady, self.count, self.statuses = T0, 100.0, 0, 0
+        self.peak, self.speed, self.offset = None, 100.0, 0
+        self.follows, self.status = True, {}
+        self.sends = {"phase_currents", "resolver", "drive_status"}
+        self.publishers = 1
+        self.references = ReferenceBuffer(1000.0, 1000.0)
         self.blocks = []
 
     def send(self):
-        phase = np.full(10, self.current, np.float32)
+        """Send what was measured since the last tick."""
+        clock = self.now + self.offset
+        stamps = clock + np.arange(-10, 0) * MS
+        i_dq = self.references.take(stamps, 1e-3) * self.follows
+        angle = (0.1 * (self.count + np.arange(10)) + np.pi) % (2 * np.pi) - np.pi
+        phases = phase_currents(i_dq, angle) if self.peak is None else np.full((3, 10), self.peak)
+        phases, angle = phases.astype(np.float32), angle.astype(np.float32)
         ended = False
         if "phase_currents" in self.sends:
-            ended |= self.watched.currents(self.now, self.steady, self.count, [phase, -phase, np.zeros_like(phase)])
+            block = SampleBlock(int(stamps[0]), self.count, 1e-3, tuple(phases))
+            ended |= self.watched.currents(self.now, self.steady, block)
         if "resolver" in self.sends:
-            signals = [np.zeros(10, np.float32), np.full(10, self.speed, np.float32)]
-            ended |= self.watched.resolver(self.now, self.steady, self.count, signals)
+            block = SampleBlock(int(stamps[0]), self.count, 1e-3, (angle, np.full(10, self.speed, np.float32)))
+            ended |= self.watched.resolver(self.now, self.steady, block)
+        if "drive_status" in self.sends:
+            said = {"session": self.references.session or 0, "applied": self.references.applied} | self.status
+            ended |= self.watched.status(self.now, self.steady, DriveStatus(clock, self.statuses, **said))
         self.count += 10
+        self.statuses += 1
         return ended
 
-    def ticks(self, count):
+    def ticks(self, count, *, clock_stands=False):
         for _ in range(count):
-            self.now += 10 * MS
+            self.now += 0 if clock_stands else 10 * MS
             self.steady += 0.01
-            self.send()
-            self.blocks += self.watched.advance(self.now, self.steady)
+            if not clock_stands:
+                self.send()
+            self.obey(self.watched.advance(self.now, self.steady, self.publishers))
+
+    def obey(self, blocks):
+        for block in blocks:
+            rest = {"session": block.session, "count": block.count, "safe": block.safe}
+            self.references.add(block.stamp, block.sample_period, *block.i_dq.T, **rest)
+        self.blocks += blocks
+
+    def restart(self):
+        self.count = self.statuses = 0
+        self.references = ReferenceBuffer(1000.0, 1000.0)
 
     def start(self):
-        return self.watched.start(self.now, self.steady)
+        return self.watched.start(self.now, self.steady, self.publishers)
+
+    def clear(self):
+        return self.watched.clear_fault(self.now, self.steady)
 
     def health(self):
         return self.watched.health(self.now, self.steady)
@@ -91,7 +131,7 @@ def test_without_watch_it_starts_blindly_but_heeds_what_it_hears():
     bench.sends = set()
     bench.ticks(100)
     assert bench.state() == "running"
-    bench.sends, bench.current = {"phase_currents"}, 13.0
+    bench.sends, bench.peak = {"phase_currents"}, 13.0
     bench.ticks(1)
     assert bench.state() == "tripped"
 
@@ -106,7 +146,8 @@ def test_no_second_start(running):
 
 
 def test_no_start_beside_another_publisher(bench):
-    assert "1 other nodes publish current_reference" in bench.watched.start(bench.now, bench.steady, 2)[1]
+    bench.publishers = 2
+    assert bench.start()[1].startswith("Not started: Another node publishes current_reference")
 
 
 def test_the_course_in_diagnostics(running):
@@ -137,8 +178,8 @@ def test_stop(running):
         ({"speed": 111.0}, "The speed is 111 rad/s, above speed_max, 110 rad/s."),
         ({"speed": 89.0}, "The speed is 89 rad/s, below speed_min, 90 rad/s."),
         ({"speed": np.nan}, "Samples of resolver are NaN or infinite."),
-        ({"current": 12.5}, "The current of phase a is 12.5 A, above 12 A."),
-        ({"current": -np.inf}, "Samples of phase_currents are NaN or infinite."),
+        ({"peak": 12.5}, "The current of phase a is 12.5 A, above 12 A."),
+        ({"peak": -np.inf}, "Samples of phase_currents are NaN or infinite."),
     ],
 )
 def test_trips(running, fault, reason):
@@ -150,51 +191,390 @@ def test_trips(running, fault, reason):
     running.ticks(50)
     assert np.all(running.blocks[-1].i_dq[-1] == 0.0)
     assert running.state() == "tripped"
-    done, sentence = running.start()  # the cause persists
+    done, sentence = running.watched.stop(running.now)
+    assert sentence.startswith(f"Nothing is running. It tripped: {reason}")
+    done, sentence = running.clear()  # the cause persists
     assert not done
-    assert sentence.startswith("Tripped before: ")
-    assert sentence.count(reason[:20]) == 2
-    running.sends, running.speed, running.current = {"phase_currents", "resolver"}, 100.0, 1.0
-    running.ticks(1)
+    assert sentence.startswith(f"Not cleared: {reason[:20]}")
+    running.sends, running.speed, running.peak = {"phase_currents", "resolver", "drive_status"}, 100.0, None
+    running.ticks(20)
+    done, sentence = running.start()  # the cause is gone, but nobody has looked at it
+    assert not done
+    assert sentence.startswith(f"Not started: it tripped before. {reason[:20]}")
+    done, sentence = running.clear()
+    assert (done, sentence[:9]) == (True, "Cleared: ")
     assert running.start()[0]
     assert running.state() == "ramp_in"
 
 
-@pytest.mark.parametrize(
-    ("fault", "jump"), [({"current": 12.5}, True), ({"current": np.nan}, True), ({"speed": 0.0}, False)]
-)
+@pytest.mark.parametrize(("fault", "jump"), [({"peak": 12.5}, True), ({"peak": np.nan}, True), ({"speed": 0.0}, False)])
 def test_overcurrent_goes_to_zero_at_once_the_rest_ramps(running, fault, jump):
     running.blocks.clear()
     for name, value in fault.items():
         setattr(running, name, value)
+    running.now += 10 * MS
+    running.steady += 0.01
     assert running.send()
     blocks = running.watched.advance(running.now, running.steady)
     assert blocks[0].stamp - running.now <= 1 * MS
     assert bool(np.all(blocks[0].i_dq == 0.0)) is jump
 
 
+def trips(bench, reason, within, **changes):
+    """Change the drive, and wait until the experiment has tripped and the drive is at zero, each within a time, s."""
+    for name, value in changes.items():
+        setattr(bench, name, value)
+    begin = bench.steady
+    while not bench.watched.trip_reason:
+        bench.ticks(1)
+        assert bench.steady - begin <= within, "it does not trip"
+    assert bench.watched.trip_reason.startswith(reason)
+    for _ in range(4):  # 10 A at 1000 A/s, and up to two ticks
+        bench.ticks(1)
+    assert not np.any(bench.references.last)
+    assert bench.state() == "tripped"
+
+
+@pytest.mark.parametrize("offset", [-5000 * MS, -60 * MS, 60 * MS, 1000 * MS])
+def test_a_clock_that_is_wrong_refuses_and_trips(bench, running, offset):
+    """Wherever the drive's clock is, a stop acts on receipt: within 40 ms."""
+    assert bench is running
+    reason = "The stamps of phase_currents"
+    trips(running, reason, 0.15, offset=offset)
+    running.ticks(30)
+    done, sentence = running.clear()
+    assert not done
+    assert "clock_offset, 0.05 s: synchronize" in sentence
+    running.offset = 0
+    running.ticks(30)
+    assert running.clear()[0]
+
+
+@pytest.mark.parametrize("offset", [-20 * MS, 20 * MS])
+def test_a_small_offset_of_the_clock_does_no_harm(offset):
+    bench = Bench()
+    bench.offset = offset
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.ticks(100)
+    assert bench.state() == "running"
+
+
+def test_a_clock_that_drifts_trips():
+    bench = Bench(dataclasses.replace(SETTINGS, repeat=0))
+    bench.ticks(3)
+    assert bench.start()[0]
+    ticks = 0
+    while not bench.watched.trip_reason and ticks < 1000:
+        bench.offset -= MS // 10
+        bench.ticks(1)
+        ticks += 1
+    assert bench.watched.trip_reason.startswith("The stamps of")
+    assert ticks == pytest.approx(500 + 10, abs=5)
+
+
+def test_a_stalled_process_that_catches_up_does_not_trip(running):
+    """Blocks that have waited for 80 ms are handled at once: none of them says that the clock is wrong."""
+    waiting = []
+    for _ in range(8):
+        running.now += 10 * MS
+        running.steady += 0.01
+        waiting.append((running.now, running.count))
+        running.count += 10
+    for end, count in waiting:
+        angle = np.zeros(10, np.float32)
+        block = SampleBlock(end - 10 * MS, count, 1e-3, (angle, angle + np.float32(100.0)))
+        assert not running.watched.resolver(running.now, running.steady, block)
+    running.statuses += 1
+    running.ticks(1)
+    assert not running.watched.trip_reason
+
+
+def test_frozen_stamps_trip(running):
+    """The count advances, the time does not."""
+    running.sends = {"resolver", "drive_status"}
+    stamp, reason = running.now, ""
+    while not reason:
+        running.ticks(1)
+        phases = (np.zeros(10, np.float32),) * 3
+        block = SampleBlock(stamp, running.count - 10, 1e-3, phases)
+        running.watched.currents(running.now, running.steady, block)
+        reason = running.watched.trip_reason
+    assert reason.startswith("The stamps of phase_currents do not advance")
+
+
+def test_a_current_that_does_not_follow_trips(running):
+    trips(running, "The current does not follow the reference: on average", 0.2, follows=False)
+
+
+def test_a_wrong_sense_of_rotation_trips(running):
+    """The amplitude is right, the direction is not: two phases are exchanged."""
+    take = running.watched.currents
+    running.watched.currents = lambda now, steady, block: take(
+        now, steady, dataclasses.replace(block, values=(block.values[0], block.values[2], block.values[1]))
+    )
+    trips(running, "The current does not follow the reference", 0.3)
+
+
+def test_a_current_that_nobody_commands_refuses_a_start(bench):
+    bench.peak = np.array([[4.0], [-2.0], [-2.0]])
+    bench.ticks(50)
+    assert "The current does not follow the reference" in bench.start()[1]
+
+
+def test_a_stop_that_is_not_obeyed_is_told(running):
+    running.obey = lambda _: None  # deaf, and it holds a current
+    running.peak = np.array([[5.0], [-2.5], [-2.5]])
+    running.watched.stop(running.now)
+    running.ticks(100)
+    done, sentence = running.watched.stop(running.now)
+    assert not done
+    assert "does not go to zero current: use the emergency stop" in sentence
+
+
+def test_a_restart_of_the_drive_trips(running):
+    running.restart()
+    trips(running, "The count of phase_currents fell from 330 to 0: the drive was restarted.", 0.02)
+
+
+def test_a_restart_that_only_the_status_tells_trips(running):
+    trips(running, "The count of drive_status fell from 33 to 0", 0.02, statuses=0)
+
+
+def test_stragglers_do_no_harm(running):
+    take = running.watched.currents
+    for _ in range(5):  # a block that comes after the next one
+        kept = []
+        running.watched.currents = lambda *given, kept=kept: bool(kept.append(given[2]))
+        running.ticks(1)
+        running.watched.currents = take
+        running.ticks(1)
+        assert not take(running.now, running.steady, kept[0])
+        running.ticks(2)
+    assert running.state() == "running"
+
+
+def test_another_publisher_trips_at_any_time(running):
+    trips(running, "Another node publishes current_reference", 0.02, publishers=2)
+    running.ticks(30)
+    assert running.clear()[1].startswith("Not cleared: Another node")
+
+
+@pytest.mark.parametrize(
+    ("status", "reason", "within"),
+    [
+        ({"fault": "Overvoltage"}, "The drive reports a fault: Overvoltage.", 0.02),
+        ({"enabled": False}, "The drive is not enabled.", 0.02),
+        ({"session": 7}, "The drive follows the references of somebody else", 0.15),
+        ({"session": 0}, "The drive does not follow the references: it reports no session.", 0.15),
+        ({"speed_limit": 99.0}, "The speed is 100 rad/s, above speed_max, 99 rad/s.", 0.03),
+        ({"winding_temperature": 151.0, "winding_temperature_limit": 150.0}, "The winding has 151 degC, above", 0.02),
+        ({"dc_link_voltage": 801.0, "dc_link_voltage_limit": 800.0}, "The DC link has 801 V, outside of", 0.02),
+    ],
+)
+def test_what_the_drive_says_of_itself_trips(running, status, reason, within):
+    trips(running, reason, within, status=status)
+
+
+def test_limits_of_the_settings_are_tighter_than_those_of_the_drive():
+    limited = dataclasses.replace(SETTINGS, temperature_max=80.0, dc_link_voltage_min=300.0)
+    for status, reason in (
+        ({"magnet_temperature": 81.0}, "The magnet has 81 degC, above temperature_max, 80 degC."),
+        ({"dc_link_voltage": 299.0}, "The DC link has 299 V, outside of 300 to inf V."),
+    ):
+        bench = Bench(limited)
+        bench.status = status
+        bench.ticks(3)
+        assert bench.start() == (False, f"Not started: {reason}")
+
+
+def test_the_status_is_needed_unless_the_drive_has_none(bench):
+    bench = Bench()
+    bench.sends = {"phase_currents", "resolver"}
+    bench.ticks(3)
+    assert "Nothing has arrived on drive_status" in bench.start()[1]
+    bench = Bench(dataclasses.replace(SETTINGS, require_status=False))
+    bench.sends = {"phase_currents", "resolver"}
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.sends = {"phase_currents", "resolver", "drive_status"}  # it has one after all
+    bench.ticks(10)
+    bench.sends = {"phase_currents", "resolver"}
+    bench.ticks(30)
+    assert bench.watched.trip_reason.startswith("Nothing has arrived on drive_status for 0.2")
+
+
+def test_the_largest_speed_is_asked_for():
+    unlimited = dataclasses.replace(SETTINGS, speed_min=None, speed_max=None)
+    bench = Bench(unlimited)
+    bench.ticks(3)
+    assert "speed_max is not set, and the drive reports no speed_limit" in bench.start()[1]
+    bench.status = {"speed_limit": 120.0}
+    bench.ticks(1)
+    assert bench.start()[0]
+    bench.ticks(1)
+    bench.speed = -121.0  # in both directions
+    bench.ticks(1)
+    assert bench.watched.trip_reason == "The speed is -121 rad/s, below speed_min, -120 rad/s."
+
+
+def test_a_radius_above_the_limit_of_the_drive_is_refused(bench):
+    bench.status = {"current_limit": 9.0}
+    bench.ticks(1)
+    assert bench.start()[1] == "Not started: i_max is 10 A, above the current_limit of the drive, 9 A."
+
+
+def test_nothing_exceeds_the_ceiling():
+    with pytest.raises(ConfigurationError, match="i_max is 10 A, above current_ceiling, 9 A"):
+        dataclasses.replace(SETTINGS, current_ceiling=9.0)
+    with pytest.raises(ConfigurationError, match="current_limit is 12 A, above current_ceiling, 11 A"):
+        dataclasses.replace(SETTINGS, current_ceiling=11.0)
+    assert dataclasses.replace(SETTINGS, current_ceiling=11.0, current_limit=None).largest_phase_current == 11.0
+
+
+def test_the_emergency_stop_is_latched(running):
+    assert running.watched.emergency_stop(running.now, running.steady, pressed=True)
+    trips(running, "The emergency stop (emergency_stop) is pressed.", 0.02)
+    running.ticks(30)
+    assert running.clear()[1] == "Not cleared: The emergency stop (emergency_stop) is pressed."
+    running.watched.emergency_stop(running.now, running.steady, pressed=False)
+    assert not running.start()[0]
+    assert running.clear()[0]
+    assert running.start()[0]
+
+
+def test_a_press_while_nothing_runs_is_latched_too(bench):
+    for pressed in (True, False):
+        bench.watched.emergency_stop(bench.now, bench.steady, pressed=pressed)
+    assert bench.start()[1] == "Not started: The emergency stop (emergency_stop) was pressed: call ~/clear_fault."
+    assert bench.clear()[0]
+    assert bench.start()[0]
+
+
+def test_an_emergency_stop_that_is_silent_is_one():
+    bench = Bench(dataclasses.replace(SETTINGS, emergency_stop_timeout=0.1))
+    bench.ticks(3)
+    assert "The emergency stop (emergency_stop) is silent" in bench.start()[1]
+    bench.watched.emergency_stop(bench.now, bench.steady, pressed=False)
+    assert bench.start()[0]
+    trips(bench, "The emergency stop (emergency_stop) is silent, longer than 0.1 s.", 0.12)
+
+
+def test_a_client_that_dies_brings_the_current_to_zero():
+    bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
+    bench.ticks(3)
+    bench.watched.heartbeat(bench.steady)
+    assert bench.start()[0]
+    for _ in range(10):
+        bench.ticks(10)
+        bench.watched.heartbeat(bench.steady)
+    assert bench.state() == "running"
+    trips(bench, "The client that started has sent no heartbeat for 0.2", 0.22)
+
+
+def test_the_first_heartbeat_may_come_after_the_start():
+    bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.watched.heartbeat(bench.steady)
+    bench.ticks(10)
+    assert bench.state() == "running"
+    trips(bench, "The client that started has sent no heartbeat for 0.2", 0.12)
+
+
+def test_a_start_by_hand_needs_no_heartbeat_unless_it_is_required(bench):
+    assert bench.start()[0]
+    bench.ticks(30)
+    assert bench.state() == "running"
+    bench = Bench(dataclasses.replace(SETTINGS, require_lease=True))
+    bench.ticks(3)
+    assert bench.start()[1] == "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
+
+
+def test_a_clock_that_stands_still_trips(running):
+    running.ticks(21, clock_stands=True)
+    assert running.watched.trip_reason.startswith("The clock of this node has stood still for 0.2")
+    assert any(block.safe for block in running.blocks)
+
+
+def test_a_dry_run_publishes_nothing_and_supervises():
+    bench = Bench(dataclasses.replace(SETTINGS, dry_run=True))
+    bench.ticks(3)
+    assert bench.start()[1] == "Started: lissajous within 10 A for 2 s, published to nobody (dry_run)."
+    bench.ticks(30)
+    assert (bench.blocks, bench.state()) == ([], "running")
+    bench.speed = 111.0
+    bench.ticks(1)
+    assert bench.state() == "tripped"
+    assert bench.watched.finish(bench.now) == []
+
+
+def test_a_dry_run_that_is_switched_on_meanwhile_does_not_leave_the_current_alone(running):
+    running.watched.change(running.now, dataclasses.replace(SETTINGS, dry_run=True))
+    running.ticks(30)
+    assert not np.any(running.references.last)
+    assert running.state() == "idle"
+
+
+def test_a_stop_at_rest_brings_others_to_zero(bench):
+    """Whoever drives: the safe block is sent whether or not this node has an experiment."""
+    bench.references.add(bench.now, 1e-3, *np.full((2, 100), 3, np.float32), session=7)
+    bench.ticks(2)
+    bench.watched.stop(bench.now)
+    bench.ticks(2)
+    assert [block.safe for block in bench.blocks] == [True]
+    assert not np.any(bench.references.last)
+
+
+def test_after_a_trip_nobody_else_drives_until_it_is_cleared(running):
+    trips(running, "Another node publishes current_reference", 0.02, publishers=2)
+    running.ticks(30)
+    for _ in range(10):
+        running.references.add(running.now, 1e-3, *np.full((2, 100), 3, np.float32), session=7)
+        running.ticks(3)
+        assert not np.any(running.references.last)
+    running.publishers = 1
+    running.ticks(2)
+    running.blocks.clear()
+    running.ticks(20)
+    assert running.blocks == []
+    assert running.clear()[0]
+
+
+def test_every_run_is_a_session_of_its_own(running):
+    first = {block.session for block in running.blocks}
+    running.ticks(400)
+    running.blocks.clear()
+    running.start()
+    running.ticks(10)
+    second = {block.session for block in running.blocks}
+    assert len(first) == len(second) == 1
+    assert first.isdisjoint(second)
+    assert running.blocks[0].count == 0 < running.blocks[0].first_sample
+
+
 def test_blocks_that_make_no_sense(running):
-    odd = [np.zeros(3, np.float32), np.zeros(2, np.float32), np.zeros(3, np.float32)]
-    assert running.watched.currents(running.now, running.steady, 0, odd)
-    assert running.health().message == "A block of phase_currents has arrays of different lengths."
+    odd = tuple(np.zeros(length, np.float32) for length in (3, 2, 3))
+    assert running.watched.currents(running.now, running.steady, SampleBlock(running.now, 0, 1e-3, odd))
+    assert running.health().message.startswith("A block of phase_currents has arrays of different lengths.")
 
 
 def test_empty_blocks_are_no_sign_of_life(running):
     running.sends = {"resolver"}
     for _ in range(25):
         running.ticks(1)
-        running.watched.currents(running.now, running.steady, 0, [np.zeros(0, np.float32)] * 3)
+        empty = (np.zeros(0, np.float32),) * 3
+        running.watched.currents(running.now, running.steady, SampleBlock(running.now, 0, 1e-3, empty))
     assert "Nothing has arrived on phase_currents" in running.health().message
 
 
 def test_other_parameters_stop_first_and_hold_afterwards(running):
     changed = dataclasses.replace(SETTINGS, i_max=5.0, current_limit=6.0)
-    running.current = 9.0  # within the old limit, which holds until the old trajectory has ended
+    running.peak = 9.0  # within the old limit, which holds until the old trajectory has ended
     running.watched.change(running.now, changed)
+    running.peak = None
     running.ticks(30)
     assert running.health().values["state"] == "idle"
-    running.current = 1.0
-    running.ticks(1)
     assert running.start() == (True, "Started: lissajous within 5 A for 2 s.")
     running.blocks.clear()
     running.ticks(100)

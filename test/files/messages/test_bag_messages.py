@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.files.messages.block_codec import decode_block, encode_block
-from drive_id.files.messages.messages import BLOCK_FIELDS, DEFINITIONS, message_typestore, schema_text, type_hash
+from drive_id.files.messages.messages import (
+    BLOCK_FIELDS,
+    CURRENT_REFERENCE,
+    DEFINITIONS,
+    message_typestore,
+    schema_text,
+    type_hash,
+)
 
 MSG_DEFS = Path(__file__).parents[3] / "msg_defs" / "msg"
 FLOATS = st.floats(width=32, allow_nan=False)
@@ -51,13 +58,18 @@ def test_hashes_agree_with_the_definitions_of_the_distribution(name):
 def test_blocks_are_cdr(name, stamp, first, period, frame, data):
     n = data.draw(st.integers(0, 5))
     columns = [np.array(data.draw(st.lists(FLOATS, min_size=n, max_size=n)), np.float32) for _ in BLOCK_FIELDS[name]]
-    raw = encode_block(stamp, first, period, columns, frame)
+    session = (first, n, bool(n % 2)) if name == CURRENT_REFERENCE else None
+    raw = encode_block(stamp, first, period, columns, frame, session)
     store = message_typestore()
     message = store.deserialize_cdr(raw, name)
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert (message.header.frame_id, message.first_sample, message.sample_period) == (frame, first, period)
     for field, column in zip(BLOCK_FIELDS[name], columns, strict=True):
         np.testing.assert_array_equal(getattr(message, field), column)
+    if session is not None:
+        assert (message.session, message.count, message.safe) == session
+        former = decode_block(encode_block(stamp, first, period, columns, frame), len(columns))
+        assert (former.stamp, len(former)) == (stamp, n)
     for little in (True, False):
         block = decode_block(store.serialize_cdr(message, name, little_endian=little), len(columns))
         assert (block.stamp, block.first_sample, block.sample_period, len(block)) == (stamp, first, period, n)

@@ -15,8 +15,12 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from drive_id.errors import ConfigurationError, OutputError
-from drive_id.files.messages.messages import BLOCK_FIELDS
+from drive_id.files.messages.block_codec import decode_block, encode_block
+from drive_id.files.messages.message_reader import block_columns
+from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, schema_text
+from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.read.reader import read_recording
+from drive_id.files.storage.container import TopicInfo
 from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
 from drive_id.files.write.writer import Topics, write_recording
 
@@ -197,3 +201,26 @@ def test_an_empty_recording_is_a_recording(tmp_path):
     with Reader(tmp_path / "bag") as reader:
         assert list(reader.messages()) == []
         assert reader.message_count == 0
+
+
+def test_bags_with_the_former_message_of_references_are_read_likewise(tmp_path):
+    """It had neither session nor count nor safe; such bags take the same fast way."""
+    samples = make_samples()
+    write_recording(tmp_path / "new", samples)
+    former = schema_text(CURRENT_REFERENCE).replace("uint64 session\nuint64 count\nbool safe\n", "")
+    assert "session" not in former
+    with Reader(tmp_path / "new") as reader, Rosbag2McapWriter(tmp_path / "old") as writer:
+        for connection in reader.connections:
+            known = {"definition": former, "hash_": "RIHS01_x"} if connection.msgtype == CURRENT_REFERENCE else {}
+            writer.add_topic(connection.topic, connection.msgtype, **known)
+        for connection, time, data in reader.messages():
+            block, whole = decode_block(data, len(BLOCK_FIELDS[connection.msgtype])), bytes(data)
+            again = encode_block(block.stamp, block.first_sample, block.sample_period, block.values, "drive")
+            assert whole.startswith(again)
+            assert len(whole) - len(again) in ({17, 21} if connection.msgtype == CURRENT_REFERENCE else {0})
+            writer.write(connection.topic, again, time)
+    kept = read_recording(tmp_path / "old").samples
+    np.testing.assert_array_equal(kept.i_dq_reference, read_recording(tmp_path / "new").samples.i_dq_reference)
+    given = TopicInfo("/current_reference", CURRENT_REFERENCE, 1, "cdr", "ros2msg", former)
+    signals = SignalMap()
+    assert block_columns(given, signals.reference, signals) == [0, 1]

@@ -1,0 +1,379 @@
+"""Reaction times of trajectory publisher and simulated drive to trouble, and random scripts of it.
+
+    python benchmarks/safety.py                          the table of docs/safety.md, ten times each hazard
+    python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1
+
+Both nodes run as processes with the shipped parameter files, 100 A, without end. What is checked is what the drive
+measures: never above the limit, and zero within the stated time after each stop, trip, death or intruder. The exit code
+is 1 if there is a finding.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState
+from node_processes import Graph, NodeProcess
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_msgs.msg import Bool, Empty
+from std_srvs.srv import Trigger
+
+from drive_id.nodes.support.qos import LATCHED, STREAM
+
+CONFIG = Path(__file__).parent.parent / "config"
+I_MAX, LIMIT = 100.0, 125.0
+REST = 3.0
+"""Current of a drive at rest, A: the ripple of the inverter."""
+QUIET = 0.7
+"""Time without current after which a drive counts as at rest, s: more than messages are ever late."""
+_ATTEMPTS = 4
+PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """Something that goes wrong.
+
+    Parameters
+    ----------
+    stated : float
+        Time within which the measured current is zero, s.
+    faults : dict
+        Parameters of the simulated drive.
+    act : str
+        Name of a method of :class:`Cell` instead, and of what undoes it with ``un_`` before it.
+    reason : str
+        Part of what the publisher says; empty if it need not trip.
+    """
+
+    stated: float
+    faults: dict[str, Any] = field(default_factory=dict)
+    act: str = ""
+    reason: str = ""
+
+
+HAZARDS = {
+    "~/stop": Hazard(0.3, act="stop"),
+    "emergency stop": Hazard(0.3, act="press", reason="emergency stop"),
+    "drive clock 5 s behind": Hazard(0.5, {"clock_offset": -5.0}, reason="The stamps of"),
+    "drive clock 1 s ahead": Hazard(0.5, {"clock_offset": 1.0}, reason="The stamps of"),
+    "drive clock drifts by 0.5 s/s": Hazard(0.8, {"clock_drift": 0.5}, reason="The stamps of"),
+    "drive ignores references": Hazard(0.5, {"ignore_references": True}, reason="does not follow"),
+    "stamps of feedback frozen": Hazard(0.5, {"freeze": "stamps"}, reason="do not advance"),
+    "samples of feedback frozen": Hazard(1.0, {"freeze": "samples"}, reason="does not follow"),
+    "drive restarts": Hazard(0.3, {"restarts": 1}, reason="the drive was restarted"),
+    "drive trips": Hazard(0.3, {"trip": True}, reason="The drive reports a fault"),
+    "all messages lost": Hazard(0.9, {"loss": 1.0}, reason=" "),
+    "messages 0.4 s late": Hazard(1.0, {"latency": 0.4}, reason=" "),
+    "second publisher, silent": Hazard(0.5, act="appear", reason="Another node publishes"),
+    "second publisher sends references": Hazard(0.5, act="intrude", reason=" "),
+    "overspeed": Hazard(0.6, act="overspeed", reason="above speed_max"),
+    "client dies (lease)": Hazard(2.4, act="die", reason="no heartbeat"),
+    "publisher killed": Hazard(0.6, act="kill"),
+    "publisher stopped (SIGSTOP)": Hazard(0.6, act="suspend", reason=" "),
+    "drive killed": Hazard(0.9, act="kill_drive", reason="Nothing has arrived"),
+}
+
+
+class Cell:
+    """The two nodes, what the drive measures, and an operator.
+
+    Parameters
+    ----------
+    graph : Graph
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.findings: list[str] = []
+        self.peaks: list[tuple[float, float]] = []
+        self.reason, self.state, self.leased = "", "", True
+        self.sensed = True
+        self.rivals: list[Any] = []
+        node = graph.node
+        node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
+        node.create_subscription(DriveStatus, "/drive_status", self._on_status, STREAM)
+        node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
+        node.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, 10)
+        self.estop = node.create_publisher(Bool, "/emergency_stop", LATCHED)
+        self.heartbeat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
+        node.create_timer(0.2, lambda: self.leased and self.heartbeat.publish(Empty()))
+        self.nodes: dict[str, NodeProcess] = {}
+        self.start_drive()
+        self.start_publisher()
+
+    def start_drive(self) -> None:
+        """Start the drive."""
+        file = CONFIG / f"{DRIVE}.yaml"
+        self.nodes[DRIVE] = self._ready([f"drive_id.nodes.{DRIVE}", "--ros-args", "--params-file", str(file)])
+
+    def start_publisher(self) -> None:
+        """Start the publisher, to run without end."""
+        file = CONFIG / f"{PUBLISHER}.yaml"
+        given = ["--params-file", str(file), "-p", "repeat:=0", "-p", "speed_max:=400.0"]
+        self.nodes[PUBLISHER] = self._ready([f"drive_id.nodes.{PUBLISHER}", "--ros-args", *given])
+
+    def _ready(self, arguments: list[str]) -> NodeProcess:
+        import sys  # noqa: PLC0415  # only here
+
+        process = self.graph.run([sys.executable, "-m", *arguments], arguments[0].rpartition(".")[2])
+        if not self.graph.wait(lambda: "Ready" in process.text or not process.alive) or not process.alive:
+            raise SystemExit(f"{arguments[0]} is not ready:\n{process.text}")
+        return process
+
+    def _on_currents(self, message: PhaseCurrents) -> None:
+        peak = max(float(np.abs(np.frombuffer(phase, np.float32)).max()) for phase in (message.a, message.b, message.c))
+        if peak > LIMIT:
+            self.findings.append(f"{peak:.1f} A measured")
+        if self.sensed:
+            self.peaks.append((time.monotonic(), peak))
+
+    def _on_status(self, message: DriveStatus) -> None:
+        if not self.sensed:  # frozen samples say nothing: take the reference in force
+            self.peaks.append((time.monotonic(), float(np.hypot(message.i_d, message.i_q))))
+
+    def _on_state(self, message: PublisherState) -> None:
+        self.state, self.reason = message.state, message.reason
+
+    def set(self, node: str, **values: Any) -> bool:
+        """Set parameters of a node."""
+        given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        reply = self.graph.call(SetParameters, f"/{node}/set_parameters", parameters=given)
+        return reply is not None and all(result.successful for result in reply.results)
+
+    def call(self, name: str) -> Any:
+        """Call a service of the publisher."""
+        return self.graph.call(Trigger, f"/{PUBLISHER}/{name}")
+
+    def begin(self) -> str:
+        """Clear faults, start, and wait for current; return what went wrong."""
+        self.leased, self.reason, self.state = True, "", ""
+        self.call("stop")  # the first call of a service takes the time to find it
+        self.set(DRIVE, loss=0.0)
+        end = time.monotonic() + 30.0
+        said = None
+        while time.monotonic() < end:
+            cleared = self.call("clear_fault")
+            said = self.call("start") if cleared is not None and cleared.success else cleared
+            if said is not None and said.success:
+                self.graph.wait(lambda: self.state == "tripped" or (self.peaks and self.peaks[-1][1] > 20.0), 5.0)
+                if self.state != "tripped":  # a drive that has just been started may be late, and trip once more
+                    return ""
+            self.graph.spin(0.2)
+        return f"no start: {said.message if said else 'no answer'} {self.reason}"
+
+    def rested(self, since: float) -> float:
+        """Wait for rest, and return the time since then at which the last current was measured, s."""
+
+        def over() -> bool:
+            last = [when for when, peak in self.peaks if peak > REST]
+            return time.monotonic() > max([since, *last[-1:]]) + QUIET
+
+        self.graph.spin(QUIET)  # first of all, hear what has arrived meanwhile
+        self.graph.wait(over, 10.0)
+        return max((when for when, peak in self.peaks if peak > REST and when > since), default=since) - since
+
+    def inject(self, hazard: Hazard) -> float:
+        """Let something go wrong, and return when: for a fault of the drive, when it has confirmed it."""
+        self.sensed &= hazard.faults.get("freeze") != "samples"
+        begin = time.monotonic()
+        if hazard.act:
+            getattr(self, hazard.act)()
+        else:
+            self.set(DRIVE, **hazard.faults)
+        return begin if hazard.act else time.monotonic()
+
+    def undo(self, hazard: Hazard) -> None:
+        """Put it right again."""
+        healthy = {"freeze": "none", "ignore_references": False, "trip": False, "restarts": 0}
+        if hazard.faults:
+            self.set(DRIVE, **{name: healthy.get(name, 0.0) for name in hazard.faults})
+        elif hasattr(self, f"un_{hazard.act}"):
+            getattr(self, f"un_{hazard.act}")()
+        self.sensed = True
+
+    # Hazards
+
+    def stop(self) -> None:
+        """Stop."""
+        self.call("stop")
+
+    def press(self) -> None:
+        """Press the emergency stop."""
+        self.estop.publish(Bool(data=True))
+
+    def un_press(self) -> None:
+        """Release it."""
+        self.estop.publish(Bool(data=False))
+
+    def appear(self) -> None:
+        """Create a second publisher of references."""
+        self.rivals.append(self.graph.node.create_publisher(CurrentReference, "/current_reference", STREAM))
+
+    def intrude(self) -> None:
+        """Publish references in a session of its own: 50 A for half a second."""
+        self.appear()
+        self.graph.wait(lambda: self.rivals[-1].get_subscription_count() > 0, 2.0)
+        message = CurrentReference(session=random.getrandbits(60) | 1, sample_period=1e-4)
+        message.d, message.q = [50.0] * 5000, [0.0] * 5000
+        message.header.stamp = self.graph.node.get_clock().now().to_msg()
+        self.rivals[-1].publish(message)
+
+    def un_appear(self) -> None:
+        """Remove it."""
+        while self.rivals:
+            self.graph.node.destroy_publisher(self.rivals.pop())
+
+    un_intrude = un_appear
+
+    def overspeed(self) -> None:
+        """Drive the shaft faster."""
+        self.set(DRIVE, speeds=[1500.0])
+
+    def un_overspeed(self) -> None:
+        """Drive it as before."""
+        self.set(DRIVE, speeds=[500.0])
+
+    def die(self) -> None:
+        """Send no heartbeats any more."""
+        self.leased = False
+
+    def kill(self) -> None:
+        """Kill the publisher."""
+        self._end(PUBLISHER)
+
+    un_kill = start_publisher
+
+    def kill_drive(self) -> None:
+        """Kill the drive."""
+        self._end(DRIVE)
+
+    un_kill_drive = start_drive
+
+    def _end(self, name: str) -> None:
+        self.nodes.pop(name).end(signal.SIGKILL)
+        self.graph.forget(name)
+
+    def suspend(self) -> None:
+        """Hold up the publisher's process."""
+        os.kill(self.nodes[PUBLISHER].popen.pid, signal.SIGSTOP)
+
+    def un_suspend(self) -> None:
+        """Let it go on."""
+        os.kill(self.nodes[PUBLISHER].popen.pid, signal.SIGCONT)
+
+
+def react(cell: Cell, name: str, allowance: float = 0.0) -> float:
+    """Run one hazard, note findings, and return how long current flowed after it, s.
+
+    It is repeated if the publisher trips for another reason: on a busy computer the simulated drive may be late.
+    """
+    hazard = HAZARDS[name]
+    for _ in range(_ATTEMPTS):
+        cell.peaks.clear()
+        trouble = cell.begin()
+        cell.graph.spin(random.uniform(0.1, 0.4))
+        since = cell.inject(hazard)
+        took = cell.rested(since)
+        cell.undo(hazard)
+        tripped = cell.graph.wait(lambda: not hazard.reason or cell.state == "tripped", 5.0)
+        if hazard.reason in cell.reason:
+            break
+    else:
+        cell.findings.append(f"{name}: the publisher is {cell.state} ({cell.reason})")
+    if trouble or not tripped:
+        cell.findings.append(f"{name}: {trouble or 'no trip'}")
+    if took > hazard.stated + allowance:
+        cell.findings.append(f"{name}: current flowed for {took:.3f} s")
+    cell.graph.spin(QUIET)
+    late = [peak for when, peak in cell.peaks if when > since + took + QUIET and peak > REST]
+    if late:
+        cell.findings.append(f"{name}: {max(late):.1f} A after it was put right")
+    return took
+
+
+def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
+    """Run a random script: up to three hazards one shortly after the other, and return their names."""
+    names = rng.sample(sorted(HAZARDS), rng.choice((1, 1, 2, 3)))
+    cell.peaks.clear()
+    before = len(cell.findings)
+    trouble = cell.begin()
+    cell.graph.spin(rng.uniform(0.0, 0.8))
+    since, alive = time.monotonic(), set(cell.nodes)
+    deadline = 0.0
+    done: list[str] = []
+    for name in names:
+        hazard = HAZARDS[name]
+        if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
+            continue
+        if (hazard.faults or hazard.act == "overspeed") and DRIVE not in cell.nodes:
+            continue
+        if any(HAZARDS[other].act == "suspend" for other in done) and hazard.act in {"stop", "kill"}:
+            continue  # it does not answer
+        if hazard.act == "intrude" and any(HAZARDS[other].act in {"stop", "kill"} for other in done):
+            continue  # it intrudes on nobody: the drive is at rest, and free for the next session
+        begin = cell.inject(hazard)
+        done.append(name)
+        deadline = deadline or begin - since + hazard.stated
+        cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
+    if "messages 0.4 s late" in done:  # so is what is seen here
+        deadline += HAZARDS["messages 0.4 s late"].faults["latency"]
+    took = cell.rested(since)
+    for name in reversed(done):  # a node that was killed first
+        cell.undo(HAZARDS[name])
+    cell.graph.spin(QUIET)
+    latest = max((when for when, peak in cell.peaks if peak > REST), default=since) - since
+    if max(took, latest) > deadline + allowance:
+        cell.findings.append(f"current flowed for {max(took, latest):.3f} s, more than {deadline:.3f} s")
+    if trouble:
+        cell.findings.append(trouble)
+    if not alive.issubset(cell.nodes):
+        cell.findings.append("a node has died")
+    cell.findings += [text for text in cell.graph.troubles() if text not in cell.findings]
+    cell.findings[before:] = [f"{', '.join(done)}: {finding}" for finding in cell.findings[before:]]
+    return done
+
+
+def main() -> int:
+    """Print the table, run the scripts, and return 1 if there is a finding."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=10, help="of each hazard")
+    parser.add_argument("--scripts", type=int, default=0, help="random scripts")
+    parser.add_argument("--seed", type=int, default=1, help="of the scripts")
+    parser.add_argument("--only", default="", help="hazards whose name contains this")
+    parser.add_argument("--allowance", type=float, default=0.0, help="added to all stated times, s: for a busy machine")
+    options = parser.parse_args()
+    random.seed(options.seed)
+    with tempfile.TemporaryDirectory() as folder, Graph(Path(folder)) as graph:
+        cell = Cell(graph)
+        if options.rounds:
+            print("| hazard | stated, s | median, s | longest, s |\n|---|---|---|---|")
+        for name, hazard in HAZARDS.items() if options.rounds else ():
+            if options.only in name:
+                times = [react(cell, name, options.allowance) for _ in range(options.rounds)]
+                print(f"| {name} | {hazard.stated:g} | {np.median(times):.2f} | {max(times):.2f} |", flush=True)
+        rng = random.Random(options.seed)
+        for number in range(options.scripts):
+            found = len(cell.findings)
+            done = script(cell, rng, options.allowance)
+            for finding in cell.findings[found:]:
+                print(f"script {number}: {finding}", flush=True)
+            if number % 20 == 19:
+                print(f"{number + 1} scripts, {len(cell.findings)} findings, last: {', '.join(done)}", flush=True)
+        print("\n".join(cell.findings) or "No findings.")
+        return 1 if cell.findings else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

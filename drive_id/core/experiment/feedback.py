@@ -1,0 +1,115 @@
+"""What a drive tells its supervisor, and what was told to the drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drive_id.core.experiment.state_machine import NANOSECONDS, ReferenceBlock
+from drive_id.types import FloatArray, IntArray
+
+_KEPT = NANOSECONDS
+"""Age of references that feedback may still belong to, ns: twice what a drive is ever late."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBlock:
+    """A block of measured samples.
+
+    Parameters
+    ----------
+    stamp : int
+        Of the first sample, ns, by the clock of the drive.
+    first_sample : int
+        Running count.
+    sample_period : float
+        s.
+    values : tuple of (N,) float32
+        Phase currents, A; or angle, rad, and electrical speed, rad/s.
+    """
+
+    stamp: int
+    first_sample: int
+    sample_period: float
+    values: tuple[NDArray[np.float32], ...]
+
+    def __len__(self) -> int:
+        return len(self.values[0])
+
+    @property
+    def end(self) -> int:
+        """Time when the block was complete, ns."""
+        return self.stamp + round(len(self) * self.sample_period * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class DriveStatus:
+    """What a drive says of itself; the fields of the message ``DriveStatus``, NaN where the drive does not know.
+
+    Parameters
+    ----------
+    stamp : int
+        ns, by the clock of the drive.
+    count : int
+    enabled : bool
+    fault : str
+    session, applied : int
+    i_d, i_q : float
+        Reference in force, A.
+    speed : float
+        Electrical, rad/s.
+    dc_link_voltage, winding_temperature, magnet_temperature : float
+        V, degC.
+    current_limit, speed_limit, dc_link_voltage_limit, winding_temperature_limit : float
+        A, rad/s, V, degC.
+    """
+
+    stamp: int
+    count: int
+    enabled: bool = True
+    fault: str = ""
+    session: int = 0
+    applied: int = 0
+    i_d: float = 0.0
+    i_q: float = 0.0
+    speed: float = np.nan
+    dc_link_voltage: float = np.nan
+    winding_temperature: float = np.nan
+    magnet_temperature: float = np.nan
+    current_limit: float = np.nan
+    speed_limit: float = np.nan
+    dc_link_voltage_limit: float = np.nan
+    winding_temperature_limit: float = np.nan
+
+
+class PublishedReferences:
+    """The references of the last second and of the time ahead, to compare with what the drive measures."""
+
+    def __init__(self) -> None:
+        self.session = 0
+        self._due: IntArray = np.zeros(0, np.int64)
+        self._values: FloatArray = np.zeros((0, 2))
+        self._last = 0
+        self.hold = True
+        """False from a safe block on: the drive is then somewhere between the references and zero."""
+
+    def add(self, blocks: Iterable[ReferenceBlock], now: int) -> None:
+        """Add blocks that are published at ``now``, ns."""
+        for block in blocks:
+            self.session, self.hold = block.session, not block.safe
+            self._last = round(2 * block.sample_period * NANOSECONDS)
+            old, kept = np.searchsorted(self._due, (now - _KEPT, block.stamp))
+            self._due = np.concatenate((self._due[old : max(kept, old)], block.due))
+            self._values = np.concatenate((self._values[old : max(kept, old)], block.i_dq.astype(np.float64)))
+
+    def at(self, stamps: IntArray) -> tuple[FloatArray, bool]:
+        """Return the references (N, 2), A, at times (N,), ns, and whether set-points are due at all of them."""
+        index = np.searchsorted(self._due, stamps, side="right") - 1
+        known = index >= 0
+        known[known] = stamps[known] - self._due[index[known]] <= self._last
+        values = np.zeros((len(stamps), 2))
+        values[known] = self._values[index[known]]
+        return values, bool(known.all())

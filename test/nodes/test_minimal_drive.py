@@ -1,0 +1,91 @@
+"""The minimal drive of ``examples/`` keeps the contract: a whole experiment, and every way out of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_drive import LiveDrive
+from ros_bench import require_ros, ros_bench
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples"
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """The publisher with the example as its drive, in real time; a busy machine may be late by half of lead_time."""
+    require_ros()
+    with pytest.MonkeyPatch.context() as patch, ros_bench() as ros:
+        patch.setitem(ros.environment, "PYTHONPATH", f"{EXAMPLES}:{':'.join(sys.path)}")
+        real = {"use_sim_time": False, "i_max": 40.0, "lead_time": 2.0, "watch_timeout": 5.0, "duration": 2.0}
+        yield LiveDrive(ros, publisher=real, simulator="minimal_drive")
+
+
+@pytest.fixture
+def ready(drive):
+    drive.rest()
+    drive.clear()
+    assert drive.set_parameters(repeat=1).successful
+    drive.forget()
+    return drive
+
+
+def test_a_whole_experiment(ready):
+    ready.start()
+    ready.wait_for_state("running")
+    ready.wait_for_state("idle")
+    stamps, wanted = ready.ended_at_zero()
+    times, i_dq = ready.current()
+    inside = (times >= stamps[0]) & (times <= stamps[-1])
+    held = wanted[np.searchsorted(stamps, times[inside], side="right") - 1]
+    assert inside.sum() > 19_000
+    assert np.sqrt(np.mean((i_dq[inside] - held) ** 2)) < 3.0
+    assert ready.status().message == "Waiting for a start."
+
+
+def test_stop_acts_on_receipt(ready):
+    ready.run_without_end(10.0)
+    assert ready.trigger("stop").success
+    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+
+
+def test_the_emergency_stop(ready):
+    from std_msgs.msg import Bool
+
+    button = ready.ros.node.create_publisher(Bool, "/emergency_stop", 1)
+    ready.run_without_end(10.0)
+    ready.ros.wait(button.get_subscription_count, "somebody who listens to the emergency stop")
+    button.publish(Bool(data=True))
+    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+    ready.wait_for_message("The emergency stop (/emergency_stop) is pressed.")
+    button.publish(Bool(data=False))
+    ready.refuses("it tripped before. The emergency stop")
+    ready.clear()
+    ready.start()
+
+
+def test_references_of_somebody_else(ready):
+    """The drive itself notices that two sessions meet."""
+    from drive_id_msgs.msg import CurrentReference, DriveStatus
+
+    statuses = []
+    ready.ros.node.create_subscription(DriveStatus, "/drive_status", statuses.append, 10)
+    ready.run_without_end(10.0)
+    rival = ready.ros.node.create_publisher(CurrentReference, "/current_reference", 10)
+    ready.ros.wait(lambda: rival.get_subscription_count() >= 2, "the drive and the test as listeners")
+    block = CurrentReference(session=4711, sample_period=1e-4, d=[30.0] * 5000, q=[0.0] * 5000)
+    block.header.stamp = ready.ros.node.get_clock().now().to_msg()
+    rival.publish(block)
+    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+    ready.wait_for_state("tripped")
+    assert not any(status.session == 4711 for status in statuses)
+    ready.ros.node.destroy_publisher(rival)
+    ready.clear()
+
+
+def test_a_killed_publisher_leaves_no_current_behind(ready):
+    ready.run_without_end(10.0)
+    ready.publisher.popen.kill()
+    ready.ros.wait(ready.is_at_zero, "zero current", 10.0)

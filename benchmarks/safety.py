@@ -71,7 +71,7 @@ HAZARDS = {
     "drive clock drifts by 0.5 s/s": Hazard(0.8, {"clock_drift": 0.5}, reason="The stamps of"),
     "drive ignores references": Hazard(0.5, {"ignore_references": True}, reason="does not follow"),
     "stamps of feedback frozen": Hazard(0.5, {"freeze": "stamps"}, reason="do not advance"),
-    "samples of feedback frozen": Hazard(1.0, {"freeze": "samples"}, reason="does not follow"),
+    "samples of feedback frozen": Hazard(0.5, {"freeze": "samples"}, reason="does not follow"),
     "drive restarts": Hazard(0.3, {"restarts": 1}, reason="the drive was restarted"),
     "drive trips": Hazard(0.3, {"trip": True}, reason="The drive reports a fault"),
     "all messages lost": Hazard(0.9, {"loss": 1.0}, reason=" "),
@@ -99,7 +99,7 @@ class Cell:
         self.findings: list[str] = []
         self.peaks: list[tuple[float, float]] = []
         self.reason, self.state, self.leased = "", "", True
-        self.sensed = True
+        self._block = b""
         self.rivals: list[Any] = []
         node = graph.node
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
@@ -133,15 +133,15 @@ class Cell:
         return process
 
     def _on_currents(self, message: PhaseCurrents) -> None:
-        peak = max(float(np.abs(np.frombuffer(phase, np.float32)).max()) for phase in (message.a, message.b, message.c))
+        before, self._block = self._block, b"".join(phase.tobytes() for phase in (message.a, message.b, message.c))
+        peak = float(np.abs(np.frombuffer(self._block, np.float32)).max())
         if peak > LIMIT:
             self.findings.append(f"{peak:.1f} A measured")
-        if self.sensed:
+        if self._block != before:  # frozen samples say nothing, however late they come
             self.peaks.append((time.monotonic(), peak))
 
     def _on_status(self, message: DriveStatus) -> None:
-        if not self.sensed:  # frozen samples say nothing: take the reference in force
-            self.peaks.append((time.monotonic(), float(np.hypot(message.i_d, message.i_q))))
+        self.peaks.append((time.monotonic(), float(np.hypot(message.i_d, message.i_q))))  # with frozen samples as well
 
     def _on_state(self, message: PublisherState) -> None:
         self.state, self.reason = message.state, message.reason
@@ -186,7 +186,6 @@ class Cell:
 
     def inject(self, hazard: Hazard) -> float:
         """Let something go wrong, and return when: for a fault of the drive, when it has confirmed it."""
-        self.sensed &= hazard.faults.get("freeze") != "samples"
         begin = time.monotonic()
         if hazard.act:
             getattr(self, hazard.act)()
@@ -201,7 +200,6 @@ class Cell:
             self.set(DRIVE, **{name: healthy.get(name, 0.0) for name in hazard.faults})
         elif hasattr(self, f"un_{hazard.act}"):
             getattr(self, f"un_{hazard.act}")()
-        self.sensed = True
 
     # Hazards
 

@@ -99,7 +99,7 @@ class Cell:
         self.findings: list[str] = []
         self.peaks: list[tuple[float, float]] = []
         self.reason, self.state, self.leased = "", "", True
-        self._block = b""
+        self._seen: set[int] = set()
         self.rivals: list[Any] = []
         node = graph.node
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
@@ -133,11 +133,12 @@ class Cell:
         return process
 
     def _on_currents(self, message: PhaseCurrents) -> None:
-        before, self._block = self._block, b"".join(phase.tobytes() for phase in (message.a, message.b, message.c))
-        peak = float(np.abs(np.frombuffer(self._block, np.float32)).max())
+        block = b"".join(phase.tobytes() for phase in (message.a, message.b, message.c))
+        peak = float(np.abs(np.frombuffer(block, np.float32)).max())
         if peak > LIMIT:
             self.findings.append(f"{peak:.1f} A measured")
-        if self._block != before:  # frozen samples say nothing, however late they come
+        if hash(block) not in self._seen:  # frozen samples say nothing, however late they come
+            self._seen.add(hash(block))
             self.peaks.append((time.monotonic(), peak))
 
     def _on_status(self, message: DriveStatus) -> None:

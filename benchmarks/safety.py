@@ -318,10 +318,13 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
             continue
         if (hazard.faults or hazard.act == "overspeed") and DRIVE not in cell.nodes:
             continue
-        if any(HAZARDS[other].act == "suspend" for other in done) and hazard.act in {"stop", "kill"}:
+        acts = {HAZARDS[other].act for other in done}
+        if "suspend" in acts and hazard.act in {"stop", "kill"}:
             continue  # it does not answer
-        if hazard.act == "intrude" and any(HAZARDS[other].act in {"stop", "kill"} for other in done):
+        if hazard.act == "intrude" and acts & {"stop", "kill", "suspend"}:
             continue  # it intrudes on nobody: the drive is at rest, and free for the next session
+        if hazard.act in {"kill", "suspend"} and "intrude" in acts:
+            continue  # nor is anybody left then who keeps the intruder from a drive at rest
         begin = cell.inject(hazard)
         done.append(name)
         deadline = deadline or begin - since + hazard.stated

@@ -92,7 +92,8 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad, complete, simulated = earlier.mad, earlier.judged, earlier.simulated
     else:
         mad, complete, simulated = _mad(validation, estimate)
-    impossible = impossible_sentence(evidence, estimate, flux_map, mad) if method.limits.impossible else None
+    judged = mad if complete else (0.0, 0.0)
+    impossible = impossible_sentence(evidence, estimate, flux_map, judged) if method.limits.impossible else None
     if impossible:
         raise UnexplainedError(impossible)
     report = FitReport(
@@ -108,7 +109,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, estimate, flux_map, mad if complete else (0.0, 0.0)),
+        warnings=review(evidence, coverage, estimate, flux_map, judged),
     )
     drive = IdentifiedDrive(
         method=evidence.settings.method,

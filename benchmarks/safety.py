@@ -331,13 +331,13 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     if "messages 0.4 s late" in done:  # so is what is seen here
         deadline += HAZARDS["messages 0.4 s late"].faults["latency"]
-    took = cell.rested(since)
+    cell.rested(since)
     for name in reversed(done):  # a node that was killed first
         cell.undo(HAZARDS[name])
     cell.graph.spin(QUIET)
-    latest = max((when for when, peak in cell.peaks if peak > REST), default=since) - since
-    if max(took, latest) > deadline + allowance:
-        cell.findings.append(f"current flowed for {max(took, latest):.3f} s, more than {deadline:.3f} s")
+    latest, last = max(((when - since, peak) for when, peak in cell.peaks if peak > REST), default=(0.0, 0.0))
+    if latest > deadline + allowance:
+        cell.findings.append(f"current flowed for {latest:.3f} s, more than {deadline:.3f} s: {last:.1f} A at last")
     if trouble:
         cell.findings.append(trouble)
     if not alive.issubset(cell.nodes):

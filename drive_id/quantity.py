@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
-_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad"})
+_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
 _SPELLED = {"ohm": "Ω", "1": ""}
 _DIGITS = 4
@@ -55,7 +55,7 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     largest = max(abs(value), sigma if known else 0.0)
     exponent = 0
     if unit in _PREFIXED and largest > 0:
-        exponent = min(max(3 * (_order(largest, _DIGITS) // 3), min(_PREFIXES)), max(_PREFIXES))
+        exponent = min(max(3 * (_order(largest, _DIGITS if not known else 12) // 3), min(_PREFIXES)), max(_PREFIXES))
     value, sigma, unit = value / 10.0**exponent, sigma / 10.0**exponent, _PREFIXES[exponent] + unit
     if known:
         digits = 1 - _order(sigma, 2)

@@ -177,6 +177,7 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
 def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
     table = _table(f"Analysis of {name}", ["Quantity"], ["Value", ""])
+    table.columns[1].no_wrap = True
     for quantity, figure in figures.items():
         factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
         shown = measured(factor * figure.value, factor * figure.sigma, unit)

@@ -83,11 +83,7 @@ def _at_peak_torque(drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, 
         where = "i_max, MTPA" if radius == drive.i_max else f"{radius:.4g} A, MTPA"
         at = f"i_d = {best.i_d:.4g} A, i_q = {best.i_q:.4g} A".replace("-", "\N{MINUS SIGN}")
         note = f"Air-gap torque at {at}; {float(torque) / radius:.4g} Nm/A."
-        return (
-            Quantity(f"Torque at {where}", float(torque), sigma, "Nm", note),
-            best.inductance(0, f"L_d at {where}", "Incremental."),
-            best.inductance(1, f"L_q at {where}", "Incremental."),
-        )
+        return (Quantity(f"Torque at {where}", float(torque), sigma, "Nm", note),)
     return ()
 
 

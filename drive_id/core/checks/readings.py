@@ -20,6 +20,9 @@ _BETTER_ROTATED, _BETTER_EXCHANGED = 0.6, 0.5
 drives, the best of these readings left 0.96 times as much as the right one, and 2.2 times."""
 _ALIKE = 1.02
 _REFUSED = 0.1
+_CERTAIN = 0.02
+"""Unexplained share of the voltage above which voltages between phases or exchanged signals are refused: below, what a
+rough model misses at many degrees per sample may decide between readings."""
 _HOPELESS = 0.35
 _FEW_RUNS = 3
 """Number of runs used to choose the likeliest of the other readings."""
@@ -189,7 +192,7 @@ def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | N
     swapped = [Excerpt.of(replace(run, i_abc=run.u_abc, u_abc=run.i_abc), largest).coarse() for run in some]
     fit = rough_fit(swapped)
     limit = _BETTER_EXCHANGED * declared.unexplained if better is None else better.unexplained
-    if fit is None or fit.unexplained > limit:
+    if fit is None or fit.unexplained > limit or declared.unexplained < _CERTAIN:
         return None
     return Finding(
         "exchanged",
@@ -222,7 +225,7 @@ def _others() -> Iterator[Reading]:
 
 def _misread(declared: RoughFit, better: RoughFit) -> Finding:
     code, what, remedy = _meaning(better.reading)
-    certain = declared.unexplained > _REFUSED or better.reading in _BETWEEN_PHASES
+    certain = declared.unexplained > (_CERTAIN if better.reading in _BETWEEN_PHASES else _REFUSED)
     severity = "error" if certain else "warning"
     return Finding(
         code,

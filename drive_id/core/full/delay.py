@@ -47,6 +47,11 @@ class Delay:
         return abs(self.value) > _SIGNIFICANCE * self.sigma and abs(self.value) * turn > _LEAST_ANGLE
 
     @property
+    def nearest(self) -> float:
+        """The nearest half or whole number of samples."""
+        return round(2 * self.value) / 2
+
+    @property
     def physical(self) -> bool:
         """Whether it is a half or a whole number of samples, as the timing of a drive causes."""
         if np.isnan(self.value):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.full.effect_search import Taken
 from drive_id.core.full.fit import FullFit
@@ -131,10 +132,10 @@ def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibr
     columns = fit.model.effect(taken.name)
     value, sigma = fit.solution.estimate[columns], fitted_sigma(fit.changes[columns])
     name = taken.name.split("_lag_")[0] + ("_lag" if "_lag_" in taken.name else "")
-    reported = _REPORTS.get(name, _amplitude)(_Found(fit, taken.name, value, sigma))
+    reported = _REPORTS.get(name, _gains)(_Found(fit, taken.name, value, sigma))
     open_question = _open(taken, several_speeds=several_speeds)
     return [
-        Calibration(key, x, dx, unit, True, sentence + open_question, doubtful=bool(open_question))
+        Calibration(key, x, dx, unit, True, sentence + open_question, doubtful=bool(open_question) or key == _MISMATCH)
         for key, x, dx, unit, sentence in reported
     ]
 
@@ -147,6 +148,8 @@ def _open(taken: Taken, *, several_speeds: bool) -> str:
     remedy = "a faster trajectory" if several_speeds else "a second recording at another speed, in the other direction"
     return f" This is open: {others} would explain these data nearly as well; {remedy} would tell."
 
+
+_MISMATCH = "voltage_gain_mismatch"
 
 Value = tuple[str, float, float, str, str]
 """Name, value, standard error, unit and sentence."""
@@ -304,10 +307,18 @@ def _phases(found: _Found) -> list[Value]:
     return out
 
 
-def _amplitude(found: _Found) -> list[Value]:
-    amplitude, deviation = float(np.linalg.norm(found.value)), float(np.linalg.norm(found.sigma))
-    sentence = f"The voltages' gains differ by {100 * amplitude:.3g} +- {100 * deviation:.2g} %; this was corrected."
-    return [("voltage_gain_mismatch", amplitude, deviation, "1", sentence)]
+def _gains(found: _Found) -> list[Value]:
+    """Report the mismatch g: the voltage is u + g conj(u). A phase k with the gain 1 + e has g = -e/3 e^{2j phi_k}."""
+    g = complex(*found.value)
+    amplitude, deviation = abs(g), float(np.linalg.norm(found.sigma))
+    along = np.real(g * np.exp(-2j * frames.PHASE_SHIFTS))
+    phase = int(np.argmax(np.abs(along)))
+    sentence = (
+        f"The voltages' gains differ by {100 * amplitude:.3g} +- {100 * deviation:.2g} %, as if phase {'abc'[phase]} "
+        f"were {-300 * along[phase]:+.2g} % off; this was corrected, but a gain error that all phases share, which "
+        "scales R and all fluxes, cannot be seen and is probably as large: check the gains of the voltages."
+    )
+    return [(_MISMATCH, amplitude, deviation, "1", sentence)]
 
 
 _REPORTS: dict[str, Report] = {

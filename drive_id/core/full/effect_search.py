@@ -13,6 +13,7 @@ from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, Mod
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
+from drive_id.types import FloatArray
 
 DELAY = "voltage_delay"
 
@@ -34,6 +35,10 @@ _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
 _LONGEST_LATENCY, _LARGEST_LAG = 0.8, 0.2
 """Longest latency of angle or currents, sample periods (the columns hold below 1); largest lagging share of flux."""
+_TIMING = {DELAY, "current_latency", "angle_latency"}
+"""All of them rotate the flux by the speed: at one speed, the data hold one."""
+_SPEEDS_APART = 0.1
+"""Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
 _POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 
@@ -117,11 +122,14 @@ def search_effects(
     period = noise.period
     taken: list[Taken] = []
     savings: dict[str, float] = {}
+    one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
     while len(taken) < _MOST_EFFECTS:
+        timed = one_speed and bool(_TIMING & {each.name for each in taken})
+        allowed = [name for name in allowed if not (timed and name in _TIMING)]
         savings = effect_savings(
             solver, solution, [name for name in allowed if name not in solution.spec.effects], period
         )
-        if turn > 0 and solution.spec.delay == 0:
+        if turn > 0 and solution.spec.delay == 0 and not timed:
             if taken:
                 delay = estimate_delay(solver, solution, noise)
             if delay.significant(turn):
@@ -152,6 +160,12 @@ def search_effects(
         extended = sums
     taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
     return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
+
+
+def several_speeds(speeds: FloatArray) -> bool:
+    """Tell whether the 5 % of the data at either end have clearly different speeds."""
+    low, high = np.quantile(speeds, [0.05, 0.95])
+    return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:

@@ -363,6 +363,12 @@ class CurrentNoise:
         turn = self.windows.speed.mean(axis=1) * self.windows.period
         return max(float(np.sqrt(np.mean(turn**2))), _TINY)
 
+    def at_most(self, solver: Solver, solution: FullSolution) -> CurrentNoise:
+        """Return the noise, reduced to what the residuals of a solution allow."""
+        squares = squared_inductances(solver.model, solution.estimate, self.windows)
+        expected = self.variance * float(squares.sum() / (2 * self.windows.weights.sum()))
+        return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, _TINY)))
+
     @classmethod
     def met(cls, variance: float, kept: Sequence[Windows], angle_variance: float = 0.0) -> CurrentNoise:
         """Thin out the windows to some 2000: enough for a mean."""

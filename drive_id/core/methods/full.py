@@ -11,6 +11,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
+from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
@@ -45,8 +46,7 @@ _LARGE_SIGMA = 0.01
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
-_SPEEDS_APART = 0.1
-_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy=", or set passive_maps")
+_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy=", or set passive_maps", impossible=True)
 _COMPENSATION = "The drive compensates its inverter with currents measured earlier: the remaining drop was fitted, too."
 
 
@@ -196,7 +196,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
-    found += effect_entries(fit, several_speeds=_several_speeds(fit.speeds))
+    found += effect_entries(fit, several_speeds=several_speeds(fit.speeds))
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)
@@ -333,7 +333,7 @@ def _statements(
     evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
 ) -> tuple[str, ...]:
     """Say what determined the unknowns that the data alone leave open, where data are missing, and what helps most."""
-    several = _several_speeds(fit.speeds)
+    several = several_speeds(fit.speeds)
     relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
     by = (
         "the different speeds"
@@ -414,12 +414,6 @@ def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
             f"{min(np.diff(cells.d).min(), np.diff(cells.q).min()):.2g} A wide{some}."
         ),
     )
-
-
-def _several_speeds(speeds: FloatArray) -> bool:
-    """Tell whether the 5 % of the data at either end have clearly different speeds."""
-    low, high = np.quantile(speeds, [0.05, 0.95])
-    return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
 
 
 def _on_harmonics(fit: FullFit) -> str:

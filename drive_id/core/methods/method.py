@@ -36,6 +36,7 @@ class Limits(NamedTuple):
     refused: float  # the same, beyond which there is no map
     mad: float  # mean absolute deviation of the simulated current over i_max
     remedy: str = ""
+    impossible: bool = False  # whether results that no machine can have are refused
 
 
 class Gathered(Protocol):

@@ -16,7 +16,7 @@ from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
-from drive_id.core.result.warnings import review, unexplained_sentence
+from drive_id.core.result.warnings import impossible_sentence, review, unexplained_sentence
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
@@ -92,6 +92,10 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad, complete, simulated = earlier.mad, earlier.judged, earlier.simulated
     else:
         mad, complete, simulated = _mad(validation, estimate)
+    judged = mad if complete else (0.0, 0.0)
+    impossible = impossible_sentence(evidence, estimate, flux_map, judged) if method.limits.impossible else None
+    if impossible:
+        raise UnexplainedError(impossible)
     report = FitReport(
         samples_read=evidence.samples,
         samples_used=estimate.samples_used,
@@ -105,7 +109,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, estimate, flux_map, mad if complete else (0.0, 0.0)),
+        warnings=review(evidence, coverage, estimate, flux_map, judged),
     )
     drive = IdentifiedDrive(
         method=evidence.settings.method,

@@ -12,6 +12,10 @@ from drive_id.core.result.identification import FluxMap
 
 _REVERSED = 0.1
 _FEW_POINTS = 0.005
+_IMPOSSIBLE = 3.0
+"""Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
+_INDEFINITE = 0.1
+"""Share of the map without positive definite inductances at which a diverging simulation condemns it."""
 _DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
 """Delays of the voltages, samples, of a log with every n-th sample, -(n - 1)/(2 n), and the least turn per sample."""
 
@@ -46,6 +50,30 @@ def unexplained_sentence(evidence: Evidence, estimate: Estimate) -> str:
         )
     cause = evidence.findings[0].message
     return f"{start}; most likely, {cause[0].lower()}{cause[1:]}"
+
+
+def impossible_sentence(
+    evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float]
+) -> str | None:
+    """Return why no machine can have this result, or None."""
+    resistance, sigma = estimate.resistance, estimate.sigma_resistance
+    if resistance < -_IMPOSSIBLE * sigma:
+        return (
+            f"The resistance comes out negative ({resistance:.3g} +- {sigma:.2g} ohm), so there is no valid map: check "
+            "the signs of currents and voltages and their alignment in time, and record at a second speed."
+        )
+    grid = flux_map.grid()
+    i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
+    if np.isfinite(mad).all() or not len(i_dq):
+        return None
+    active = float((~estimate.positive_definite(i_dq)).mean())
+    if active < _INDEFINITE:
+        return None
+    return (
+        f"The inductances of the fitted map are not positive definite at {100 * active:.0f} % of its points and the "
+        "current simulated with it diverges, so there is no valid map: check the order of the phases, the angle and "
+        "the alignment in time, or record longer and at a second speed."
+    )
 
 
 def _on_fit(estimate: Estimate, limits: Limits) -> list[str]:

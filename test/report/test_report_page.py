@@ -305,7 +305,7 @@ def test_the_answer_stands_first_with_its_names(fitted):
     named = replace(fitted.provenance.settings, serial="SN 7", operator="A. N. Other", notes="<cold>")
     page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)))
     assert page.all("title")[0].text() == "Identified drive: ipm, serial SN 7"
-    tiles = [[part.text() for part in tile.children[:2]] for tile in page.by_id("glance").all("li")]
+    tiles = [[part.text() for part in list(tile.all("span"))[:2]] for tile in page.by_id("glance").all("li")]
     answer = [[quantity.name, str(quantity)] for quantity in fitted.headline]
     assert tiles[: len(answer)] == answer
     assert {"ψ_PM", "L_d at zero current", "R", "Inverter drop", "Torque at i_max, MTPA"} <= {

@@ -311,7 +311,7 @@ def test_the_answer_stands_first_with_its_names(fitted):
     assert {"ψ_PM", "L_d at zero current", "R", "Inverter drop", "Torque at i_max, MTPA"} <= {
         tile[0] for tile in answer
     }
-    rows = [tuple(cell.text() for cell in row.children) for row in page.by_id("map").all("tr")[1:]]
+    rows = [tuple(cell.text() for cell in row.children) for row in list(page.by_id("map").all("tr"))[1:]]
     assert rows[:4] == [("Machine", "ipm"), ("Serial number", "SN 7"), ("Operator", "A. N. Other"), ("Notes", "<cold>")]
     assert [list(row) for row in rows[4 : 4 + len(answer)]] == answer
 

@@ -181,7 +181,7 @@ def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     for quantity, figure in figures.items():
         factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
         shown = measured(factor * figure.value, factor * figure.sigma, unit)
-        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "outside the data")
+        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "no data")
     return table
 
 

@@ -67,26 +67,26 @@ def smooth():
 
 
 def test_fine_cells_are_used_where_they_are_needed(detailed, fine, monkeypatch):
-    assert fine.model.fine
-    monkeypatch.setattr(selection, "LEAST_MISFIT", np.inf)
+    assert fine.model.resolution.finer_than_usual
+    monkeypatch.setattr(selection, "_REFINEMENTS", 0)
     usual = fitted(detailed)
-    assert not usual.model.fine
+    assert not usual.model.resolution.finer_than_usual
     assert error(fine, detailed_flux) < 0.5 * error(usual, detailed_flux)
     assert fine.solution.residual_rms < 0.7 * usual.solution.residual_rms
 
 
 def test_a_later_fit_keeps_the_cells(detailed, fine):
     again = fitted(detailed, EarlierFit.of(fine))
-    assert again.model.fine
+    assert again.model.resolution is fine.model.resolution
     np.testing.assert_allclose(again.solution.estimate, fine.solution.estimate, atol=1e-6)
 
 
 def test_a_smooth_map_keeps_the_usual_cells(smooth):
-    assert not smooth.model.fine
+    assert not smooth.model.resolution.finer_than_usual
 
 
 def test_noise_forbids_fine_cells():
-    assert not fitted(gathered(detailed_flux, noise=10.0)).model.fine
+    assert not fitted(gathered(detailed_flux, noise=10.0)).model.resolution.finer_than_usual
 
 
 def test_bands_include_what_the_model_cannot_follow(smooth):

@@ -100,6 +100,6 @@ def _agreement(samples: Samples) -> str:
     seen = np.abs(gamma) < 1
     difference = np.abs(ours.gamma - gamma)[seen].max() / np.abs(gamma[seen]).max()
     return (
-        f"Both find R = {resistance * 1e3:.4f} / {ours.resistance * 1e3:.4f} mohm and u_e = {voltage_error:.4f} / "
+        f"Both find R = {resistance * 1e3:.4f} / {ours.resistance * 1e3:.4f} mΩ and u_e = {voltage_error:.4f} / "
         f"{ours.voltage_error:.4f} V; their flux parameters differ by {difference:.0e} of the largest."
     )

@@ -37,7 +37,7 @@ def main() -> None:
     signals = read(Path(sys.argv[1]))
     (stamp, i_abc), (_, u_abc), (_, rotor) = (signals[topic] for topic in TOPICS)
     resistance, voltage_error, _ = fit(stamp, i_abc, u_abc, np.unwrap(rotor[:, 0]), rotor[:, 1])
-    print(f"R = {resistance * 1e3:.4f} mohm, u_e = {voltage_error:.4f} V")
+    print(f"R = {resistance * 1e3:.4f} mΩ, u_e = {voltage_error:.4f} V")
 
 
 if __name__ == "__main__":

@@ -284,7 +284,7 @@ def kills_table(count: int, folder: Path, seed: int) -> Table:
             recovered = stock_count(recovery.output)
             assert recovered == sum(recovery.topics.values())
         missing.append(moment - read)
-        resistance = f"{fit.drive.resistance * 1e3:.1f} mohm, {'warned' if warned else 'NOT WARNED'}"
+        resistance = f"{fit.drive.resistance * 1e3:.1f} mΩ, {'warned' if warned else 'NOT WARNED'}"
         table.add_row(f"{moment:.2f} s", f"{read:.2f} s", f"{missing[-1]:.2f} s", resistance, str(recovered))
     table.caption = f"Missing at most {max(missing):.2f} s."
     return table

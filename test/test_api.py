@@ -222,7 +222,7 @@ def test_short_words_for_a_result(result, saved):
     assert repr(result.flux_map).startswith("<FluxMap 65 x 65, i_d ")
     table = result._repr_html_()
     assert table.startswith("<table>")
-    assert f"{result.resistance * 1e3:.4g} mΩ" in table
+    assert str(next(found for found in result.headline if found.name == "R")) in table
     hostile = replace(result, provenance=replace(result.provenance, machine="<script>"))
     assert "<script>" not in hostile._repr_html_()
     assert repr(drive_id.simulate("spm", 0.1)) == "<Samples: 1000 at 10 kHz, 0.1 s, with references, truth of spm>"

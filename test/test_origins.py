@@ -35,22 +35,22 @@ TABLE = {  # sections with data; figures at a glance; rows of the console's tabl
     ),
     "joint": (
         set(SECTIONS),
-        {"Standard error of R", "Simulated current", "Inverter drop"},
-        {"u_e (drop, opposes the current)", "MAD of simulated i_d / i_q", "Gaps", "Unknowns determined"},
+        {"Standard error of R", "Simulated current"},
+        {"Inverter drop", "MAD of simulated i_d / i_q", "Gaps", "Unknowns determined"},
         ("solved jointly", "same recording by method full", "R includes the linear part of this drop"),
         ("reciproc", "does not model", "imported"),
     ),
     "full": (
         set(SECTIONS),
-        {"Standard error of R", "Simulated current", "Inverter drop"},
-        {"u_e (drop, opposes the current)", "MAD of simulated i_d / i_q", "Gaps", "Rotor-position harmonics"},
+        {"Standard error of R", "Simulated current"},
+        {"Inverter drop", "MAD of simulated i_d / i_q", "Gaps", "Rotor-position harmonics"},
         ("in the stator frame over windows", "doi:10.1049"),
         ("by method full", "does not model", "imported"),
     ),
     "static": (
         {"inverter"},
-        {"Standard error of R", "Inverter drop"},
-        {"u_e (drop, opposes the current)", "Magnet flux", "L_d at zero current"},
+        {"Standard error of R"},
+        {"Inverter drop", "ψ_PM", "L_d at zero current"},
         ("averaged over operating points", "simulates no current", "rotor angle at some kilohertz"),
         ("same recording", "diagnostics.npz", "transients alone", "Methods psm and joint", "imported"),
     ),
@@ -87,6 +87,7 @@ def words(content: Content, result: drive_id.Identification) -> str:
     tables = (content.values, content.methods, content.calibrations, content.operation, content.inputs)
     said = [content.title, content.subtitle, content.comparison, content.paragraph, *content.warnings]
     said += [f"{f.name} {f.value} {f.meaning}" for f in content.figures]
+    said += [f"{quantity.name} {quantity} {quantity.note}" for quantity in content.headline]
     said += [f"{heading} {' '.join(found)}" for heading, found in content.knowledge.items() if found]
     said += [cell for table in tables if table.rows for row in (table.header, *table.rows) for cell in row]
     return " ".join([*said, *content.missing.values(), repr(result), result._repr_html_()])
@@ -103,8 +104,9 @@ def test_a_report_has_what_its_origin_has_and_says_what_is_true_of_it(results, n
         names - {"Warnings", "Disc covered", "Standard error of the flux"} - {"Error against the simulation's truth"}
         == figures
     )
+    assert ("Inverter drop" in {quantity.name for quantity in content.headline}) == ORIGINS[name].inverter
     assert ("Standard error of the flux" in names) == ORIGINS[name].fitted
-    shown = {str(cell) for cell in fit_table(result).columns[0]._cells}
+    shown = {str(cell) for cell in fit_table(result, verbose=True).columns[0]._cells}
     assert rows <= shown
     assert not ({"Gaps", "Unknowns determined"} & shown) or ORIGINS[name].live
     said = words(content, result)

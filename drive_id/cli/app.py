@@ -31,12 +31,14 @@ from drive_id.cli.options import (
     SignalsOption,
     SkipFlag,
     SourcesArgument,
+    VerboseFlag,
     WorkersOption,
     err,
     merged_settings,
     out,
     say,
     show,
+    show_result,
     warn,
     working,
 )
@@ -46,7 +48,6 @@ from drive_id.errors import DriveIdError
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
-    from drive_id.fitting.result import Identification
     from drive_id.fitting.sources import Sources
 
 app = typer.Typer(
@@ -189,6 +190,9 @@ def fit(
         ),
     ] = None,
     i_max: RadiusOption = None,
+    machine: Annotated[
+        str | None, typer.Option(help="Name of the machine, for titles; --set serial=..., bench, operator, notes.")
+    ] = None,
     signals: SignalsOption = None,
     namespace: NamespaceOption = "",
     config: FitConfigOption = None,
@@ -198,6 +202,7 @@ def fit(
     figure_format: FigureFormatOption = FigureFormat.png,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html into the result folder.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
+    verbose: VerboseFlag = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
@@ -208,19 +213,19 @@ def fit(
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.fit import fit_bags
     from drive_id.fitting.result import pictures
-    from drive_id.report.tables import fit_table
 
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
-    chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max}, stored)
+    chosen = merged_settings(
+        FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine}, stored
+    )
     with working(quiet or as_json) as tell:
         draw = partial(pictures, figure_format=figure_format.value, report=report)
         result = fit_bags(sources, output, chosen, force=force, draw=draw, tell=tell)
     if as_json:
         typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
     elif not quiet:
-        show(fit_table(result))
-        _comment(result)
+        show_result(result, verbose=verbose)
         say(f"Results in {output}")
 
 
@@ -229,14 +234,6 @@ def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: i
     from drive_id.fitting.sources import Sources
 
     return Sources(paths, read_signals(signals) if signals else None, namespace, workers, skip_bad)
-
-
-def _comment(result: "Identification") -> None:
-    """Print warnings and statements below a table."""
-    for warning in result.warnings:
-        warn(warning)
-    for statement in result.statements:
-        say(statement)
 
 
 @app.command(
@@ -281,6 +278,7 @@ def info(
     path: Annotated[
         Path, typer.Argument(help="Bag or other log, result folder, or information file.", show_default=False)
     ],
+    verbose: VerboseFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
@@ -295,7 +293,7 @@ def info(
         _print_information(path, as_json=as_json)
         return
     if is_result(path):
-        _print_result(path, as_json=as_json)
+        _print_result(path, as_json=as_json, verbose=verbose)
         return
     found = bag_info(path)
     if as_json:
@@ -308,17 +306,15 @@ def info(
         warn(found.problem)
 
 
-def _print_result(path: Path, *, as_json: bool) -> None:
+def _print_result(path: Path, *, as_json: bool, verbose: bool) -> None:
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.result import load
-    from drive_id.report.tables import fit_table
 
     result = load(path)
     if as_json:
         typer.echo(json.dumps({"path": str(path)} | results_tree(result.drive, result.provenance), allow_nan=False))
         return
-    show(fit_table(result))
-    _comment(result)
+    show_result(result, verbose=verbose)
 
 
 def _print_information(path: Path, *, as_json: bool) -> None:

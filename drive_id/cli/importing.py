@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, say, show, warn, working
+from drive_id.cli.options import JsonFlag, QuietFlag, say, show_result, working
 from drive_id.errors import ConfigurationError
 
 
@@ -57,7 +57,6 @@ def import_file(
     from drive_id.files.results.folder import check_output
     from drive_id.files.results.identification import results_tree, write_results
     from drive_id.report.plots import rendered
-    from drive_id.report.tables import fit_table
 
     given = {"pole_pairs": pole_pairs, "resistance": resistance, "i_max": i_max, "u_dc": u_dc}
     scalars = {name: float(value) for name, value in given.items() if value is not None}
@@ -80,11 +79,7 @@ def import_file(
     if as_json:
         typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
     elif not quiet:
-        show(fit_table(result))
-        for warning in result.warnings:
-            warn(warning)
-        for statement in result.statements:
-            say(statement)
+        show_result(result)
         say(f"Results in {output}")
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.segment import Segment
     from rich.table import Table
 
+    from drive_id.fitting.result import Identification
     from drive_id.types import Progress as Tell
 
 Settings = TypeVar("Settings")
@@ -27,6 +28,10 @@ _PIPE_WIDTH = 200
 _LARGEST_CONFIG, _MOST_SETTINGS = 1 << 20, 10_000
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print machine-readable output.")]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+VerboseFlag = Annotated[
+    bool,
+    typer.Option("--verbose", "-v", help="Also show what was tested and not found, and figures of the regression."),
+]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by its name; may be repeated.")
 ]
@@ -96,6 +101,21 @@ def show(table: Table) -> None:
         out().print(table.title, style="table.title", highlight=False, soft_wrap=True)
         table.title = None
     out().print(table)
+
+
+def show_result(result: Identification, *, verbose: bool = False) -> None:
+    """Print a result: values and quality, one line of advice, warnings, statements; what was not found if verbose."""
+    from drive_id.fitting.advice import sorted_statements
+    from drive_id.report.tables import fit_table
+
+    show(fit_table(result, verbose=verbose))
+    for sentence in result.advice[:1]:
+        say(f"What would help most: {sentence}")
+    for warning in result.warnings:
+        warn(warning)
+    found, nothing = sorted_statements(result.drive)
+    for statement in (*found, *(nothing if verbose else ())):
+        say(statement)
 
 
 def warn(sentence: str) -> None:

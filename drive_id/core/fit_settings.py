@@ -111,6 +111,11 @@ class FitSettings:
         maximum=1000,
     )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
+    machine: str = setting("", "name of the machine, for titles and captions; default: that of a simulation")
+    serial: str = setting("", "serial number of the machine")
+    bench: str = setting("", "test bench of the recording")
+    operator: str = setting("", "who recorded")
+    notes: str = setting("", "anything else worth knowing with the result")
 
     def idle(self) -> list[str]:
         """Return the settings that differ from their defaults but do not affect the method."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drive_id.quantity import measured
+
 _LONGEST_NAME = 50
 """Characters of a machine's name in a caption."""
 
@@ -42,8 +44,8 @@ class Caption:
 
     def __str__(self) -> str:
         """Return one line without formulas and without the time of day."""
-        resistance = f"R = {1e3 * self.resistance:.4g} mΩ" if math.isfinite(self.resistance) else ""
-        said = (self.machine, self.origin, self.date[:10], resistance, self._speed(), f"i_max = {self.i_max:.4g} A")
+        resistance = f"R = {measured(self.resistance, unit='Ω')}" if math.isfinite(self.resistance) else ""
+        said = (self.machine, self.origin, self.date[:10], resistance, self.speed(), f"i_max = {self.i_max:.4g} A")
         return ", ".join(filter(None, said))
 
     def text(self) -> str:
@@ -51,15 +53,16 @@ class Caption:
         what = [_plain(self.machine[:_LONGEST_NAME]), self.origin, self.date]
         how = []
         if math.isfinite(self.resistance):
-            how.append(rf"$R$ = {_with_error(1e3 * self.resistance, 1e3 * self.sigma_resistance)} m$\Omega$")
+            how.append(f"$R$ = {measured(self.resistance, self.sigma_resistance, 'Ω')}")
         if self.speeds is not None:
-            how.append(f"speed {self._speed()}")
+            how.append(f"speed {self.speed()}")
         if math.isfinite(self.i_max):
             how.append(rf"$i_\mathrm{{max}}$ = {self.i_max:.4g} A")
         lines = ("  ·  ".join(entry for entry in entries if entry) for entries in (what, how))
         return "\n".join(line for line in lines if line)
 
-    def _speed(self) -> str:
+    def speed(self) -> str:
+        """Return the speeds with their unit; empty when unknown."""
         if self.speeds is None:
             return ""
         factor, unit = (30 / math.pi / self.pole_pairs, "rpm") if self.pole_pairs else (1.0, "rad/s electrical")
@@ -69,14 +72,6 @@ class Caption:
 
 
 NO_CAPTION = Caption()
-
-
-def _with_error(value: float, sigma: float) -> str:
-    """Return a value to two digits of its standard error, or to four of its own where that is not known."""
-    if not (math.isfinite(sigma) and sigma > 0):
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(sigma)))
-    return rf"{value:.{digits}f} $\pm$ {sigma:.{digits}f}"
 
 
 def _plain(text: str) -> str:

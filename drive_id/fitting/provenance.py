@@ -13,6 +13,7 @@ from drive_id.core.result.identify import score
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.results.identification import Provenance
 from drive_id.origins import METHODS, ORIGINS
+from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import GroundTruth, Samples
 
 _YEAR_2000 = 946_684_800_000_000_000
@@ -65,6 +66,9 @@ def provenance_of(
         With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
     """
     nrmse = score(drive, truth) if truth else None
+    referred = "temperatures" not in ORIGINS[settings.method].ignores and (
+        bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)
+    )
     u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
     told = truth.details.get("u_dc") if truth else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
@@ -78,7 +82,7 @@ def provenance_of(
     return Provenance(
         inputs=inputs or {},
         settings=settings,
-        machine=truth.machine if truth else "",
+        machine=settings.machine or (truth.machine if truth else ""),
         nrmse=nrmse,
         warnings=warnings,
         pole_pairs=known_pole_pairs(settings, truth, signals),
@@ -91,4 +95,5 @@ def provenance_of(
         else None,
         duration=duration,
         date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
+        temperature=REFERENCE_TEMPERATURE if referred else None,
     )

@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.core.result.headline import headline
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine, TorqueFit
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
+from drive_id.fitting.advice import advice
 from drive_id.fitting.caption import Caption
 from drive_id.origins import Origin
+from drive_id.quantity import Quantity, measured
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
@@ -99,6 +102,25 @@ class Identification:
     def machine(self) -> str:
         """Name of the machine; empty when unknown."""
         return self.provenance.machine
+
+    @property
+    def name(self) -> str:
+        """Machine and serial number, as far as they are known."""
+        serial = self.provenance.settings.serial
+        return ", ".join(filter(None, (self.machine, f"serial {serial}" if serial else "")))
+
+    @cached_property
+    def headline(self) -> tuple[Quantity, ...]:
+        """What is asked for first, with standard errors: magnet flux, inductances, R, drop, i_max, peak torque.
+
+        What the data do not cover, or what is not known, is left out.
+        """
+        return headline(self.drive, pole_pairs=self.pole_pairs, temperature=self.provenance.temperature)
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """Sentences: what to record next, the most useful first."""
+        return advice(self.drive, self.provenance)
 
     @property
     def resistance(self) -> float:
@@ -274,7 +296,7 @@ class Identification:
     def caption(self, name: str = "") -> Caption:
         """Return machine, method, date, R, speed and i_max; ``name`` stands for an unknown machine."""
         return Caption(
-            machine=self.machine or name,
+            machine=self.name or name,
             origin=self.origin.caption,
             date=f"{self.date[:16].replace('T', ' ')} UTC" if self.date else "",
             resistance=self.resistance,
@@ -349,22 +371,21 @@ class Identification:
 
     def _repr_html_(self) -> str:
         """Return a small table, for notebooks."""
-
-        def of(value: float, sigma: float, unit: str) -> str:
-            return f"{value:.4g} {unit}" + (f" ± {sigma:.2g} {unit}" if math.isfinite(sigma) else "")
-
         metrics = self.metrics
+        mad = " / ".join(measured(metrics[name], unit="A") for name in ("mad_d", "mad_q"))
         rows = {
-            "Machine": self.machine,
+            "Machine": self.name,
             "Origin": self.origin.caption,
-            "R": of(self.resistance * 1e3, self.sigma_resistance * 1e3, "mΩ") if math.isfinite(self.resistance) else "",
-            "Inverter drop": of(self.voltage_error, self.sigma_voltage_error, "V") if self.origin.inverter else "",
-            "i_max": f"{self.i_max:.4g} A, {100 * metrics['coverage']:.0f} % of the disc covered",
-            "NRMSE of ψd / ψq": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
-            "MAD of id / iq": f"{metrics['mad_d']:.3g} A / {metrics['mad_q']:.3g} A" if self.origin.diagnostics else "",
+            **{quantity.name: str(quantity) for quantity in self.headline},
+            "Disc covered": f"{100 * metrics['coverage']:.0f} %",
+            "NRMSE of ψ_d / ψ_q": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
+            "MAD of i_d / i_q": mad if self.origin.diagnostics else "",
+            "Advice": next(iter(self.advice), ""),
             **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
         }
-        cells = (f"<tr><th>{name}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text)
+        cells = (
+            f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text
+        )
         return f"<table>{''.join(cells)}</table>"
 
 

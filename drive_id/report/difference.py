@@ -11,6 +11,7 @@ from rich.table import Table
 
 from drive_id.exchange.comparison import Comparison
 from drive_id.fitting.result import Identification
+from drive_id.quantity import measured
 from drive_id.report.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
 from drive_id.types import FloatArray
 
@@ -81,7 +82,7 @@ def difference_table(comparison: Comparison) -> Table:
     size = math.hypot(worst["psi_d"], worst["psi_q"])
     place_text = f"largest, at i_d = {worst['i_d']:.4g} A, i_q = {worst['i_q']:.4g} A"
     table.add_row(place_text, f"{size * 1e3:.4g} mWb", sigmas(tree["largest_in_sigma"]))
-    known = "unknown" if tree["resistance"] is None else f"{tree['resistance'] * 1e3:.4g} mohm"
+    known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
     table.add_row("R", known, sigmas(tree["resistance_in_sigma"]))
     curve = tree["inverter_curve"]
     if curve is not None:

@@ -107,7 +107,7 @@ class Reproduction:
                 f"{name} (machine {joint.machine}, no harmonics): u_e = {joint.voltage_error:+.4f} V by joint, "
                 f"{full.voltage_error:+.4f} V by full; the maps of psm and joint differ by at most "
                 f"{100 * self.agreement[experiment]:.4f} % of the largest flux; NRMSE {nrmse}; R {resistances}, true "
-                f"{joint.true_resistance * 1e3:.4f} mohm."
+                f"{joint.true_resistance * 1e3:.4f} mΩ."
             )
         return sentences
 

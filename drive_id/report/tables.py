@@ -8,122 +8,113 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
+from drive_id.quantity import measured
+
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from drive_id.analysis.folder import Figure
     from drive_id.core.planning.planner import Plan
-    from drive_id.core.result.identification import IdentifiedDrive, TorqueFit
+    from drive_id.core.result.identification import TorqueFit
     from drive_id.files.read.info import BagInfo
-    from drive_id.files.results.identification import Provenance
     from drive_id.files.results.information import StoredInformation
     from drive_id.fitting.result import Identification
     from drive_id.types import GroundTruth
 
+_NAME = 12
+"""Least width of the column of names, characters."""
 
-def fit_table(fit: Identification) -> Table:
-    """Lay out a result: values, standard errors, and the ground truth where the recording carries it."""
-    identification, report, truth, known = fit.drive, fit.drive.report, fit.truth, fit.provenance
-    origin = identification.origin
-    if not origin.fitted:
-        return _imported_table(fit)
-    numbers = ["Value", "Std. error", *(["Truth"] if truth else [])]
-    table = _table(f"{origin.heading}, {origin.caption}", ["Quantity"], numbers)
 
-    def row(name: str, value: str, sigma: str = "", true: str = "") -> None:
-        table.add_row(name, value, sigma, *([true] if truth else []))
+def fit_table(fit: Identification, *, verbose: bool = False) -> Table:
+    """Lay out a result: what is asked for first, then how good it is, and the ground truth where it is known.
 
-    row(
-        "R (stator + linear inverter part)",
-        _number(identification.resistance * 1e3, "mohm", 6),
-        _number(identification.sigma_resistance * 1e3, "mohm"),
-        _number(truth.resistance * 1e3, "mohm") if truth else "",
-    )
-    if origin.inverter:
-        row(
-            "u_e (drop, opposes the current)",
-            _number(identification.voltage_error, "V"),
-            _number(identification.sigma_voltage_error, "V"),
-            _number(_drop_at_i_max(truth), "V") if truth else "",
-        )
-    for found in identification.calibrations:
-        applied = "corrected" if found.applied else "not corrected"
-        if math.isfinite(found.sigma):
-            unit = found.unit if found.unit != "1" else ""
-            row(f"{found.name} ({applied})", _number(found.value, unit), _number(found.sigma, unit))
-    for cells in (*_torque_rows(identification.torque), *_by_method(identification)):
+    ``verbose`` adds the faults that were not found, and the figures of the regression.
+    """
+    drive, report, truth, known, origin = fit.drive, fit.drive.report, fit.truth, fit.provenance, fit.origin
+    method = f", {origin.caption}" if origin.fitted else ""
+    name = f": {fit.name}" if fit.name else ""
+    title = "\n".join(filter(None, (f"{origin.heading}{name}{method}", ", ".join(_experiment(fit)))))
+    table = _table(title, ["Quantity"], ["Value", *(["Truth"] if truth else [])])
+
+    def row(name: str, value: str, true: str = "") -> None:
+        table.add_row(name, value, *([true] if truth else []))
+
+    for quantity in fit.headline:
+        row(quantity.name, str(quantity), _true(quantity.name, truth) if truth else "")
+    if not math.isfinite(drive.resistance):
+        row("R", "unknown")
+    for found in drive.calibrations:
+        if math.isfinite(found.sigma) and (found.applied or verbose):
+            state = "" if found.applied else " (not corrected)"
+            row(f"{found.name}{state}", measured(found.value, found.sigma, found.unit))
+    if origin.harmonics:
+        row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
+    table.add_section()
+    for cells in _torque_rows(drive.torque):
         row(*cells)
-    if fit.provenance.nrmse:
-        row("NRMSE of psi_d / psi_q", " / ".join(f"{100 * value:.3f} %" for value in fit.provenance.nrmse))
+    if known.nrmse:
+        row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
     if origin.diagnostics:
-        row("MAD of simulated i_d / i_q", f"{_number(report.mad_d, 'A')} / {_number(report.mad_q, 'A')}")
-    row("Residual voltage, rms", _number(report.residual_rms, "V"))
-    row(f"Disc of {identification.i_max:.4g} A covered", f"{100 * report.coverage:.1f} %")
-    if origin.live:
-        unseen = f" ({report.unseen} without any data)" if report.unseen else ""
-        row("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}")
-    row("Condition number", f"{report.condition:.3g}")
-    row("Experiment", ", ".join(_experiment(known)))
-    row("Samples used", f"{report.samples_used} of {report.samples_read}")
-    if origin.live:
-        row("Gaps", str(report.gaps))
+        row("MAD of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q)))
+    if origin.fitted:
+        row("Residual voltage, rms", measured(report.residual_rms, unit="V"))
+    row("Disc covered", f"{100 * report.coverage:.1f} %")
+    for cells in _regression_rows(fit) if verbose and origin.fitted else ():
+        row(*cells)
+    used = f"{report.samples_used} of " if origin.fitted else ""
+    row("Samples used" if origin.fitted else "Points read", f"{used}{report.samples_read}")
     return table
+
+
+def _regression_rows(fit: Identification) -> list[tuple[str, ...]]:
+    report = fit.drive.report
+    unseen = f" ({report.unseen} without any data)" if report.unseen else ""
+    sums = [("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}"), ("Gaps", str(report.gaps))]
+    return [*(sums if fit.origin.live else []), ("Condition number", f"{report.condition:.3g}")]
+
+
+def _true(name: str, truth: GroundTruth) -> str:
+    """Return the true value of a quantity of the headline, where the truth of a simulation has it as a number."""
+    if name == "R":
+        return measured(truth.resistance, unit="Ω")
+    return measured(_drop_at_i_max(truth), unit="V") if name == "Inverter drop" else ""
 
 
 def _torque_rows(torque: TorqueFit | None) -> list[tuple[str, ...]]:
     if torque is None:
         return []
-    viscous, sigma_viscous = torque.viscous_friction, torque.sigma_viscous_friction or 0.0
-    unit = "Nm s/rad"
+    viscous = torque.viscous_friction
     return [
-        ("Shaft torque / torque of the map", f"{torque.gain:.5g}", f"{torque.sigma_gain:.2g}"),
-        ("Friction torque", _number(torque.friction, "Nm"), _number(torque.sigma_friction, "Nm")),
-        *([] if viscous is None else [("Viscous friction", _number(viscous, unit), _number(sigma_viscous, unit))]),
+        ("Shaft torque / torque of the map", measured(torque.gain, torque.sigma_gain)),
+        ("Friction torque", measured(torque.friction, torque.sigma_friction, "Nm")),
         *(
-            (f"Cogging torque, order {found.order}", _number(found.amplitude, "Nm"), _number(found.sigma, "Nm"))
+            []
+            if viscous is None
+            else [("Viscous friction", measured(viscous, torque.sigma_viscous_friction or 0.0, "Nm s/rad"))]
+        ),
+        *(
+            (f"Cogging torque, order {found.order}", measured(found.amplitude, found.sigma, "Nm"))
             for found in torque.cogging
         ),
-        ("Torque error of the map, rms", _number(torque.rms_map, "Nm")),
+        ("Torque error of the map, rms", measured(torque.rms_map, unit="Nm")),
     ]
 
 
-def _by_method(identification: IdentifiedDrive) -> list[tuple[str, ...]]:
-    """Return rows that only one method has: rotor harmonics, or magnet flux and inductances with standard errors."""
-    if identification.origin.harmonics:
-        orders = ", ".join(str(harmonic.order) for harmonic in identification.harmonics)
-        return [("Rotor-position harmonics", orders or "none")]
-    linear = identification.linear
-    if linear is None:
-        return []
-    return [
-        ("Magnet flux", _number(linear.psi_pm * 1e3, "mWb"), _number(linear.sigma_psi_pm * 1e3, "mWb")),
-        ("L_d at zero current", _number(linear.l_d * 1e3, "mH"), _number(linear.sigma_l_d * 1e3, "mH")),
-        ("L_q at zero current", _number(linear.l_q * 1e3, "mH"), _number(linear.sigma_l_q * 1e3, "mH")),
-    ]
+def _deviation(value: float) -> str:
+    """Return a mean deviation of the simulated current, A; NaN tells that the simulation diverged."""
+    return "diverged" if math.isnan(value) else measured(value, unit="A")
 
 
-def _imported_table(imported: Identification) -> Table:
-    """Lay out an imported map: what is known of the machine."""
-    drive = imported.drive
-    table = _table(drive.origin.heading, ["Quantity"], ["Value"])
-    known = math.isfinite(drive.resistance)
-    table.add_row("R", _number(drive.resistance * 1e3, "mohm", 6) if known else "unknown")
-    table.add_row("Machine", ", ".join(_experiment(imported.provenance)))
-    table.add_row(f"Disc of {drive.i_max:.4g} A covered", f"{100 * drive.report.coverage:.1f} %")
-    table.add_row("Points read", str(drive.report.samples_read))
-    table.add_row("Rotor-position harmonics", ", ".join(str(h.order) for h in drive.harmonics) or "none")
-    return table
-
-
-def _experiment(known: Provenance) -> list[str]:
+def _experiment(fit: Identification) -> list[str]:
     """Say what is known of the experiment besides the fit."""
-    said = [known.machine, known.date, f"{known.duration:.4g} s" if known.duration else ""]
-    if known.speed_range:
-        low, high = (f"{speed:.4g}" for speed in known.speed_range)
-        said.append(f"{low} to {high} rad/s" if low != high else f"{low} rad/s")
-    said += [f"{known.pole_pairs} pole pairs" if known.pole_pairs else "", f"{known.u_dc:g} V" if known.u_dc else ""]
-    return [escape(text) for text in said if text]
+    known, caption = fit.provenance, fit.caption()
+    link = f"{known.u_dc:g} V" if known.u_dc else ""
+    pairs = f"{known.pole_pairs} pole pairs" if known.pole_pairs else ""
+    duration = f"{known.duration:.4g} s" if known.duration else ""
+    names = (known.settings.bench, known.settings.operator, known.settings.notes)
+    said = (caption.date, duration, caption.speed(), pairs, link, *names)
+    return [text for text in said if text]
 
 
 def info_table(info: BagInfo) -> Table:
@@ -185,40 +176,30 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
 
 def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
-    table = _table(f"Analysis of {name}", ["Quantity"], ["Value", "Std. error", ""])
+    table = _table(f"Analysis of {name}", ["Quantity"], ["Value", ""])
+    table.columns[1].no_wrap = True
     for quantity, figure in figures.items():
-        value, sigma, unit = figure.value, figure.sigma, figure.unit
-        if unit in _SHOWN:
-            factor, unit = _SHOWN[unit]
-            value, sigma = factor * value, factor * sigma
-        shown = f"{value:.5g} {unit.removeprefix('1')}".rstrip() if math.isfinite(value) else "unknown"
-        error = f"{sigma:.2g} {unit.removeprefix('1')}".rstrip() if math.isfinite(sigma) else ""
-        table.add_row(quantity.replace("_", " "), shown, error, "" if figure.inside else "outside the data")
+        factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
+        shown = measured(factor * figure.value, factor * figure.sigma, unit)
+        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "no data")
     return table
 
 
-_SHOWN = {
-    "ohm": (1e3, "mohm"), "Wb": (1e3, "mWb"), "H": (1e3, "mH"), "rad": (180 / math.pi, "deg"),
-    "rad/s": (30 / math.pi, "rpm"),
-}  # fmt: skip
+_SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
 """Factor and name of the unit in which a quantity is shown."""
 
 
 def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:
-    """Return a table without rows: columns of text, which may wrap, then columns of numbers, which do not."""
+    """Return a table without rows: first the names, which stay whole on a narrow terminal, then cells that may wrap."""
     table = Table(title=escape(title), title_justify="left")
-    for name in texts:
-        table.add_column(name, overflow="fold")
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True, overflow="fold")
+    for place, name in enumerate((*texts, *numbers)):
+        named = not place
+        table.add_column(
+            name, justify="right" if place >= len(texts) else "left", no_wrap=named, min_width=_NAME if named else None,
+            overflow="fold",
+        )  # fmt: skip
     return table
 
 
 def _drop_at_i_max(truth: GroundTruth) -> float:
     return float(truth.inverter_voltage[truth.inverter_current.searchsorted(truth.i_max, side="right") - 1])
-
-
-def _number(value: float, unit: str, digits: int = 4) -> str:
-    if math.isfinite(value):
-        return f"{value:.{digits}g} {unit}".rstrip()
-    return "unknown" if math.isinf(value) else "diverged"

@@ -22,6 +22,7 @@ import drive_id
 from drive_id.cli import app as cli
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import Topics, write_recording
+from drive_id.quantity import measured
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
 RESULTS = ["diagnostics.npz", "diagnostics.png", "flux_map.npz", "flux_map.png", "harmonics.npz", "identification.json"]
@@ -650,7 +651,13 @@ def test_info_of_a_result_and_its_simulation(run, bag):
     assert json.loads(run("info", "result", "--json").out) == {"path": "result"} | tree
     ran = run("info", "result")
     assert (ran.code, ran.err) == (0, "")
-    for said in (f"{tree['resistance'] * 1e3:.6g} mohm", "4 pole pairs", "400 V", "6, 12", tree["statements"][-1]):
+    for said in (
+        measured(tree["resistance"], tree["sigma_resistance"], "Ω"),
+        "4 pole pairs",
+        "400 V",
+        "6, 12",
+        tree["statements"][0],
+    ):
         assert said in ran.out
     ran = run("simulate", "--machine", "result", "--output", "again", "--seconds", "2", "--noise", "1e-3",
               "--frequency-d", "7.3", "--frequency-q", "2.3", "--json")  # fmt: skip
@@ -678,7 +685,27 @@ def test_statements_stand_under_the_warnings(run, bag):
     ran = run("fit", bag, "--output", "results")
     statements = json.loads(Path("results/identification.json").read_text())["statements"]
     assert statements[-1].startswith("What would help most: ")
-    assert ran.out.splitlines()[-len(statements) - 1 :] == [*statements, "Results in results"]
+    lines = ran.out.splitlines()
+    told = [text for text in statements[:-1] if not text.startswith("No ") and "not significant" not in text]
+    assert lines[-len(told) - 1 :] == [*told, "Results in results"]
+    assert len(told) < len(statements) - 1  # those of what was not found are told on demand
+    (advice,) = (line for line in lines if line.startswith("What would help most: "))
+    assert lines.index(advice) < lines.index(told[0])
+    verbose = run("info", "results", "--verbose").out.splitlines()
+    assert set(statements[:-1]) < set(verbose)
+
+
+def test_a_machine_has_a_name_in_all_files(run, bag):
+    ran = run(
+        "fit", bag, "--output", "named", "--method", "joint", "--machine", "EM 3", "--set", "serial='007'", "--report"
+    )
+    assert ran.out.splitlines()[0] == "Identified drive: EM 3, serial 007, method joint"
+    tree = json.loads(Path("named/identification.json").read_text())
+    assert (tree["machine"], tree["settings"]["serial"]) == ("EM 3", "007")
+    with np.load("named/flux_map.npz", allow_pickle=False) as file:
+        assert (str(file["machine"]), str(file["serial"])) == ("EM 3", "007")
+    assert "<title>Identified drive: EM 3, serial 007</title>" in Path("named/report.html").read_text()
+    assert str(drive_id.load("named").caption()).startswith("EM 3, serial 007, method joint")
 
 
 def test_info_of_a_recording_that_breaks_off(run, bag, tmp_path):

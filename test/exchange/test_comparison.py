@@ -16,7 +16,7 @@ from drive_id.report.plots import rendered
 
 
 def changed(sigma=1e-4, drop=None, **fields):
-    """Return the drive with psi_d + 1 mWb, psi_q + 0.1 mH i_q, R + 10 mohm."""
+    """Return the drive with psi_d + 1 mWb, psi_q + 0.1 mH i_q, R + 10 mΩ."""
     drive = result(sigma, drop=drop)
     m = drive.flux_map
     moved = replace(m, psi_d=m.psi_d + 1e-3, psi_q=m.psi_q + 1e-4 * grids()[1])

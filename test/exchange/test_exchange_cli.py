@@ -59,7 +59,7 @@ def test_import_writes_a_result_as_fit_does(run, tmp_path):
     np.testing.assert_allclose(found.flux_map.psi_dq(*AT), flux(*AT), atol=1e-12)
     assert (found.method, found.machine, found.u_dc, found.pole_pairs) == ("imported", "my motor", 48.0, PAIRS)
     code, out, _ = run("info", "imported")
-    assert (code, "Imported map" in out, "450 mohm" in out) == (0, True, True)
+    assert (code, "Imported map" in out, "450 mΩ" in out) == (0, True, True)
     machine = load_machine("imported")
     assert (machine.pole_pairs, machine.resistance) == (PAIRS, RESISTANCE)
     samples = drive_id.simulate(found, seconds=0.05)

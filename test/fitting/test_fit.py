@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
+from rich.console import Console
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -62,7 +63,9 @@ def test_a_recorded_torque_is_compared_on_every_way_from_bags_to_a_result(tmp_pa
         assert torque.samples > 18_000
     tree = json.loads((tmp_path / "out" / "identification.json").read_text())["torque"]
     assert tree["gain"] == whole.drive.torque.gain
-    assert cells(fit_table(whole))["Shaft torque / torque of the map"][0] == f"{whole.drive.torque.gain:.5g}"
+    assert cells(fit_table(whole))["Shaft torque / torque of the map"][0].startswith(
+        f"{whole.drive.torque.gain:.4f} ± "
+    )
     settings = replace(settings, scalar_rate=500.0, log_scalars=("shaft_torque", "winding_temperature"))
     simulate_bag(machine_map("ipm"), settings, tmp_path / "long", TRAJECTORY, 30.0)
     found = fit_bags(Sources([tmp_path / "long"]), None, fit)
@@ -206,17 +209,27 @@ def test_machines_by_name_and_by_file(tmp_path):
 def test_the_table_says_what_was_found(fitted):
     table = cells(fit_table(fitted))
     truth = fitted.truth
-    assert table["R (stator + linear inverter part)"][2] == "10 mohm"
+    assert table["R"][1] == "10 mΩ"
     assert (
-        table["u_e (drop, opposes the current)"][2]
-        == f"{np.interp(truth.i_max, truth.inverter_current, truth.inverter_voltage):.4g} V"
+        table["Inverter drop"][1] == f"{np.interp(truth.i_max, truth.inverter_current, truth.inverter_voltage):.4g} V"
     )
     assert table["Samples used"][0] == "19999 of 20000"
     diverged = replace(fitted.drive.report, mad_d=float("nan"))
     other = replace(fitted, drive=replace(fitted.drive, report=diverged))
     assert cells(fit_table(other))["MAD of simulated i_d / i_q"][0].startswith("diverged / ")
     short = replace(fitted, drive=replace(fitted.drive, sigma_resistance=float("inf")))
-    assert cells(fit_table(short))["R (stator + linear inverter part)"][1] == "unknown"
+    assert cells(fit_table(short))["R"][0] == f"{1e3 * fitted.resistance:.4g} mΩ"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_names_and_numbers_stay_whole_on_a_narrow_terminal(fitted, width):
+    table = fit_table(fitted, verbose=True)
+    with Console(width=width).capture() as capture:
+        capture._console.print(table)
+    lines = capture.get().splitlines()
+    for quantity in fitted.headline:
+        assert any(f" {quantity.name} " in line and f" {quantity} " in line for line in lines), quantity.name
+    assert max(map(len, lines[1:])) <= width
 
 
 def test_the_true_drop_is_the_one_at_the_radius_of_the_disc(fitted):
@@ -224,7 +237,7 @@ def test_the_true_drop_is_the_one_at_the_radius_of_the_disc(fitted):
     current = np.linspace(-300.0, 300.0, 5)
     truth = replace(fitted.truth, inverter_current=current, inverter_voltage=current / 100, i_max=300.0)
     other = replace(fitted, truth=truth)
-    assert cells(fit_table(other))["u_e (drop, opposes the current)"][2] == "3 V"
+    assert cells(fit_table(other))["Inverter drop"][1] == "3 V"
 
 
 def test_only_the_map_with_data_is_scored(fitted):

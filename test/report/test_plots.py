@@ -234,12 +234,12 @@ def test_the_caption_says_what_is_known(fitted):
     caption = result.caption("unused")
     assert caption.text().splitlines() == [
         "ipm  ·  method full  ·  2023-11-14 22:13 UTC",
-        r"$R$ = 10.001 $\pm$ 0.014 m$\Omega$  ·  speed 209.4 rad/s electrical  ·  $i_\mathrm{max}$ = 300 A",
+        r"$R$ = 10.001 ± 0.014 mΩ  ·  speed 209.4 rad/s electrical  ·  $i_\mathrm{max}$ = 300 A",
     ]
     assert "speed 500 rpm" in replace(caption, pole_pairs=4).text()
     assert "speed -100 to 209.4 rad/s" in replace(caption, speeds=(-100.0, 209.44)).text()
     unknown = replace(caption, machine="", date="", speeds=None, sigma_resistance=float("inf"))
-    assert unknown.text() == "method full\n" r"$R$ = 10 m$\Omega$  ·  $i_\mathrm{max}$ = 300 A"
+    assert unknown.text() == "method full\n" r"$R$ = 10 mΩ  ·  $i_\mathrm{max}$ = 300 A"
     assert Caption().text() == ""
     assert str(caption) == "ipm, method full, 2023-11-14, R = 10 mΩ, 209.4 rad/s electrical, i_max = 300 A"
     assert "500 rpm" in str(replace(caption, pole_pairs=4))

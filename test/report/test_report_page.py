@@ -7,6 +7,7 @@ import gzip
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
+from drive_id.quantity import measured
 from drive_id.report.page import pdf, report
 from drive_id.report.page.charts import MOST_POINTS, charts_of
-from drive_id.report.page.content import content_of, number, with_error
+from drive_id.report.page.content import content_of
 from drive_id.report.page.html import rendered_page
 from drive_id.report.page.operation import torque_map
 from drive_id.report.page.report import check_report_output, report_files
@@ -121,6 +123,8 @@ def test_the_twin_is_identification_json(fitted, page, tmp_path):
     stored = json.loads((tmp_path / "result" / "identification.json").read_text(encoding="utf-8"))
     digests = stored.pop("files")
     assert set(digests) == {"flux_map.npz", "diagnostics.npz"}
+    (recorded,) = stored["inputs"]
+    recorded["file"] = "/".join(Path(recorded["file"]).parts[-2:])  # no folders of this computer
     assert page.data("identification") == stored
     assert page_of(drive_id.load(tmp_path / "result")).data("identification") == stored
 
@@ -176,7 +180,7 @@ def test_the_methods_are_those_fits_of_their_own(bag, fitted, page):
     assert psm.residual_rms > 1.2 * fitted.diagnostics.residual_rms
     section = page.by_id("comparison")
     rows = [row.text() for row in section.all("tr")]
-    assert any(with_error(1e3 * alone.resistance, 1e3 * alone.sigma_resistance) in row for row in rows)
+    assert any(measured(alone.resistance, alone.sigma_resistance, "Ω") in row for row in rows)
     apart = page.data("charts")["comparison"]["methods"][0]["psi_q"]
     j, k = 40, 22
     at = alone.flux_map.psi_q[j, k] - fitted.flux_map.psi_q[j, k]
@@ -201,7 +205,7 @@ def test_a_full_result_shows_bands_phases_and_faults(full_like):
     assert "A longer recording." in text
     assert "What would help most" not in text
     (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver_offset" in row.text())
-    assert [cell.text() for cell in row.children] == ["resolver_offset", "0.01 rad", "0.001 rad", "corrected"]
+    assert [cell.text() for cell in row.children] == ["resolver_offset", "10.0 ± 1.0 mrad", "corrected"]
     assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
 
 
@@ -297,11 +301,36 @@ def test_fine_maps_are_thinned(fitted):
     assert len(page.source.encode()) < 5e6
 
 
+def test_the_answer_stands_first_with_its_names(fitted):
+    named = replace(fitted.provenance.settings, serial="SN 7", operator="A. N. Other", notes="<cold>")
+    page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)))
+    assert page.all("title")[0].text() == "Identified drive: ipm, serial SN 7"
+    tiles = [[part.text() for part in list(tile.all("span"))[:2]] for tile in page.by_id("glance").all("li")]
+    answer = [[quantity.name, str(quantity)] for quantity in fitted.headline]
+    assert tiles[: len(answer)] == answer
+    assert {"ψ_PM", "L_d at zero current", "R", "Inverter drop", "Torque at i_max, MTPA"} <= {
+        tile[0] for tile in answer
+    }
+    rows = [tuple(cell.text() for cell in row.children) for row in list(page.by_id("map").all("tr"))[1:]]
+    assert rows[:4] == [("Machine", "ipm"), ("Serial number", "SN 7"), ("Operator", "A. N. Other"), ("Notes", "<cold>")]
+    assert [list(row) for row in rows[4 : 4 + len(answer)]] == answer
+
+
+def test_no_folder_of_this_computer_is_in_a_report(fitted):
+    (file,) = fitted.provenance.inputs
+    folder = str(Path(file).parent.parent)
+    assert Path(file).is_absolute()
+    said = replace(fitted.provenance, warnings=(f"{file} breaks off: check it.",))
+    page = page_of(replace(fitted, provenance=said))
+    assert folder not in page.source
+    assert "bag/bag_0.mcap breaks off: check it." in page.by_id("warnings").text()
+
+
 def test_the_paragraph_has_the_results_own_numbers(fitted, page):
     text = page.by_id("paragraph").text()
-    assert f"R = {with_error(1e3 * fitted.resistance, 1e3 * fitted.sigma_resistance)} mΩ" in text
-    assert f"{with_error(fitted.voltage_error, fitted.sigma_voltage_error)} V" in text
-    assert f"{number(fitted.metrics['mad_d'], 3)} A in d" in text
+    assert f"R = {measured(fitted.resistance, fitted.sigma_resistance, 'Ω')}" in text
+    assert measured(fitted.voltage_error, fitted.sigma_voltage_error, "V") in text
+    assert f"{measured(fitted.metrics['mad_d'], unit='A')} in d" in text
     assert "500 rpm" in text
     assert "doi:10.1049/icp.2025.2025" in text
 

@@ -92,4 +92,4 @@ def test_the_table_does_not_depend_on_the_terminal(characterize, monkeypatch, ca
     assert lines[0].strip() == "The drive, identified through the services"
     assert len({len(line) for line in lines[1:]}) == 1
     assert "100 of 200" in lines[-2]
-    assert sum("10 mohm" in line for line in lines) == 1
+    assert sum("10 mΩ" in line for line in lines) == 1

@@ -83,6 +83,8 @@ class Provenance:
         Of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day.
     versions : mapping of str to str
         Of the software that made the result; empty: of this process.
+    temperature : float or None
+        Of the winding to which the resistance refers, degrees Celsius; None: as in the experiment.
     """
 
     inputs: Mapping[str, str]
@@ -96,6 +98,7 @@ class Provenance:
     duration: float | None = None
     date: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    temperature: float | None = None
 
 
 def write_results(
@@ -241,6 +244,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "duration": known.duration,
         "date": known.date,
         "resistance": identification.resistance,
+        "resistance_temperature": known.temperature,
         "sigma_resistance": identification.sigma_resistance,
         "voltage_error": identification.voltage_error,
         "sigma_voltage_error": identification.sigma_voltage_error,
@@ -279,6 +283,7 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
         "method": identification.method,
         "machine": known.machine,
         "date": known.date,
+        **{name: getattr(known.settings, name) for name in ("serial", "bench", "operator", "notes")},
         "version": dict(known.versions).get("drive_id", VERSION),
         "units": json.dumps(_UNITS),
     }
@@ -418,6 +423,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         duration=None if not tree.get("duration") else _positive(tree, "duration"),
         date=str(tree.get("date", "")),
         versions=dict(tree["versions"]),
+        temperature=tree.get("resistance_temperature"),
     )
 
 

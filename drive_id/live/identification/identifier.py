@@ -36,6 +36,7 @@ from drive_id.live.identification.result_folders import LastMap, ResultFolders, 
 from drive_id.live.publishers import Publisher, publisher_findings
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
+from drive_id.quantity import measured
 from drive_id.types import SCALARS, Progress
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
@@ -382,8 +383,10 @@ def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
 
 def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
-    drop = f", voltage error {identification.voltage_error:.4g} V" if identification.origin.inverter else ""
+    resistance = measured(identification.resistance, identification.sigma_resistance, "Ω")
+    drop = measured(identification.voltage_error, identification.sigma_voltage_error, "V")
+    drop = f", inverter drop {drop}" if identification.origin.inverter else ""
     return (
         f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
-        f"{identification.resistance * 1e3:.4g} mohm{drop}, {100 * report.coverage:.0f} % of the disc covered."
+        f"{resistance}{drop}, {100 * report.coverage:.0f} % of the disc covered."
     )

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.diagnostics import ComparedMethod
-from drive_id.files.results.identification import results_tree
+from drive_id.files.results.identification import Provenance, results_tree
+from drive_id.fitting.advice import single_speed, sorted_statements
 from drive_id.fitting.result import Identification
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
+from drive_id.quantity import Quantity, measured
 from drive_id.report.page.operation import TorqueMap
 from drive_id.report.page.wording import NOT_STORED
 from drive_id.types import FloatArray
@@ -22,9 +25,6 @@ from drive_id.version import VERSION
 GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
 _LEAST_CURRENT = 0.01
 """Share of the largest current of a line below which its points are not listed."""
-_NEXT = "What would help most: "
-_ONE_SPEED = 0.1
-"""Relative range of the speeds below which they count as one."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,12 @@ class Content:
     Parameters
     ----------
     title, subtitle : str
+    headline : tuple of Quantity
+        What is asked for first.
     figures : tuple of Merit
         Quality at a glance.
+    advice : str
+        What would help most; empty where nothing is known.
     warnings : tuple of str
     knowledge : dict of str to tuple of str
         Sentences by their heading: what the result states, what the data leave open, and what to do next.
@@ -87,7 +91,9 @@ class Content:
 
     title: str
     subtitle: str
+    headline: tuple[Quantity, ...]
     figures: tuple[Merit, ...]
+    advice: str
     warnings: tuple[str, ...]
     knowledge: dict[str, tuple[str, ...]]
     values: TextTable
@@ -105,17 +111,23 @@ class Content:
 
 def content_of(result: Identification, operation: TorqueMap | None) -> Content:
     """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
-    twin = results_tree(result.drive, result.provenance)
-    machine = result.machine or "unnamed machine"
+    known = _without_folders(result.provenance)
+    twin = results_tree(result.drive, replace(known, warnings=()))
+    warnings = (*known.warnings, *result.drive.report.warnings)
+    twin["warnings"] = list(warnings)
+    said, nothing = sorted_statements(result.drive)
     return Content(
-        title=f"{result.origin.heading}: {machine}",
+        title=f"{result.origin.heading}: {result.name or 'unnamed machine'}",
         subtitle=str(result.caption()),
+        headline=result.headline,
         figures=_figures(result),
-        warnings=result.warnings,
+        advice=next(iter(result.advice), ""),
+        warnings=warnings,
         knowledge={
-            "What the result states": tuple(text for text in result.statements if not text.startswith(_NEXT)),
+            "What the result states": tuple(said),
             "What such data leave open": result.origin.limits,
-            "What to do next": _advice(result),
+            "What to do next": result.advice,
+            "What was tested and not found": tuple(nothing),
         },
         values=_values(result),
         methods=_methods(result),
@@ -124,7 +136,7 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
         inputs=TextTable(
             f"Files that were {'fitted' if result.origin.fitted else 'imported'}, and their digests",
             ("File", "SHA-256"),
-            tuple(result.provenance.inputs.items()),
+            tuple(known.inputs.items()),
         ),
         versions=TextTable(
             "Software that made the result", ("Software", "Version"), tuple(map(_texts, twin["versions"].items()))
@@ -151,12 +163,17 @@ def flux_sigma(result: Identification) -> float:
     return float(np.median(sigma)) if sigma.size and np.isfinite(sigma).all() else math.nan
 
 
-def single_speed(result: Identification) -> bool:
-    """Tell whether the recordings have one speed; False where it is not known."""
-    if result.speed_range is None:
-        return False
-    low, high = result.speed_range
-    return high - low <= _ONE_SPEED * max(abs(low), abs(high))
+def _without_folders(known: Provenance) -> Provenance:
+    """Return a provenance whose files are named without the folders of the computer where it was made."""
+    folders = sorted({f"{Path(file).parent.parent}/" for file in known.inputs if Path(file).is_absolute()}, key=len)
+
+    def short(text: str) -> str:
+        for folder in reversed(folders):
+            text = text.replace(folder, "") if folder != "//" else text
+        return text
+
+    inputs = {short(file): digest for file, digest in known.inputs.items()}
+    return replace(known, inputs=inputs, warnings=tuple(map(short, known.warnings)))
 
 
 def _figures(result: Identification) -> tuple[Merit, ...]:
@@ -186,8 +203,7 @@ def _figures(result: Identification) -> tuple[Merit, ...]:
         found.append(
             Merit(
                 "Standard error of R", percent(known), level(known, 0.02, 0.1),
-                f"R = {with_error(result.resistance * 1e3, result.sigma_resistance * 1e3)} mΩ. Good up to 2 %, weak "
-                "above 10 %.",
+                f"R = {measured(result.resistance, result.sigma_resistance, 'Ω')}. Good up to 2 %, weak above 10 %.",
             )
         )  # fmt: skip
     if origin.diagnostics:
@@ -196,15 +212,8 @@ def _figures(result: Identification) -> tuple[Merit, ...]:
             Merit(
                 "Simulated current", percent(mad), level(mad, 0.01, 0.03),
                 "Mean deviation of the open-loop simulation from the measurement, of i_max: "
-                f"{number(metrics['mad_d'])} A in d, {number(metrics['mad_q'])} A in q. Good up to 1 %, weak above "
-                "3 %.",
-            )
-        )  # fmt: skip
-    if origin.inverter:
-        found.append(
-            Merit(
-                "Inverter drop", f"{with_error(result.voltage_error, result.sigma_voltage_error)} V", "",
-                "Of one phase at large current, without its linear part, which is in R.",
+                f"{measured(metrics['mad_d'], unit='A')} in d, {measured(metrics['mad_q'], unit='A')} in q. Good up to "
+                "1 %, weak above 3 %.",
             )
         )  # fmt: skip
     if math.isfinite(metrics["nrmse_d"]):
@@ -228,59 +237,51 @@ def level(value: float, good: float, weak: float) -> str:
 
 def _values(result: Identification) -> TextTable:
     drive, metrics = result.drive, result.metrics
-    rows = [
-        ("Machine", result.machine or "unknown", ""),
-        ("Origin", result.origin.caption, ""),
-        ("Resistance", _resistance(result), sigma_text(1e3 * result.sigma_resistance, "mΩ")),
-    ]
-    if result.origin.inverter:
-        voltage = f"{number(result.voltage_error, 5)} V"
-        rows.append(("Inverter drop at large current", voltage, sigma_text(result.sigma_voltage_error, "V")))
+    given = result.provenance.settings
+    names = {"Serial number": given.serial, "Bench": given.bench, "Operator": given.operator, "Notes": given.notes}
+    rows = [("Machine", result.machine or "unknown"), *((name, text) for name, text in names.items() if text)]
+    rows += [(quantity.name, str(quantity)) for quantity in result.headline]
+    if not math.isfinite(result.resistance):
+        rows.append(("R", "unknown"))
     if drive.magnet_coefficient is not None:
-        value, sigma = drive.magnet_coefficient
-        rows.append(("Magnet flux per kelvin", f"{number(1e6 * value)} µWb/K", sigma_text(1e6 * sigma, "µWb/K")))
+        rows.append(("Magnet flux per kelvin", measured(*drive.magnet_coefficient, "Wb/K")))
     if result.harmonics:
-        rows.append(("Rotor-position harmonics", ", ".join(str(h.order) for h in result.harmonics), ""))
+        rows.append(("Rotor-position harmonics", ", ".join(str(h.order) for h in result.harmonics)))
     if result.torque is not None:
-        torque = result.torque
-        rows.append(("Common gain by the shaft torque", number(torque.gain, 5), sigma_text(torque.sigma_gain, "")))
+        rows.append(("Common gain by the shaft torque", measured(result.torque.gain, result.torque.sigma_gain)))
     rows += [
-        ("Radius of the current disc", f"{number(result.i_max)} A", ""),
-        ("Pole pairs", str(result.pole_pairs or "unknown"), ""),
-        ("DC link", f"{number(result.u_dc)} V" if result.u_dc else "unknown", ""),
-        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown", ""),
+        ("Origin", result.origin.caption),
+        ("Pole pairs", str(result.pole_pairs or "unknown")),
+        ("DC link", f"{number(result.u_dc)} V" if result.u_dc else "unknown"),
+        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown"),
     ]
     if not result.origin.fitted:
-        rows.append(("Points read", str(metrics["samples_read"]), ""))
-        return TextTable("Values in the file", ("Quantity", "Value", "Standard error"), tuple(rows))
+        rows.append(("Points read", str(metrics["samples_read"])))
+        return TextTable("Values in the file", ("Quantity", "Value"), tuple(rows))
     rows += [
-        ("Electrical speed", _speed(result), ""),
-        ("Duration of the data", f"{number(result.duration)} s" if result.duration else "unknown", ""),
-        ("Samples used", f"{metrics['samples_used']} of {metrics['samples_read']}", ""),
-        *([("Gaps", str(metrics["gaps"]), "")] if result.origin.live else []),
-        ("Unknowns determined", f"{metrics['rank']} of {metrics['parameters']}", "")
+        ("Electrical speed", _speed(result)),
+        ("Duration of the data", f"{number(result.duration)} s" if result.duration else "unknown"),
+        ("Samples used", f"{metrics['samples_used']} of {metrics['samples_read']}"),
+        *([("Gaps", str(metrics["gaps"]))] if result.origin.live else []),
+        ("Unknowns determined", f"{metrics['rank']} of {metrics['parameters']}")
         if result.origin.live
-        else ("Unknowns", str(metrics["parameters"]), ""),
-        ("Condition number", number(metrics["condition"], 3), ""),
+        else ("Unknowns", str(metrics["parameters"])),
+        ("Condition number", number(metrics["condition"], 3)),
     ]
-    return TextTable("Identified values and the experiment", ("Quantity", "Value", "Standard error"), tuple(rows))
-
-
-def _resistance(result: Identification) -> str:
-    return f"{number(1e3 * result.resistance, 6)} mΩ" if math.isfinite(result.resistance) else "unknown"
+    return TextTable("Identified values (± standard error) and the experiment", ("Quantity", "Value"), tuple(rows))
 
 
 def _speed(result: Identification) -> str:
     if result.speed_range is None:
         return "unknown"
     low, high = result.speed_range
-    text = f"{number(low)} rad/s" if single_speed(result) else f"{number(low)} to {number(high)} rad/s"
+    text = f"{number(low)} rad/s" if single_speed(result.provenance) else f"{number(low)} to {number(high)} rad/s"
     if result.pole_pairs is None:
         return text
     rpm = [speed * 30 / math.pi / result.pole_pairs for speed in (low, high)]
     return (
         f"{text} ({number(rpm[0])} rpm)"
-        if single_speed(result)
+        if single_speed(result.provenance)
         else f"{text} ({number(rpm[0])} to {number(rpm[1])} rpm)"
     )
 
@@ -320,9 +321,9 @@ def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
     pair = math.isfinite(found.nrmse_d)
     return (
         name,
-        f"{with_error(1e3 * found.resistance, 1e3 * found.sigma_resistance)} mΩ",
-        f"{with_error(found.voltage_error, found.sigma_voltage_error)} V" if origin.inverter else "not modelled",
-        f"{number(found.residual_rms, 3)} V" if math.isfinite(found.residual_rms) else "unknown",
+        measured(found.resistance, found.sigma_resistance, "Ω"),
+        measured(found.voltage_error, found.sigma_voltage_error, "V") if origin.inverter else "not modelled",
+        measured(found.residual_rms, unit="V"),
         f"{number(found.mad_d, 3)} / {number(found.mad_q, 3)} A" if math.isfinite(found.mad_d) else "unknown",
         f"{percent(found.nrmse_d)} / {percent(found.nrmse_q)}" if pair else "no truth known",
     )
@@ -339,10 +340,10 @@ def _comparison(result: Identification) -> str:
     inside = result.flux_map.inside
     largest = max(float(np.abs(values[inside]).max(initial=0.0)) for values in apart)
     share = percent(largest / largest_flux(result))
-    change = number(1e3 * abs(other.resistance - result.resistance), 3)
+    change = measured(abs(other.resistance - result.resistance), unit="Ω")
     return (
-        f"The map of method {other.method} differs from this one by up to {number(1e3 * largest, 3)} mWb ({share} of "
-        f"the largest flux), and its R by {change} mΩ."
+        f"The map of method {other.method} differs from this one by up to {measured(largest, unit='Wb')} ({share} of "
+        f"the largest flux), and its R by {change}."
     )
 
 
@@ -356,12 +357,9 @@ def map_difference(result: Identification, other: ComparedMethod) -> tuple[Float
 def _calibrations(result: Identification) -> TextTable:
     rows = []
     for found in result.calibrations:
-        unit = "" if found.unit == "1" else found.unit
         done = "corrected" if found.applied else "not corrected"
-        rows.append((found.name, f"{number(found.value)} {unit}".strip(), sigma_text(found.sigma, unit), done))
-    return TextTable(
-        "Sensor faults and effects of the drive", ("Name", "Value", "Standard error", "In the map"), tuple(rows)
-    )
+        rows.append((found.name, measured(found.value, found.sigma, found.unit), done))
+    return TextTable("Sensor faults and effects of the drive", ("Name", "Value", "In the map"), tuple(rows))
 
 
 def _settings(result: Identification) -> TextTable:
@@ -391,24 +389,11 @@ def _operation(operation: TorqueMap | None) -> TextTable:
                 continue
             k = int(np.abs(current - wanted).argmin())
             angle = math.degrees(math.atan2(line.i_q[k], line.i_d[k]))
-            torque = f"{with_error(float(line.torque[k]), float(line.sigma_torque[k]))} Nm"
+            torque = measured(float(line.torque[k]), float(line.sigma_torque[k]), "Nm")
             at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
             rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
     header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
     return TextTable("Points of the lines of operation, where there are data", header, tuple(rows))
-
-
-def _advice(result: Identification) -> tuple[str, ...]:
-    """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
-    found = [_capital(text.removeprefix(_NEXT)) for text in result.statements if text.startswith(_NEXT)]
-    coverage = result.metrics["coverage"]
-    if coverage < 0.95:
-        found.append(f"Data over the whole disc of {number(result.i_max)} A: {percent(1 - coverage)} of it has none.")
-    if single_speed(result) and not found:
-        found.append(f"A second recording at another speed, ideally in the other direction. {result.origin.one_speed}")
-    if result.pole_pairs is None:
-        found.append(f"The number of pole pairs, without which there is no torque: {result.origin.pole_pairs}.")
-    return tuple(filter(None, (*found, result.origin.advice)))
 
 
 def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, str]:
@@ -442,14 +427,14 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
 def _paragraph(result: Identification) -> str:
     """Write a paragraph of method with the result's own numbers, to be pasted into a paper or a test report."""
     metrics, origin = result.metrics, result.origin
-    what = f"of the machine {result.machine}" if result.machine else "of the machine"
+    what = f"of the machine {result.name}" if result.name else "of the machine"
     data = f" from {number(result.duration)} s of data" if result.duration else ""
     speed = f" at an electrical speed of {_speed(result)}" if result.speed_range else ""
     version = result.provenance.versions.get("drive_id", VERSION)
     drop = ""
     if origin.inverter:
-        value = with_error(result.voltage_error, result.sigma_voltage_error)
-        drop = f", the inverter's voltage drop at large current {value} V"
+        value = measured(result.voltage_error, result.sigma_voltage_error, "V")
+        drop = f", the inverter's voltage drop at large current {value}"
     also, done = (" and the resistance", "identified") if origin.fitted else ("", "imported")
     first = (
         f"The flux linkage maps{also} {what} were {done}{data}{speed} with drive_id {version}; their current disc has "
@@ -458,9 +443,9 @@ def _paragraph(result: Identification) -> str:
     sentences = [first, origin.summary]
     if math.isfinite(result.resistance):
         error = " (± standard error)" if math.isfinite(result.sigma_resistance) else ""
-        resistance = with_error(1e3 * result.resistance, 1e3 * result.sigma_resistance)
+        resistance = measured(result.resistance, result.sigma_resistance, "Ω")
         included = "; R includes the linear part of this drop" if drop else ""
-        sentences.append(f"R = {resistance} mΩ{drop}{error}{included}.")
+        sentences.append(f"R = {resistance}{drop}{error}{included}.")
     if result.harmonics:
         orders = ", ".join(str(found.order) for found in result.harmonics)
         sentences.append(f"Rotor-position harmonics of electrical orders {orders} are separate from the mean map.")
@@ -468,13 +453,13 @@ def _paragraph(result: Identification) -> str:
     if math.isfinite(sigma):
         share = percent(sigma / largest_flux(result))
         sentences.append(
-            f"The median standard error of the flux is {number(1e3 * sigma, 2)} mWb ({share} of its largest value)."
+            f"The median standard error of the flux is {measured(sigma, unit='Wb')} ({share} of its largest value)."
         )
     judged = [f"the data cover {percent(metrics['coverage'])} of the disc"]
     if math.isfinite(metrics["mad_d"]):
         judged.append(
             "the current simulated in open loop deviates from the measured one by "
-            f"{number(metrics['mad_d'], 3)} A in d and {number(metrics['mad_q'], 3)} A in q on average"
+            f"{measured(metrics['mad_d'], unit='A')} in d and {measured(metrics['mad_q'], unit='A')} in q on average"
         )
     sentences.append(_capital("; ".join(judged)) + ".")
     return " ".join(filter(None, (*sentences, origin.reference)))
@@ -498,16 +483,3 @@ def number(value: float | None, digits: int = 4) -> str:
 def percent(share: float) -> str:
     """Return a share in percent, to three significant digits."""
     return f"{number(100 * share, 3)} %" if math.isfinite(share) else "unknown"
-
-
-def sigma_text(sigma: float, unit: str) -> str:
-    """Return a standard error with its unit."""
-    return f"{number(sigma, 2)} {unit}".strip() if math.isfinite(sigma) else "unknown"
-
-
-def with_error(value: float, sigma: float) -> str:
-    """Return ``value ± sigma``, to two digits of sigma; the value alone where sigma is unknown."""
-    if not (math.isfinite(sigma) and sigma > 0 and math.isfinite(value)):
-        return number(value)
-    digits = max(0, 1 - math.floor(math.log10(sigma)))
-    return f"{value:.{digits}f} ± {sigma:.{digits}f}".replace("-", "\N{MINUS SIGN}")

@@ -39,14 +39,19 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.text(content.title, _TITLE, bold=True)
     sheets.text(content.subtitle)
     sheets.heading(SECTIONS["glance"])
+    sheets.table(
+        TextTable("", ("Quantity", "Value", ""), tuple((q.name, str(q), q.note) for q in content.headline)),
+        (0.24, 0.26, 0.5),
+    )
     rows = tuple((f.name, f.value, f.level or "–", f.meaning) for f in content.figures)
     sheets.table(TextTable("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
+    sheets.text(f"What would help most: {content.advice}" if content.advice else "")
     sheets.heading(SECTIONS["warnings"])
     for warning in content.warnings or ("None.",):
         sheets.text(f"• {warning}", colour=_WARNING if content.warnings else "black")
     sheets.heading(SECTIONS["map"], figures.get("map"))
     sheets.picture(figures.get("map"))
-    sheets.table(content.values, (0.4, 0.35, 0.25))
+    sheets.table(content.values, (0.4, 0.6))
     sheets.heading(SECTIONS["comparison"], figures.get("comparison"))
     sheets.text(content.missing.get("comparison", content.comparison))
     sheets.picture(figures.get("comparison"))
@@ -62,7 +67,7 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
         sheets.text(f"{heading}:" if found else "", bold=True)
         for sentence in found:
             sheets.text(f"• {sentence}")
-    sheets.table(content.calibrations, (0.35, 0.25, 0.2, 0.2))
+    sheets.table(content.calibrations, (0.35, 0.45, 0.2))
     sheets.heading(SECTIONS["method"])
     sheets.text(content.paragraph)
     sheets.heading(SECTIONS["origin"])

@@ -7,7 +7,7 @@ NOT_STORED = (
     "this section."
 )
 SECTIONS = {
-    "glance": "Quality at a glance",
+    "glance": "At a glance",
     "warnings": "Warnings",
     "map": "Flux maps",
     "comparison": "With and without a model of the inverter",

@@ -1,0 +1,168 @@
+"""The quantities that are asked for first: magnet flux, inductances, R, drop and torque, with their standard errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.quantity import Quantity
+from drive_id.types import FloatArray
+
+_NODES = 6
+"""Grid points along each axis through which a polynomial is laid around a current."""
+_COARSE = np.linspace(0.0, np.pi, 361)
+_FINE = np.deg2rad(np.linspace(-1.5, 1.5, 25))
+"""Angles, rad, at which MTPA is searched; the torque is flat there, so 0.1° cost 2e-6 of it."""
+_RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the circle of the peak torque, in i_max: the first whose MTPA has data around it."""
+
+
+def headline(
+    drive: IdentifiedDrive, *, pole_pairs: int | None = None, temperature: float | None = None
+) -> tuple[Quantity, ...]:
+    """Return what is asked for first; what the data do not cover, or what is not known, is left out.
+
+    Parameters
+    ----------
+    drive : IdentifiedDrive
+    pole_pairs : int, optional
+        Without them there is no torque.
+    temperature : float, optional
+        To which R refers, degrees Celsius, where known.
+
+    Returns
+    -------
+    tuple of Quantity
+        The standard errors of inductances and torque need the joint errors of a fit.
+    """
+    found = [*_at_zero_current(drive)]
+    if math.isfinite(drive.resistance):
+        at = "" if temperature is None else f" at {temperature:g} °C"
+        note = "With the linear part of the inverter's drop." if drive.origin.inverter else ""
+        found.append(Quantity(f"R{at}", drive.resistance, drive.sigma_resistance, "Ω", note))
+    if drive.origin.inverter:
+        note = "Of one phase at large current, without its linear part, which is in R."
+        found.append(Quantity("Inverter drop", drive.voltage_error, drive.sigma_voltage_error, "V", note))
+    found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc of the experiment."))
+    return (*found, *(_at_peak_torque(drive, pole_pairs) if pole_pairs else ()))
+
+
+def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
+    names, note = ("ψ_PM", "L_d at zero current", "L_q at zero current"), "Incremental."
+    linear = drive.linear
+    if linear is not None:
+        values = (linear.psi_pm, linear.l_d, linear.l_q)
+        sigmas = (linear.sigma_psi_pm, linear.sigma_l_d, linear.sigma_l_q)
+        rows = zip(names, values, sigmas, ("Wb", "H", "H"), strict=True)
+        return tuple(Quantity(*row) for row in rows if math.isfinite(row[2]))
+    local = _Local.at(drive, 0.0, 0.0)
+    if local is None:
+        return ()
+    psi_pm = Quantity(names[0], float(local.psi[0]), float(drive.flux_map.sigma(0.0, 0.0)[0]), "Wb", "At zero current.")
+    return (psi_pm, local.inductance(0, names[1], note), local.inductance(1, names[2], note))
+
+
+def _at_peak_torque(drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, ...]:
+    found = drive.flux_map
+    for radius in (share * drive.i_max for share in _RADII):
+        d, q = radius * np.cos(_COARSE), radius * np.sin(_COARSE)
+        rough = _COARSE[(found.sampled(found.psi_d, d, q) * q - found.sampled(found.psi_q, d, q) * d).argmax()]
+        tried = ((radius * np.cos(angle), radius * np.sin(angle)) for angle in rough + _FINE)
+        points = filter(None, (_Local.at(drive, *point, continued=True) for point in tried))
+        summit = max(points, key=lambda point: float(point.per_pair[0]), default=None)
+        best = None if summit is None else _Local.at(drive, summit.i_d, summit.i_q)
+        if best is None:
+            continue
+        torque, change = (1.5 * pole_pairs * x for x in best.per_pair)
+        if torque <= 0:
+            return ()
+        sigma = float(np.linalg.norm(change)) if len(change) else math.nan
+        where = "i_max, MTPA" if radius == drive.i_max else f"{radius:.4g} A, MTPA"
+        at = f"i_d = {best.i_d:.4g} A, i_q = {best.i_q:.4g} A".replace("-", "\N{MINUS SIGN}")
+        note = f"Air-gap torque at {at}; {float(torque) / radius:.4g} Nm/A."
+        return (Quantity(f"Torque at {where}", float(torque), sigma, "Nm", note),)
+    return ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """Flux linkages and incremental inductances at a current, and their changes by M independent causes of error.
+
+    Parameters
+    ----------
+    i_d, i_q : float
+        A.
+    psi, changes : (2,), (2, M) float
+        Wb; M is 0 where the joint errors are not known.
+    slopes, slope_changes : (2,), (2, M) float
+        dpsi_d/di_d and dpsi_q/di_q, H.
+    """
+
+    i_d: float
+    i_q: float
+    psi: FloatArray
+    changes: FloatArray
+    slopes: FloatArray
+    slope_changes: FloatArray
+
+    @classmethod
+    def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, *, continued: bool = False) -> _Local | None:
+        """Evaluate the polynomial through grid points with data that encloses a current; None where there is none.
+
+        Of all such polynomials, the one whose points lie most evenly around the current. With ``continued``, the
+        map's continuation counts as data.
+        """
+        found, modes = drive.flux_map, drive.error_modes
+        starts_d, starts_q = (_starts(axis, x) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
+        pairs = sorted((d_off + q_off, m, n) for d_off, m in starts_d for q_off, n in starts_q)
+        for _, m, n in pairs:
+            at = np.s_[..., m : m + _NODES, n : n + _NODES]
+            if continued or found.inside[at].all():
+                break
+        else:
+            return None
+        (w_d, v_d), (w_q, v_q) = _weights(found.i_d[m : m + _NODES], i_d), _weights(found.i_q[n : n + _NODES], i_q)
+        psi = [values[at] for values in (found.psi_d, found.psi_q)]
+        none = np.zeros((0, *psi[0].shape))
+        errors = [none, none] if modes is None else [values[at] for values in (modes.psi_d, modes.psi_q)]
+        slopes = ((v_d, w_q), (w_d, v_q))
+        return cls(
+            i_d=float(i_d),
+            i_q=float(i_q),
+            psi=np.array([w_d @ x @ w_q for x in psi]),
+            changes=np.array([w_d @ x @ w_q for x in errors]),
+            slopes=np.array([d @ x @ q for x, (d, q) in zip(psi, slopes, strict=True)]),
+            slope_changes=np.array([d @ x @ q for x, (d, q) in zip(errors, slopes, strict=True)]),
+        )
+
+    @property
+    def per_pair(self) -> tuple[FloatArray, FloatArray]:
+        """Torque over 1.5 p, and its changes (M,), Nm."""
+        return tuple(x[0] * self.i_q - x[1] * self.i_d for x in (self.psi, self.changes))
+
+    def inductance(self, axis: int, name: str, note: str) -> Quantity:
+        """Return one incremental inductance."""
+        change = self.slope_changes[axis]
+        sigma = float(np.linalg.norm(change)) if len(change) else math.nan
+        return Quantity(name, float(self.slopes[axis]), sigma, "H", note)
+
+
+def _starts(axis: FloatArray, x: float) -> list[tuple[float, int]]:
+    """Return the first of each run of grid points that encloses a current, after its distance from the middle."""
+    cell = min(max(int(np.searchsorted(axis, x, side="right")) - 1, 0), len(axis) - 2)
+    runs = range(max(0, cell + 2 - _NODES), min(cell, len(axis) - _NODES) + 1)
+    if not axis[0] <= x <= axis[-1]:
+        return []
+    return [(abs(float(axis[k : k + _NODES].mean()) - x), k) for k in runs] if len(axis) > _NODES else [(0.0, 0)]
+
+
+def _weights(axis: FloatArray, x: float) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of values at grid points in their polynomial at x, and in its slope there."""
+    width = float(axis[-1] - axis[0])
+    powers = ((axis - x) / width) ** np.arange(len(axis))[:, None]
+    one = np.eye(len(axis))[:2] * [[1.0], [1.0 / width]]
+    value, slope = np.linalg.solve(powers, one.T).T
+    return value, slope

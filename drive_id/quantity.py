@@ -1,0 +1,71 @@
+"""A measured quantity and how people read it: ``9.997 ± 0.011 mΩ``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
+_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad", "W"})
+"""Units that take a prefix; others, such as samples and °, are left as they are."""
+_SPELLED = {"ohm": "Ω", "1": ""}
+_DIGITS = 4
+"""Significant digits of a value without a known standard error."""
+_LEAST_SHARE = 1e-8
+"""Of the value below which a standard error is not shown: only simulations without noise have it."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity with its standard error; its text is that of :func:`measured`.
+
+    Parameters
+    ----------
+    name : str
+        With the field's symbol, such as ``L_d at zero current``.
+    value : float
+        In ``unit``.
+    sigma : float
+        Standard error; not finite where it is not known.
+    unit : str
+        SI.
+    note : str
+        What it holds for, a sentence; empty where the name says all.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    note: str = ""
+
+    def __str__(self) -> str:
+        return measured(self.value, self.sigma, self.unit)
+
+
+def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
+    """Return a value and its standard error, rounded alike to two digits of the error, with an engineering prefix.
+
+    The value alone, to four digits, where the error is unknown; ``unknown`` where the value is not finite.
+    """
+    if not math.isfinite(value):
+        return "unknown"
+    unit = _SPELLED.get(unit, unit)
+    known = math.isfinite(sigma) and sigma > _LEAST_SHARE * abs(value)
+    largest = max(abs(value), sigma if known else 0.0)
+    exponent = 0
+    if unit in _PREFIXED and largest > 0:
+        exponent = min(max(3 * (_order(largest, _DIGITS if not known else 12) // 3), min(_PREFIXES)), max(_PREFIXES))
+    value, sigma, unit = value / 10.0**exponent, sigma / 10.0**exponent, _PREFIXES[exponent] + unit
+    if known:
+        digits = 1 - _order(sigma, 2)
+        shown = (f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sigma))
+        text = " ± ".join(shown)
+    else:
+        text = f"{value:.{_DIGITS}g}"
+    return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
+
+
+def _order(value: float, digits: int) -> int:
+    """Return the decimal exponent of a positive number once it is rounded to some significant digits."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])

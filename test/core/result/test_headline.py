@@ -1,0 +1,94 @@
+"""The quantities that are asked for first, on a machine whose map is a formula."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_results import exact_result
+
+from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.result.headline import headline
+from drive_id.types import MachineMap
+
+PSI_PM, L_D, L_Q, I_MAX, PAIRS = 0.066, 1.5e-4, 3.6e-4, 100.0, 4
+AXIS = np.linspace(-110.0, 110.0, 56)  # without a node at zero current
+FLUX_ERROR, L_ERROR = 2e-5, 3e-7
+
+
+def flux(i_d, i_q):
+    return PSI_PM + L_D * i_d - 3e-9 * i_q**2, (L_Q - 6e-9 * i_d) * i_q - 4e-9 * i_q**3
+
+
+@pytest.fixture
+def drive():
+    """A drive with two causes of error: a common psi_d, and an error of L_q."""
+    d, q = np.meshgrid(AXIS, AXIS, indexing="ij")
+    psi_d, psi_q = flux(d, q)
+    machine = MachineMap(
+        name="formula", i_d=AXIS, i_q=AXIS, psi_d=psi_d, psi_q=psi_q, resistance=0.01, pole_pairs=PAIRS, i_max=I_MAX,
+        u_dc=400.0,
+    )  # fmt: skip
+    inside = np.hypot(d, q) <= I_MAX + 6.0
+    modes = ErrorModes(
+        psi_d=np.float32(np.stack([inside * FLUX_ERROR, 0 * d])),
+        psi_q=np.float32(np.stack([0 * d, inside * L_ERROR * q])),
+        resistance=np.zeros(2),
+        inverter_voltage=np.zeros((2, 201)),
+        voltage_error=np.zeros(2),
+    )
+    exact = exact_result(machine, sigma=FLUX_ERROR, error_modes=modes, sigma_resistance=1.1e-5).drive
+    return replace(exact, flux_map=replace(exact.flux_map, inside=inside))
+
+
+def named(drive, **known):
+    return {quantity.name: quantity for quantity in headline(drive, **known)}
+
+
+def test_values_and_standard_errors_are_those_of_the_formula(drive):
+    found = named(drive, pole_pairs=PAIRS, temperature=20.0)
+    assert list(found) == [
+        "ψ_PM", "L_d at zero current", "L_q at zero current", "R at 20 °C", "Inverter drop", "i_max",
+        "Torque at i_max, MTPA",
+    ]  # fmt: skip
+    angle = np.linspace(0.0, np.pi, 1_000_001)
+    i_d, i_q = I_MAX * np.cos(angle), I_MAX * np.sin(angle)
+    psi_d, psi_q = flux(i_d, i_q)
+    torque = 1.5 * PAIRS * (psi_d * i_q - psi_q * i_d)
+    best = torque.argmax()
+    d, q = i_d[best], i_q[best]
+    expected = {
+        "ψ_PM": (PSI_PM, FLUX_ERROR),
+        "L_d at zero current": (L_D, 0.0),
+        "L_q at zero current": (L_Q, L_ERROR),
+        "R at 20 °C": (0.01, 1.1e-5),
+        "Torque at i_max, MTPA": (torque[best], 1.5 * PAIRS * math.hypot(FLUX_ERROR * q, L_ERROR * q * d)),
+    }
+    for name, (value, sigma) in expected.items():
+        assert found[name].value == pytest.approx(value, rel=2e-5), name
+        assert found[name].sigma == pytest.approx(sigma, rel=2e-3, abs=1e-10), name
+    assert str(found["R at 20 °C"]) == "10.000 ± 0.011 mΩ"
+
+
+def test_what_the_data_do_not_cover_is_left_out(drive):
+    d, q = np.meshgrid(AXIS, AXIS, indexing="ij")
+    ring = replace(drive.flux_map, inside=drive.flux_map.inside & (np.hypot(d, q) > 30.0))
+    found = named(replace(drive, flux_map=ring), pole_pairs=PAIRS)
+    assert list(found)[:2] == ["R", "Inverter drop"]
+    assert "Torque at i_max, MTPA" in found
+    core = replace(drive.flux_map, inside=np.hypot(d, q) <= 85.0)
+    found = named(replace(drive, flux_map=core), pole_pairs=PAIRS)
+    assert "Torque at 80 A, MTPA" in found
+    half = replace(drive.flux_map, inside=drive.flux_map.inside & (q < 0))
+    assert not any("at" in name for name in named(replace(drive, flux_map=half), pole_pairs=PAIRS))
+
+
+def test_what_is_not_known_is_left_out(drive):
+    assert not any("MTPA" in name for name in named(drive))
+    imported = replace(drive, method="imported", resistance=math.nan, error_modes=None)
+    found = named(imported, pole_pairs=PAIRS)
+    assert "R" not in found
+    assert "Inverter drop" not in found
+    assert all(math.isnan(found[name].sigma) for name in found if name != "ψ_PM")

@@ -1,0 +1,52 @@
+"""Values and standard errors as people read them."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_HALF_EVEN, Decimal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drive_id.quantity import measured
+
+SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9"), "k": 1000, "M": 10**6, "G": 10**9}
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "unit", "text"),
+    [
+        (0.0099971, 1.1e-5, "Ω", "9.997 ± 0.011 mΩ"),
+        (0.0099971, 1.1e-5, "ohm", "9.997 ± 0.011 mΩ"),
+        (0.35, 0.00996, "Ω", "350 ± 10 mΩ"),
+        (0.99996, math.nan, "V", "1 V"),
+        (999.96e-3, 1e-4, "V", "999.96 ± 0.10 mV"),
+        (-3.2e-5, 1.5e-6, "H", "−32.0 ± 1.5 µH"),
+        (1e-6, 2.5e-3, "Wb", "0.0 ± 2.5 mWb"),
+        (12345.0, 1234.0, "Nm", "12.3 ± 1.2 kNm"),
+        (12345.0, 1234.0, "samples", "12300 ± 1200 samples"),
+        (0.98051, 0.0031, "1", "0.9805 ± 0.0031"),
+        (0.0, math.inf, "A", "0 A"),
+        (math.nan, 1.0, "A", "unknown"),
+        (1 / 3, 1e-13, "V", "333.3 mV"),
+    ],
+)
+def test_examples(value, sigma, unit, text):
+    assert measured(value, sigma, unit) == text
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1e-4, 10.0), st.sampled_from([-1.0, 1.0]))
+def test_both_numbers_are_rounded_to_two_digits_of_the_error(size, share, sign):
+    """Against decimal arithmetic: the last digits of both stand for one tenth of the error's leading digit."""
+    value, sigma = sign * size, share * size
+    text = measured(value, sigma, "V").replace("\N{MINUS SIGN}", "-")
+    numbers, _, unit = text.rpartition(" ")
+    scale = SCALES[unit.removesuffix("V")]
+    shown_value, shown_sigma = (Decimal(part) * scale for part in numbers.split(" ± "))
+    exact = Decimal(sigma)
+    step = Decimal(1).scaleb(exact.adjusted() - 1)
+    assert shown_sigma in {exact.quantize(step, ROUND_HALF_EVEN), exact.quantize(step * 10, ROUND_HALF_EVEN)}
+    coarse = shown_sigma.adjusted() > exact.adjusted()  # 0.0996 is 0.10
+    assert abs(shown_value - Decimal(value)) <= step * (10 if coarse else 1) * Decimal("0.5001")
+    assert 1 <= max(abs(shown_value), shown_sigma) / scale < 1001

@@ -120,8 +120,8 @@ def splines() -> Iterator[str]:
         for cells in (8, 12, 16, 20):
             for bend, name in ((2.0, "bent"), (1e-3, "uniform")):
                 with (
-                    patch("drive_id.core.full.model.FLUX_CELLS", cells),
-                    patch("drive_id.core.maps.coenergy._BEND", bend),
+                    patch("drive_id.core.full.resolution.FLUX_CELLS", cells),
+                    patch("drive_id.core.maps.coenergy.bent_edges.__defaults__", (bend,)),
                 ):
                     data = Accumulation(simulation)
                     tried = [data.solved(replace(INGREDIENTS, penalty=penalty)) for penalty in PENALTIES]

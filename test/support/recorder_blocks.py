@@ -25,14 +25,15 @@ SPEED = 200.0
 
 
 def block(type_name, first, size=100, seed=0):
-    """Return one block of a machine that turns, its currents and voltages noise."""
+    """Return one block of a machine that turns, with noise for currents and voltages, padded to 4 bytes as by DDS."""
     rng = np.random.default_rng([seed, first])
     values = [rng.normal(0, 10, size).astype(np.float32) for _ in BLOCK_FIELDS[type_name]]
     if type_name == RESOLVER:
         angle = SPEED * PERIOD * (first + np.arange(size))
         values = [((angle + np.pi) % (2 * np.pi) - np.pi).astype(np.float32), np.full(size, SPEED, np.float32)]
     session = (1, first, False) if type_name == CURRENT_REFERENCE else None
-    return encode_block(START + round(first * PERIOD * 1e9), first, PERIOD, values, "drive", session)
+    data = encode_block(START + round(first * PERIOD * 1e9), first, PERIOD, values, "drive", session)
+    return data + bytes(-len(data) % 4)
 
 
 def feed(session, count, *, size=100, first=0, topics=TOPICS, lose=()):

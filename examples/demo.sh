@@ -41,7 +41,7 @@ echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. 
 start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
 start recorder "data_directory:='$output'"
 start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
-start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0
+start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0 watch_timeout:=3.0 # for busy computers; keep the defaults on a bench
 
 python -m drive_id.ros.characterize --compare --recording bag --truth "$output/truth.npz" --output "$output" &
 client=$!

@@ -14,8 +14,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 TOPICS = (
-    "current_reference", "phase_currents", "phase_voltages", "resolver", "dc_link_voltage", "winding_temperature",
-    "magnet_temperature", "shaft_torque",
+    "current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "dc_link_voltage",
+    "winding_temperature", "magnet_temperature", "shaft_torque",
 )  # fmt: skip
 
 

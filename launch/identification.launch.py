@@ -21,10 +21,13 @@ CONFIG = Path(__file__).resolve().parent.parent / "config"
 NODES = ("trajectory_publisher", "recorder", "identification", "signal_bridge")
 RESPAWN_DELAY = 2.0  # s
 SWITCH = {"true": True, "false": False, "True": True, "False": False}
-SWITCHES = ("use_sim_time", "autostart")
+SWITCHES = ("use_sim_time", "autostart", "require_status")
+NUMBERS = ("i_max", "speed_max")
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 OWN = {
     "i_max": (("trajectory_publisher", "identification"), "Radius of the current disc, A."),
+    "speed_max": (("trajectory_publisher",), "Highest electrical speed allowed, rad/s."),
+    "require_status": (("trajectory_publisher",), "Run only with a drive that publishes drive_status."),
     "data_directory": (("recorder", "identification"), "Folder of the recordings."),
     "output_directory": (("identification",), "Folder of the results."),
     "signals": (("identification", "signal_bridge"), "Signals file of a bench with topics of its own."),
@@ -33,8 +36,9 @@ OWN = {
 }
 """Parameters as launch arguments, the nodes that have them, and a sentence."""
 TOPICS = (
-    "current_reference", "phase_currents", "phase_voltages", "resolver", "dc_link_voltage", "winding_temperature",
-    "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points", "operating_point",
+    "current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "emergency_stop",
+    "dc_link_voltage", "winding_temperature", "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points",
+    "operating_point",
 )  # fmt: skip
 
 
@@ -106,7 +110,7 @@ def _value(name: str, text: str) -> Any:
     """Return an argument as the value of a parameter."""
     if name in SWITCHES:
         return SWITCH[text]
-    return _number(name, text) if name == "i_max" else ParameterValue(text, value_type=str)
+    return _number(name, text) if name in NUMBERS else ParameterValue(text, value_type=str)
 
 
 def _number(name: str, text: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -99,11 +100,13 @@ def test_what_is_not_given_does_not_hide_the_parameter_files(monkeypatch):
 def test_what_is_given_prevails(monkeypatch):
     bench = Launched("bench.launch.py", monkeypatch, machine="spm", truth_file="/tmp/truth.npz")
     assert bench.own(bench.nodes()["bench_simulator"]) == {"machine": "spm", "truth_file": "/tmp/truth.npz"}
-    launched = Launched("identification.launch.py", monkeypatch, i_max="300", use_sim_time="true", respawn="true")
+    given = {"i_max": "300", "speed_max": "400", "require_status": "false", "use_sim_time": "true", "respawn": "true"}
+    launched = Launched("identification.launch.py", monkeypatch, **given)
     nodes = launched.nodes()
     assert launched.own(nodes["recorder"]) == {"use_sim_time": True}
     assert launched.own(nodes["identification"]) == {"use_sim_time": True, "i_max": 300.0}
-    assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0}
+    supervision = {"speed_max": 400.0, "require_status": False}
+    assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0} | supervision
     assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification"}
 
 
@@ -147,3 +150,13 @@ def test_every_topic_can_be_renamed_and_every_file_has_what_its_node_is_told(mon
         text = Path(node.parameters[0].perform(launched.context)).read_text(encoding="utf-8")
         assert list(yaml.safe_load(text)) == ["/**"]  # for any name and namespace
     assert set(launched.module.TOPICS) <= set(launched.declared)
+
+
+def test_the_topics_are_those_that_the_nodes_use(monkeypatch):
+    """The policy is compared with the running nodes by a test of its own."""
+    profiles = ET.parse(ROOT / "config" / "sros2" / "drive_id.policy.xml").iter("profile")
+    used = {topic.text for profile in profiles for topic in profile.iter("topic")}
+    launched = Launched("identification.launch.py", monkeypatch)
+    assert set(launched.module.TOPICS) == {name for name in used if name[0] not in "/~"}
+    bench = set(Launched("bench.launch.py", monkeypatch).module.TOPICS)
+    assert bench == set(launched.module.TOPICS) - {"emergency_stop", "flux_map", "flux_map_points", "operating_point"}

@@ -33,6 +33,7 @@ SERVICES = {
     f"{RECORDER}/stop": StopRecording,
     f"{PUBLISHER}/start": Trigger,
     f"{PUBLISHER}/stop": Trigger,
+    f"{PUBLISHER}/clear_fault": Trigger,
     f"{IDENTIFICATION}/reset": Trigger,
     f"{IDENTIFICATION}/identify": Identify,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
@@ -274,6 +275,16 @@ class Bench:
         self._tell = None  # what shows progress may be what failed
         self.timeout = min(self.timeout, _STOPPING)
         return [self._stopped(node) for node in (PUBLISHER, RECORDER)]
+
+    def clear_fault(self) -> str:
+        """Permit a start again after a trip or an emergency stop; return the publisher's sentence.
+
+        Raises
+        ------
+        ExperimentError
+            When the cause persists, or the publisher does not answer.
+        """
+        return str(self._required(f"{PUBLISHER}/clear_fault").message)
 
     def _stopped(self, node: str) -> str:
         try:

@@ -11,6 +11,8 @@ from live_drive import LiveDrive
 from ros_bench import require_ros, ros_bench
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
+ON_RECEIPT = 3.5
+"""Time, s, in which set-points that were published ahead would not yet have run out."""
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +21,7 @@ def drive():
     require_ros()
     with pytest.MonkeyPatch.context() as patch, ros_bench() as ros:
         patch.setitem(ros.environment, "PYTHONPATH", f"{EXAMPLES}:{':'.join(sys.path)}")
-        real = {"use_sim_time": False, "i_max": 40.0, "lead_time": 2.0, "watch_timeout": 5.0, "duration": 2.0}
+        real = {"use_sim_time": False, "i_max": 40.0, "lead_time": 4.0, "watch_timeout": 5.0, "duration": 2.0}
         yield LiveDrive(ros, publisher=real, simulator="minimal_drive")
 
 
@@ -48,7 +50,7 @@ def test_a_whole_experiment(ready):
 def test_stop_acts_on_receipt(ready):
     ready.run_without_end(10.0)
     assert ready.trigger("stop").success
-    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+    ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
 
 
 def test_the_emergency_stop(ready):
@@ -58,7 +60,7 @@ def test_the_emergency_stop(ready):
     ready.run_without_end(10.0)
     ready.ros.wait(button.get_subscription_count, "somebody who listens to the emergency stop")
     button.publish(Bool(data=True))
-    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+    ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
     ready.wait_for_message("The emergency stop (/emergency_stop) is pressed.")
     button.publish(Bool(data=False))
     ready.refuses("it tripped before. The emergency stop")
@@ -78,7 +80,7 @@ def test_references_of_somebody_else(ready):
     block = CurrentReference(session=4711, sample_period=1e-4, d=[30.0] * 5000, q=[0.0] * 5000)
     block.header.stamp = ready.ros.node.get_clock().now().to_msg()
     rival.publish(block)
-    ready.ros.wait(ready.is_at_zero, "zero current", 2.0)
+    ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
     ready.wait_for_state("tripped")
     assert not any(status.session == 4711 for status in statuses)
     ready.ros.node.destroy_publisher(rival)

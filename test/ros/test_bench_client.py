@@ -43,6 +43,7 @@ class Nodes:
         self.parameter = Parameter
         publisher.create_service(Trigger, "~/start", self.answer("trajectory_publisher/start"))
         publisher.create_service(Trigger, "~/stop", self.answer("trajectory_publisher/stop"))
+        publisher.create_service(Trigger, "~/clear_fault", self.answer("trajectory_publisher/clear_fault"))
         recorder.create_service(StartRecording, "~/start", self.answer("recorder/start", uri="/data/bag"))
         recorder.create_service(
             StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=0.5)
@@ -172,6 +173,16 @@ def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):
     with pytest.raises(ExperimentError, match=r"The trajectory was stopped: trajectory_publisher reports\."):
         run_all()
     assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+
+
+def test_a_fault_is_cleared_or_it_is_told_why_not(nodes):
+    with client() as bench:
+        bench.wait_until_ready(30.0)
+        assert bench.clear_fault() == "trajectory_publisher/clear_fault says so."
+        nodes.refused = {"trajectory_publisher/clear_fault"}
+        with pytest.raises(ExperimentError, match=r"clear_fault: trajectory_publisher/clear_fault says so\."):
+            bench.clear_fault()
+    assert nodes.calls == ["trajectory_publisher/clear_fault"] * 2
 
 
 def test_a_refusal_is_passed_on_and_the_recording_is_closed(nodes):

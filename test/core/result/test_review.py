@@ -180,3 +180,12 @@ def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
     assert pieces.idle == whole.idle > 4000
     assert pieces.information.rows == whole.information.rows
     np.testing.assert_allclose(pieces.information.total, whole.information.total, rtol=1e-9)
+
+
+def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(good, monkeypatch):
+    """Where the checks say nothing: joint's standard errors are too wide to condemn a result."""
+    monkeypatch.setattr(Prescan, "findings", lambda _: ())
+    reversed_currents = replace(good, i_abc=-good.i_abc)
+    with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(-.*second speed"):
+        identify([reversed_currents], FitSettings("full"))
+    assert "resistance is negative" in told(reversed_currents)

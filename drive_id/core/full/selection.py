@@ -60,10 +60,16 @@ _FREE_TURN = np.deg2rad(3.0)
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
 machines, 12 of them faster than this, and in 5 with others, 4 of them slower, where they gained 0.03 to 0.06 %."""
 _MOST_WINDOWS = 1500
+_LEAST_SHIFT = 0.25
+"""Delay of the voltages, samples, nearer to half a sample than to none."""
 _MISFIT_WINDOWS = 6000
+"""Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
 _REFINEMENTS = 4
+"""Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
 _LOCAL = 1e-3
+"""Misfit of a cell, relative to the integrated voltage, that matters to nobody."""
 _NEAR_ZERO = 0.04
+"""Currents relative to i_max below which the steep inverter curve amplifies current noise."""
 _LEAST_SHARE = 0.03
 _ABOVE_OTHERS = 6.0
 
@@ -304,11 +310,12 @@ def _aligned(solver: Solver, spec: ModelSpec, settings: FitSettings, turn: float
     Voltages that are a sample off miss the steps of the drop, which looks like a compensation, like hard dead time, and
     like a map that is too coarse.
     """
-    if settings.calibrate_delay:
+    solution = _compensated(solver, spec)
+    if settings.calibrate_delay and abs(solver.delay(solution)[0]) > _LEAST_SHIFT:
         delay = estimate_delay(solver, solver.solve(spec), noise)
         if delay.physical and delay.significant(turn):
-            spec = replace(spec, delay=delay.nearest)
-    return _compensated(solver, spec)
+            return _compensated(solver, replace(spec, delay=delay.nearest))
+    return solution
 
 
 def _undelayed(solver: Solver, solution: FullSolution, settings: FitSettings) -> FullSolution:

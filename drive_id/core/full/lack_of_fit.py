@@ -19,14 +19,14 @@ from scipy import sparse
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.selection import HIGHEST_ORDER, LEAST_MISFIT, explained_shares
+from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.coverage import smoothed
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-LEAST_TOLD = LEAST_MISFIT
+LEAST_TOLD = 1.3
 """Ratio of the residuals to noise above which a warning is given."""
 
 _CELLS, _POSITIONS = 12, 48

@@ -35,8 +35,6 @@ from drive_id.core.full.zero_crossings import BetweenCrossings, between_crossing
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
-LEAST_MISFIT = 1.3
-"""Ratio of the residuals to noise above which finer cells are tried."""
 
 _CLEAR_GAIN, _SOME_GAIN = 0.05, 0.01
 _LEAST_SAVED = 3e-4

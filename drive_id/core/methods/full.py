@@ -33,7 +33,8 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, FloatArray, Samples
 
-_FINE, _DENSITY = 72, 2
+_FINE, _FINEST, _DENSITY = 72, 200, 2
+"""Splines per axis of the map for simulation and queries, at least and at most, and points per spline that they fit."""
 _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
@@ -232,7 +233,11 @@ def _harmonic(frame: TrueFrame, order: int, grid: FloatArray) -> tuple[int, Floa
 
 def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
     """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
-    d, q = (Axis(axis.low, axis.high, _FINE) for axis in (evidence.d, evidence.q))
+    cells = frame.fit.model.resolution
+    counts = (
+        int(np.clip(2 * (edges[-1] - edges[0]) / np.diff(edges).min(), _FINE, _FINEST)) for edges in (cells.d, cells.q)
+    )
+    d, q = (Axis(axis.low, axis.high, count) for axis, count in zip((evidence.d, evidence.q), counts, strict=True))
     places = sites(d, q, _DENSITY)
     points = places.reshape(-1, 2)
     gamma = fitted(frame.flux(points).reshape(places.shape), d, q)

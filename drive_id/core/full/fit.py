@@ -272,8 +272,8 @@ def fit_full(
     noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     if earlier is not None and not settings.passive_maps:
         return fit_again(sums, earlier, noise)
-    sums, selection, noise = select(sums, settings, turn, noise)
-    noise = CurrentNoise.met(noise.variance, sums.kept(), angle_variance)
+    sums, selection = select(sums, settings, turn, noise)
+    noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
     while True:
         solution, bias_bound = correct_attenuation(solver, uncertain, noise)

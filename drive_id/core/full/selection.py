@@ -100,23 +100,20 @@ class Selection:
     crossings: float = np.nan
 
 
-def select(
-    sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise
-) -> tuple[WindowSums, Selection, CurrentNoise]:
+def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> tuple[WindowSums, Selection]:
     """Select and fit a variant of the model, see :func:`~drive_id.core.full.fit.fit_full`.
 
     Returns
     -------
-    WindowSums, Selection, CurrentNoise
-        The sums cover other harmonics when the residuals show harmonics that were not among the candidates. The noise
-        is at most what the residuals allow: fast currents look like noise to their differences.
+    WindowSums, Selection
+        The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
     if settings.maps == "free":
         sums = sums.freed(sums.model.all_orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
-    noise = noise.at_most(solver, start)
-    sums, solver, start = _resolved(sums, solver, start, noise)
+    bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
+    sums, solver, start = _resolved(sums, solver, start, bounded)
     between = between_crossings(sums, solver, start, noise)
     if between and not _offset_shows(between, noise):
         sums, crossings = between.sums, between.excess
@@ -142,8 +139,8 @@ def select(
         del solver
         selection = _select(sums, start, settings, turn, noise)
     if selection.search.taken:  # what they explain may have hidden where the cells are too coarse
-        selection = _with_finer_cells(sums, selection, settings, turn, noise)
-    return selection.search.sums, replace(selection, crossings=crossings), noise
+        selection = _with_finer_cells(sums, selection, settings, turn, bounded)
+    return selection.search.sums, replace(selection, crossings=crossings)
 
 
 def _with_finer_cells(

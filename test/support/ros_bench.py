@@ -39,10 +39,13 @@ def require_ros():
         pytest.skip(complaint)
 
 
-def own_domain():
-    """Return a domain that no other test on this machine has, and the socket that holds it as long as it is open."""
+def own_domain(apart=0):
+    """Return a domain that no other test on this machine has, and the socket that holds it as long as it is open.
+
+    With ``apart``, it is not the one of an earlier module of this process, whose nodes may linger in the discovery.
+    """
     for attempt in range(DOMAINS):
-        domain = 1 + (os.getpid() + attempt) % DOMAINS
+        domain = 1 + (os.getpid() + apart + attempt) % DOMAINS
         lock = socket.socket(socket.AF_UNIX)
         try:
             lock.bind(f"\0drive_id_test_domain_{domain}")  # abstract: gone with the process, whatever its end

@@ -20,7 +20,7 @@ _BETTER_ROTATED, _BETTER_EXCHANGED = 0.6, 0.5
 drives, the best of these readings left 0.96 times as much as the right one, and 2.2 times."""
 _ALIKE = 1.02
 _REFUSED = 0.1
-_CERTAIN = 0.02
+_CERTAIN = 0.005
 """Unexplained share of the voltage above which voltages between phases or exchanged signals are refused: below, what a
 rough model misses at many degrees per sample may decide between readings."""
 _HOPELESS = 0.35

@@ -60,6 +60,8 @@ machines, 12 of them faster than this, and in 5 with others, 4 of them slower, w
 _MOST_WINDOWS = 1500
 _LEAST_SHIFT = 0.25
 """Delay of the voltages, samples, nearer to half a sample than to none."""
+_MOST_LEFT = 0.5
+"""Share of the squared residuals that a provisional delay may leave: hard dead time resembles one, but leaves more."""
 _MISFIT_WINDOWS = 6000
 """Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
 _REFINEMENTS = 4
@@ -307,9 +309,12 @@ def _aligned(solver: Solver, spec: ModelSpec, settings: FitSettings, turn: float
     """
     solution = _compensated(solver, spec)
     if settings.calibrate_delay and abs(solver.delay(solution)[0]) > _LEAST_SHIFT:
-        delay = estimate_delay(solver, solver.solve(spec), noise)
+        plain = solver.solve(spec)
+        delay = estimate_delay(solver, plain, noise)
         if delay.physical and delay.significant(turn):
-            return _compensated(solver, replace(spec, delay=delay.nearest))
+            delayed = replace(spec, delay=delay.nearest)
+            if solver.solve(delayed).sum_of_squares < _MOST_LEFT * plain.sum_of_squares:
+                return _compensated(solver, delayed)
     return solution
 
 

@@ -152,9 +152,10 @@ def _with_finer_cells(
     for _ in range(_REFINEMENTS):
         solution, model = selection.solution, selection.solver.model
         misfit = _misfit(selection.search.sums, solution, noise, selection.solver.total_voltage)
-        if not misfit.shows or not solution.spec.reciprocal:
+        cells = model.resolution.finer(misfit)
+        if not misfit.shows or cells is model.resolution or not solution.spec.reciprocal:
             break
-        finer = sums.resolved(model.resolution.finer(misfit), model.orders)
+        finer = sums.resolved(cells, model.orders)
         solver = Solver.over(finer)
         spec = replace(solution.spec, effects=(), delay=0.0 if settings.calibrate_delay else settings.voltage_delay)
         found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
@@ -181,7 +182,8 @@ def _resolved(
         if error is None:
             spec, error = solver.best_penalty(spec)
         local = cells.finer(misfit)
-        tried = [local, local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else [local]
+        tried = [] if local is cells else [local]  # as many as there may be
+        tried += [local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else []
         for candidate in tried:
             finer = sums.resolved(candidate, sums.model.orders)
             other = Solver.over(finer)

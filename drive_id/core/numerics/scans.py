@@ -26,15 +26,6 @@ def rising(stamp: IntArray) -> bool:
     return falls == 0
 
 
-@compiled("const i8[::1], const i8[::1], i8")
-def apart(clock: IntArray, stamp: IntArray, shift: int) -> bool:
-    """Tell whether the first N of the stamps (M,) exceed the entries of the clock (N,) by exactly ``shift``."""
-    others = 0
-    for k in range(len(clock)):
-        others += stamp[k] - clock[k] != shift
-    return others == 0
-
-
 @compiled("const f8[:, ::1], f8, f8, f8, i8, b1[::1]")
 def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
     """Mark in ``idle`` (N,) the samples after longer rests at zero current than allowed.

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.maps.flux_models import FluxModel, TensorSpline
+from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.running_sums import SavedSums, TimeBlocks
 from drive_id.core.paper.rows import FLUX, SampleIntegrals, add_rows, sample_integrals
-from drive_id.core.paper.spline_rows import add_spline_rows
 from drive_id.types import BoolArray, FloatArray, Samples
 
 CHUNK = 8192
@@ -109,11 +108,7 @@ class RegressionSums:
         self._blocks, self._starts, self.block_duration = list(blocks.sums), list(blocks.starts), blocks.duration
 
     def add(
-        self,
-        samples: Samples,
-        done: Callable[[int], None] | None = None,
-        left_out: BoolArray | None = None,
-        rotation: tuple[FloatArray, FloatArray] | None = None,
+        self, samples: Samples, done: Callable[[int], None] | None = None, left_out: BoolArray | None = None
     ) -> None:
         """Accumulate the rows of further samples.
 
@@ -124,54 +119,13 @@ class RegressionSums:
             Called with the number of samples done so far.
         left_out : (N,) bool, optional
             Samples to leave out.
-        rotation : (N,) float, (N,) float, optional
-            Cosine and sine of the angle, if known already.
         """
-        left_out = np.zeros(len(samples), np.bool_) if left_out is None else left_out
         for run in samples.runs():
             for chunk in _chunks(run):
-                if isinstance(self.model, TensorSpline):
-                    turned = rotation and (rotation[0][chunk], rotation[1][chunk])
-                    self._accumulate_splines(self.model, samples, chunk, left_out[chunk], turned)
-                else:
-                    integrals = sample_integrals(samples, chunk, self.model, self.shape, left_out)
-                    self._accumulate(integrals, samples.sample_period)
+                integrals = sample_integrals(samples, chunk, self.model, self.shape, left_out)
+                self._accumulate(integrals, samples.sample_period)
                 if done:
                     done(chunk.stop)
-
-    def _accumulate_splines(
-        self,
-        model: TensorSpline,
-        samples: Samples,
-        chunk: slice,
-        left_out: BoolArray,
-        rotation: tuple[FloatArray, FloatArray] | None,
-    ) -> None:
-        """Accumulate the products of :func:`sample_integrals` in one pass that forms no rows."""
-        i_abc, u_abc, angle, speed = (
-            array[chunk] for array in (samples.i_abc, samples.u_abc, samples.angle, samples.speed)
-        )
-        cosine, sine = rotation or (np.cos(angle), np.sin(angle))
-        drop = self.shape(i_abc)
-        axes = np.array([[axis.low, axis.high, axis.width] for axis in (model.d, model.q)])
-        counts = np.array([model.d.count, model.q.count], np.int64)
-        for pairs in self._spans(len(angle) - 1, samples.sample_period):
-            own = slice(pairs.start, pairs.stop + 1)
-            rows, outside = add_spline_rows(
-                i_abc[own],
-                u_abc[own],
-                drop[own],
-                cosine[own],
-                sine[own],
-                speed[own],
-                left_out[own],
-                samples.sample_period,
-                axes,
-                counts,
-                self._blocks[-1],
-            )
-            self.rows += rows
-            self.outside += outside
 
     def _accumulate(self, integrals: SampleIntegrals, period: float) -> None:
         self.rows += 2 * int(integrals.valid.sum())

@@ -140,8 +140,11 @@ def add_rows(
                     row_d[at + width + j] = -half_turn[k] * value[k + e, 1, j]
                     row_q[at + width + j] = sign * value[k + e, 1, j]
             for a in range(wide):
-                for b in range(wide):
-                    gram[where[a], where[b]] += row_d[a] * row_d[b] + row_q[a] * row_q[b]
+                for b in range(a):
+                    product = row_d[a] * row_d[b] + row_q[a] * row_q[b]
+                    gram[where[a], where[b]] += product
+                    gram[where[b], where[a]] += product
+                gram[where[a], where[a]] += row_d[a] * row_d[a] + row_q[a] * row_q[a]
     if pending >= 0:
         _scatter(local, column[pending], where, gram)
 

@@ -73,5 +73,5 @@ def test_both_halves_are_all_that_fits_need():
         }
         for half in (True, False)
     ]
-    assert {"add_spline_rows", "add_end", "locate"} <= parts[0]
-    assert {"_simulate", "read_blocks", "_follow_rotor"} <= parts[1]
+    assert {"add_rows", "add_end", "locate"} <= parts[0]
+    assert {"_simulate", "_follow_rotor"} <= parts[1]

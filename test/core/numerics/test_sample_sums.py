@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core.numerics.scans import all_finite, apart, difference_square, mark_rests, rising
-from drive_id.core.signals.matching import constant_shift
+from drive_id.core.numerics.scans import all_finite, difference_square, mark_rests, rising
 
 
 def test_rests_and_differences():
@@ -25,17 +24,3 @@ def test_scans():
     assert rising(np.array([1, 2, 3]))
     assert rising(np.array([1]))
     assert not rising(np.array([1, 2, 2]))
-    assert apart(np.array([1, 2]), np.array([4, 5, 9]), 3)
-    assert not apart(np.array([1, 2]), np.array([4, 6, 9]), 3)
-
-
-def test_a_constant_shift_is_one_only_where_partners_are_certain():
-    clock = 100 * np.arange(10)
-    assert constant_shift(clock, clock + 40) == 40
-    assert constant_shift(clock, clock + 60) is None
-    assert constant_shift(clock, clock + 60, 40) == 60
-    assert constant_shift(clock[:0], clock) is None
-    assert constant_shift(clock, clock[:5]) is None
-    later = clock + 3
-    later[4] += 1
-    assert constant_shift(clock, later) is None

@@ -1,9 +1,8 @@
-"""The one-pass kernel against the rows themselves, where trajectories are smooth and where they are not."""
+"""The kernel of cross products against the dense rows, where trajectories are smooth and where they are not."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -59,24 +58,3 @@ def test_the_kernel_sums_what_the_rows_give(n, seed, step, speed, leaving):
     assert np.abs(information.total - gram).max(initial=0) <= 1e-12 * largest + rounding
     assert (information.rows, information.outside) == (rows, outside)
     np.testing.assert_array_equal(information.total, information.total.T)
-
-
-@pytest.mark.parametrize("turn", [1e-9, 1e-3, 0.0999, 0.1001, 0.7, -0.3])
-def test_half_turns_below_and_above_the_series(turn):
-    samples = wild(40, 1, 1.0, 0.0)
-    samples = Samples(
-        samples.stamp, samples.i_abc, samples.u_abc, samples.angle, np.full(40, 2 * turn / 1e-4), samples.sample_period
-    )
-    information = RegressionSums(MODEL, TanhShape())
-    information.add(samples)
-    gram, *_ = expected(samples, np.zeros(40, bool))
-    scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram))) + 1e-300
-    assert (np.abs(information.total - gram) / scale).max() < 1e-11
-
-
-def test_a_rotation_that_is_known_already_changes_nothing():
-    samples = wild(200, 2, 1.0, 100.0)
-    one, other = RegressionSums(MODEL, TanhShape()), RegressionSums(MODEL, TanhShape())
-    one.add(samples)
-    other.add(samples, rotation=(np.cos(samples.angle), np.sin(samples.angle)))
-    np.testing.assert_array_equal(one.total, other.total)

@@ -169,6 +169,7 @@ class Bench:
         stamps = self._start + self._ahead + np.round(grid * (period * NANOSECONDS)).astype(np.int64)
         if self.faults.trip:
             self.references.fail("The parameter trip is set.")
+        self._drive.stator_frame = self.references.stator_frame
         samples = self._drive.step_block(self.references.take(stamps, period)).samples
         late = samples.stamp - np.round(grid[:: self._every] * (period * NANOSECONDS)).astype(np.int64)
         scalars = samples.scalars()

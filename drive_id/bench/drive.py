@@ -13,7 +13,7 @@ from drive_id.bench import effects, kernels, parameters
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.machine import Machine
 from drive_id.bench.profile import SpeedProfile
-from drive_id.bench.real_drive import run_with_effects
+from drive_id.bench.real_drive import run
 from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError, DataError
@@ -108,24 +108,34 @@ class Drive:
     ) -> None:
         self.machine = machine
         self.settings = settings
-        self.profile = SpeedProfile.from_settings(settings, duration)
+        rest = SpeedProfile(np.zeros(1), np.zeros(1))
+        self.profile = rest if settings.free_shaft else SpeedProfile.from_settings(settings, duration)
         self.drop = phase_drop_of(settings, machine.u_dc, machine.i_max)
         self._plant, self._controller, self._sensors = _kernel_parameters(machine, settings, self.drop)
         self._generators = [
             np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence(settings.seed).spawn(4)
         ]
-        self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start)
-        self._effects: np.record | None = None
+        self._state = _start(self._plant, self._controller, self._speed(np.zeros(1))[0], i_dq_start, settings)
         settling = np.full((max(parameters.HISTORY, round(SETTLING_TIME / settings.sample_period)), 2), i_dq_start)
-        if effects.acts_inside(settings):
-            self._effects = effects.effects_of(machine, settings)
-            self._more = effects.effect_state(settings, self._effects, self._plant, self._state)
+        self._acting = effects.acts_inside(settings)
+        self._effects = effects.effects_of(machine, settings)
+        self._more = effects.effect_state(settings, self._effects, self._plant, self._state)
+        self._effects.free_shaft = False  # the shaft is held while the drive settles
         self._next = -len(settling)
         self._run(settling, np.full(len(settling) + 1, self._speed(np.zeros(1))[0]))
         self._next = 0
-        if self._effects is not None:  # settling neither warms nor counts
-            self._more.temperature[:] = settings.copper_temperature, settings.magnet_temperature
-            self._more.energy[:] = 0.0
+        self._more.temperature[:] = settings.copper_temperature, settings.magnet_temperature
+        self._more.energy[:] = 0.0  # settling neither warms nor counts
+        self._effects.free_shaft = settings.free_shaft
+
+    @property
+    def stator_frame(self) -> bool:
+        """Whether the references are alpha and beta, which only a free shaft takes."""
+        return bool(self._effects.stator_frame)
+
+    @stator_frame.setter
+    def stator_frame(self, wanted: bool) -> None:
+        self._effects.stator_frame = wanted and self.settings.free_shaft
 
     @property
     def time(self) -> float:
@@ -214,7 +224,7 @@ class Drive:
             and field.name in recorded
             and (self.settings.log_scalars or field.name not in SCALAR_SETTINGS)
         } | {"u_dc": machine.u_dc}
-        if self._effects is not None:
+        if self._acting:
             details |= effects.truth_of(self.settings, machine, self._more, self.time)
         return GroundTruth(
             machine=machine.name,
@@ -246,44 +256,23 @@ class Drive:
         )
         shapes = ((n, 3), (n, 3), (n,), (n,), (n, 2), (n,))
         out = parameters.Signals(*(np.empty(shape) for shape in shapes))
-        course = None if self._effects is None else np.recarray(n, effects.COURSE)
+        course = np.recarray(n if self._acting else min(n, _INTERRUPTIBLE), effects.COURSE)
         for start in range(0, n, _INTERRUPTIBLE):  # between calls, Ctrl-C is heard
             stop = min(start + _INTERRUPTIBLE, n)
-            failed = self._run_part(
-                start,
-                reference[start:stop],
-                speed[start : stop + 1],
-                parameters.Noise(*(part[start:stop] for part in noise)),
-                parameters.Signals(*(part[start:stop] for part in out)),
-                None if course is None else course[start:stop],
-            )
+            part: Any = course[start:stop] if self._acting else course[: stop - start]
+            failed = run(
+                self._plant, self._effects, self._controller, self.drop, self._sensors, self._state, self._more,
+                2 * math.pi * self.machine.pole_pairs, self._next + start, reference[start:stop],
+                speed[start : stop + 1], parameters.Noise(*(signal[start:stop] for signal in noise)),
+                parameters.Signals(*(signal[start:stop] for signal in out)), part,
+            )  # fmt: skip
             if failed >= 0:
                 raise ConfigurationError(
                     f"The simulation broke off at {self.time + (start + failed) * s.sample_period:.4f} s, where no "
                     f"current belongs to the flux on the map of machine '{self.machine.name}': check the map, or "
                     "reduce i_max or current_bandwidth."
                 )
-        return out, course
-
-    def _run_part(
-        self,
-        start: int,
-        reference: FloatArray,
-        speed: FloatArray,
-        noise: parameters.Noise,
-        out: parameters.Signals,
-        course: Any,
-    ) -> int:
-        """Run the kernel that the effects need; the plain one is faster and compiles faster."""
-        revolution = 2 * math.pi * self.machine.pole_pairs
-        plant, controller, sensors, state = self._plant, self._controller, self._sensors, self._state
-        if self._effects is None or course is None:
-            return kernels.run(plant, controller, sensors, state, revolution, reference, speed, noise, out)
-        first = self._next + start
-        return run_with_effects(
-            plant, self._effects, controller, self.drop, sensors, state, self._more, revolution, first, reference,
-            speed, noise, out, course,
-        )  # fmt: skip
+        return out, course if self._acting else None
 
 
 def _checked(i_dq_reference: FloatArray) -> FloatArray:
@@ -303,13 +292,12 @@ def _kernel_parameters(
         ripple=settings.speed_ripple,
         ripple_order=settings.ripple_order / machine.pole_pairs,
         period=settings.sample_period,
-        substeps=settings.substeps,
         current_tolerance=1e-6 * machine.i_max,
         flux_tolerance=_FLUX_TOLERANCE * float(np.abs(machine.mean_flux(machine.i_max, machine.i_max)).max()),
     )
     bandwidth = min(2 * math.pi * settings.current_bandwidth, 0.2 / settings.sample_period)
     controller = parameters.Controller(
-        table=machine.rough,
+        table=_assumed(machine, settings),
         resistance=machine.resistance,
         bandwidth=bandwidth,
         integral_rate=0.2 * bandwidth,
@@ -328,19 +316,34 @@ def _kernel_parameters(
     return plant, controller, sensors
 
 
+def _assumed(machine: Machine, settings: SimulationSettings) -> parameters.SplineTable:
+    """Return the rough map with the errors of what the controller assumes: k_psi psi(0) + k_L (psi(i) - psi(0))."""
+    factor, magnet = settings.controller_inductance, settings.controller_flux
+    if factor == magnet == 1.0:
+        return machine.rough
+    at_zero = machine.mean_flux(0.0, 0.0)[None, None, :, None]
+    return machine.rough._replace(coefficients=factor * machine.rough.coefficients + (magnet - factor) * at_zero)
+
+
 def _start(
-    plant: parameters.Plant, controller: parameters.Controller, speed: float, i_dq: tuple[float, float]
+    plant: parameters.Plant,
+    controller: parameters.Controller,
+    speed: float,
+    i_dq: tuple[float, float],
+    settings: SimulationSettings,
 ) -> parameters.DriveState:
-    """Return the state at angle 0 with the current on its reference and about the voltage that keeps it there."""
-    psi = kernels.evaluate(plant.table, *i_dq, 0.0)[:2]
+    """Return the state at the start angle with the current on its reference and the voltage that about keeps it."""
+    angle = settings.start_angle
+    psi = kernels.evaluate(plant.table, *i_dq, angle)[:2]
     resistance = controller.resistance
     u = complex(resistance * i_dq[0] - speed * psi[1], resistance * i_dq[1] + speed * psi[0])
     u *= min(1.0, controller.u_max / max(abs(u), 1e-9))
-    turned = u * np.exp(1j * (0.5 * speed * plant.period - 2 * np.pi / 3 * np.arange(3)))
+    turned = u * np.exp(1j * (angle + 0.5 * speed * plant.period - 2 * np.pi / 3 * np.arange(3)))
+    flux = complex(*psi) * np.exp(1j * angle)
     return parameters.DriveState(
-        flux=np.array(psi),
+        flux=np.array((flux.real, flux.imag)),
         current=np.array(i_dq, np.float64),
-        mean_angle=np.zeros(1),
+        mean_angle=np.full(1, angle),
         integral=np.zeros(2),
         flux_reference=np.tile(np.array(psi), (3, 1)),
         commands=np.tile(turned.real, (parameters.HISTORY, 1)),

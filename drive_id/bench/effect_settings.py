@@ -161,7 +161,42 @@ class SensorEffects:
     log_decimation: int = setting(1, "Log only every n-th sample; the control runs on", minimum=1, maximum=1000)
 
 
-EFFECT_GROUPS = (MachineEffects, InverterEffects, SensorEffects)
+@dataclass(frozen=True)
+class ShaftEffects:
+    """A shaft without load machine, which the machine's own torque turns, and its friction."""
+
+    free_shaft: bool = setting(
+        False, "Let the machine's own torque turn the shaft from standstill; false: a load machine holds the speeds"
+    )
+    inertia: float | None = setting(
+        None,
+        "Of the free shaft; default: the largest torque accelerates it by 4000 rad/s^2",
+        unit="kg m^2",
+        minimum=1e-9,
+    )
+    viscous_friction: float | None = setting(
+        None,
+        "Friction torque per mechanical speed; default: 1 % of the largest torque at 100 rad/s",
+        unit="N m s",
+        minimum=0.0,
+    )
+    coulomb_friction: float | None = setting(
+        None, "Friction torque against any motion; default: 1 % of the largest torque", unit="N m", minimum=0.0
+    )
+    cogging_torque: float = setting(0.0, "Amplitude of the cogging torque", unit="N m", minimum=0.0)
+    cogging_order: int = setting(0, "Periods of the cogging torque per revolution; 0: six per pole pair", minimum=0)
+    load_torque: float = setting(0.0, "Constant torque that pulls the free shaft backwards", unit="N m")
+    start_angle: float = setting(0.0, "True electrical angle at the start", unit="rad")
+    angle_reversed: bool = setting(False, "The angle falls where the phases say that it rises: two are exchanged")
+    angle_factor: float = setting(
+        1.0, "Measured electrical angle per true one, where the drive assumes other pole pairs", minimum=0.01
+    )
+    speed_observer: float = setting(
+        0.0, "Bandwidth of a tracking observer that the speed comes from; 0: exact speed", unit="Hz", minimum=0.0
+    )
+
+
+EFFECT_GROUPS = (MachineEffects, InverterEffects, SensorEffects, ShaftEffects)
 EFFECT_NAMES = tuple(field.name for group in EFFECT_GROUPS for field in fields(group))
 """Names of all effects, in the order of the groups."""
 LOG_ONLY = frozenset({"log_decimation", "log_zero_sequence", "stamp_jitter"})

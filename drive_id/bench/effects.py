@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,13 @@ from drive_id.bench.machine import Machine
 from drive_id.bench.parameters import DriveState, Plant
 from drive_id.bench.settings import SimulationSettings
 from drive_id.temperature import REFERENCE_TEMPERATURE
+
+DEFAULT_ACCELERATION = 4000.0
+"""Of the free shaft by the largest torque, mechanical, rad/s^2: that of a servo drive with a coupling."""
+_DEFAULT_FRICTION = 0.01
+"""Coulomb friction, and viscous friction at :data:`_FRICTION_SPEED`, as a fraction of the largest torque."""
+_FRICTION_SPEED = 100.0  # mechanical, rad/s
+_RIM_NODES = 721
 
 EFFECTS = np.dtype(
     [
@@ -54,6 +62,15 @@ EFFECTS = np.dtype(
         ("resolver_electrical", float, (MOST_ORDERS, 2)),  # amplitude and phase of the orders 1, 2, ..., rad
         ("resolver_mechanical", float, (MOST_ORDERS, 2)),
         ("largest_step", float),  # of the integration, s
+        ("free_shaft", bool),
+        ("stator_frame", bool),  # the references are alpha and beta
+        ("angle_scale", float),  # of the measured angle
+        ("torque_factor", float),  # 1.5 pole pairs
+        ("rotor_rate", float),  # pole pairs / inertia, 1/(kg m^2)
+        ("friction", float, (2,)),  # per electrical speed, N m s, and Coulomb, N m
+        ("cogging", float, (2,)),  # amplitude, N m, and electrical order
+        ("load_torque", float),  # N m
+        ("observer_rate", float),  # natural frequency of the observer of the speed, 1/s; 0 without
     ],
     align=True,
 )
@@ -66,7 +83,8 @@ EFFECT_STATE = np.dtype(
         ("temperature", float, (2,)),  # of copper and magnet, degC
         ("filter", complex, (2,)),  # in the stator frame
         ("sampled", float, (3,)),  # phase currents at the sensors at the next sample, A
-        ("slope", float),  # d/dt of the mean speed before the next sample, rad/s^2
+        ("motion", float, (4,)),  # time since the sample, s; angle, speed and acceleration then, without ripple, rad
+        ("observer", float, (2,)),  # predicted angle, rad, and speed, rad/s
         ("energy", float, (5,)),  # into the terminals, and lost in copper, inverter, iron, magnets, J
     ],
     align=True,
@@ -106,7 +124,7 @@ def active(settings: SimulationSettings) -> dict[str, object]:
 
 
 def acts_inside(settings: SimulationSettings) -> bool:
-    """Return whether an effect acts inside the control loop, so that the plain kernels cannot be used."""
+    """Return whether an effect acts inside the control loop: then the course of the inner quantities is kept."""
     return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
 
 
@@ -117,6 +135,7 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
     steps += [0.5 * s.iron_time_constant] if iron else []
     steps += [0.5 * s.flux_lag_time] if s.flux_lag > 0 else []
     pole, gain = _filter(s.current_filter, s.current_filter_order)
+    shaft = shaft_of(machine, s)
     capacities = (s.copper_heat_capacity, s.magnet_heat_capacity)
     return _record(
         EFFECTS,
@@ -158,6 +177,41 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
             (_padded(s.resolver_mechanical_errors), _padded(s.resolver_mechanical_phases)), axis=-1
         ),
         largest_step=min(steps),
+        free_shaft=s.free_shaft,
+        stator_frame=False,
+        angle_scale=-s.angle_factor if s.angle_reversed else s.angle_factor,
+        torque_factor=1.5 * machine.pole_pairs,
+        rotor_rate=machine.pole_pairs / shaft.inertia,
+        friction=np.array((shaft.viscous_friction / machine.pole_pairs, shaft.coulomb_friction)),
+        cogging=np.array((s.cogging_torque, (s.cogging_order or 6 * machine.pole_pairs) / machine.pole_pairs)),
+        load_torque=s.load_torque,
+        observer_rate=2 * math.pi * s.speed_observer,
+    )
+
+
+class Shaft(NamedTuple):
+    """Mechanical constants of the free shaft."""
+
+    inertia: float  # kg m^2
+    viscous_friction: float  # N m s
+    coulomb_friction: float  # N m
+
+
+def largest_torque(machine: Machine) -> float:
+    """Return the largest torque on the rim of the current disc, N m."""
+    angle = np.linspace(0, 2 * np.pi, _RIM_NODES)
+    i_d, i_q = machine.i_max * np.cos(angle), machine.i_max * np.sin(angle)
+    psi = machine.mean_flux(i_d, i_q)
+    return float(1.5 * machine.pole_pairs * np.max(psi[:, 0] * i_q - psi[:, 1] * i_d))
+
+
+def shaft_of(machine: Machine, s: SimulationSettings) -> Shaft:
+    """Return the shaft that the settings ask for, its defaults scaled by the machine's largest torque."""
+    torque = largest_torque(machine)
+    return Shaft(
+        s.inertia or torque / DEFAULT_ACCELERATION,
+        _DEFAULT_FRICTION * torque / _FRICTION_SPEED if s.viscous_friction is None else s.viscous_friction,
+        _DEFAULT_FRICTION * torque if s.coulomb_friction is None else s.coulomb_friction,
     )
 
 
@@ -174,19 +228,22 @@ def _padded(values: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def effect_state(settings: SimulationSettings, effects: np.record, plant: Plant, start: DriveState) -> np.record:
-    """Return the state at rest on the currents of ``start``, at angle 0 and the temperatures of the settings."""
+    """Return the state at rest on the currents and at the angle of ``start``, at the temperatures of the settings."""
     i_d, i_q = start.current
-    flux = kernels.evaluate(plant.table, i_d, i_q, 0.0)[:2]
-    phases = 2 * np.pi / 3 * np.arange(3)
+    angle = start.mean_angle[0]
+    flux = kernels.evaluate(plant.table, i_d, i_q, angle)[:2]
+    phases = 2 * np.pi / 3 * np.arange(3) - angle
+    turned = complex(i_d, i_q) * np.exp(1j * angle)
     no_filter = effects.filter_pole == 0
     return _record(
         EFFECT_STATE,
         iron_voltage=np.zeros(2),
         lagged=np.array(flux),
         temperature=np.array((settings.copper_temperature, settings.magnet_temperature)),
-        filter=np.zeros(2, np.complex128) if no_filter else -np.array((i_d, i_q)) / effects.filter_pole,
+        filter=np.zeros(2, np.complex128) if no_filter else -np.array((turned.real, turned.imag)) / effects.filter_pole,
         sampled=np.cos(phases) * i_d + np.sin(phases) * i_q,
-        slope=0.0,
+        motion=np.zeros(4),
+        observer=np.array((start.mean_angle[0], 0.0)),
         energy=np.zeros(5),
     )
 
@@ -195,6 +252,7 @@ def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, d
     """Return the details of the truth for scoring a fit of the ``duration``, s, simulated so far."""
     powers = dict(zip(("input", "copper", "inverter", "iron", "magnet"), state.energy, strict=True))
     warm = {"start": settings.copper_temperature, "end": float(state.temperature[0])}
+    shaft = shaft_of(machine, settings)._asdict() if settings.free_shaft else {}
     means = {f"{name}_power_mean": float(value) / duration for name, value in powers.items()} if duration else {}
     return {
         **{
@@ -206,6 +264,7 @@ def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, d
         "magnet_temperature_end": float(state.temperature[1]),
         "magnet_flux": float(machine.mean_flux(0.0, 0.0)[0]),
         **means,
+        **shaft,
     }
 
 

@@ -1,14 +1,6 @@
-"""The compiled heart of the simulated drive: flux splines, phase drop, controller and plant.
+"""Kernels of the simulated drive's parts: flux splines, phase drop, controller.
 
-All kernels live in this one file because the cache of compiled code only notices changes of a kernel's own file.
-
-The state of the plant is the stator flux linkage in the stator frame. There the voltage equation is
-
-    d/dt psi_ab = u_ab - R i_ab - drop_ab(i_abc),        i_dq = f^-1(e^(-J theta) psi_ab, theta),
-
-so neither the speed nor the rotor harmonics stand in what is integrated: they enter through the inverse of the flux
-map, found by Newton's method to rounding. The balance of voltages and the map are thus exact, and the fourth-order
-Runge-Kutta step only has to integrate the smooth, small R i + drop.
+They live in one file because the cache of compiled code only notices changes of a kernel's own file.
 """
 
 from __future__ import annotations
@@ -21,11 +13,8 @@ from drive_id.bench.parameters import (
     HISTORY,
     Controller,
     DriveState,
-    Noise,
     PhaseDrop,
     Plant,
-    Sensors,
-    Signals,
     SplineTable,
 )
 from drive_id.core.numerics.compiled import compiled
@@ -135,15 +124,6 @@ def phase_drops(drop: PhaseDrop, current: FloatArray) -> FloatArray:
 
 
 @compiled()
-def drop_alpha_beta(drop: PhaseDrop, i_alpha: float, i_beta: float) -> tuple[float, float]:
-    """Return the drop in the stator frame, V; its zero sequence drives no current."""
-    a = phase_drop(drop, i_alpha)
-    b = phase_drop(drop, -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta)
-    c = phase_drop(drop, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta)
-    return (2 * a - b - c) / 3, (b - c) / _SQRT3
-
-
-@compiled()
 def current_of_flux(
     table: SplineTable, psi_d: float, psi_q: float, theta: float, i_d: float, i_q: float, tolerance: float
 ) -> tuple[float, float, bool]:
@@ -171,96 +151,6 @@ def with_ripple(plant: Plant, mean_angle: float) -> float:
     if plant.ripple == 0.0:
         return mean_angle
     return mean_angle + plant.ripple / plant.ripple_order * math.sin(plant.ripple_order * mean_angle)
-
-
-@compiled()
-def _rate(
-    plant: Plant, u: tuple[float, float], i_dq: tuple[float, float], c: float, s: float
-) -> tuple[float, float, float, float]:
-    """Return d/dt psi and the drop in the stator frame, V."""
-    i_alpha, i_beta = c * i_dq[0] - s * i_dq[1], s * i_dq[0] + c * i_dq[1]
-    d_alpha, d_beta = drop_alpha_beta(plant.drop, i_alpha, i_beta)
-    return u[0] - plant.resistance * i_alpha - d_alpha, u[1] - plant.resistance * i_beta - d_beta, d_alpha, d_beta
-
-
-@compiled()
-def _current(
-    plant: Plant, p: float, q: float, theta: float, guess: tuple[float, float], c: float, s: float
-) -> tuple[tuple[float, float], bool]:
-    """Return the current (d, q) that belongs to the stator-frame flux (p, q)."""
-    i_d, i_q, good = current_of_flux(
-        plant.table, c * p + s * q, c * q - s * p, theta, guess[0], guess[1], plant.current_tolerance
-    )
-    return (i_d, i_q), good
-
-
-@compiled()
-def step(
-    plant: Plant,
-    u: tuple[float, float],
-    flux: tuple[float, float],
-    i_dq: tuple[float, float],
-    thetas: tuple[float, float, float],
-    h: float,
-) -> tuple[tuple[float, float], tuple[float, float], float, bool]:
-    """Make one step of Runge-Kutta's rule of order 4 under the voltage ``u``; angles at its start, middle and end.
-
-    Returns flux and current at the end, what the drop's curvature may have cost, Wb, and whether Newton converged.
-    """
-    p, q = flux
-    c, s = math.cos(thetas[0]), math.sin(thetas[0])
-    p1, q1, x1, y1 = _rate(plant, u, i_dq, c, s)
-    c, s = math.cos(thetas[1]), math.sin(thetas[1])
-    middle, good1 = _current(plant, p + 0.5 * h * p1, q + 0.5 * h * q1, thetas[1], i_dq, c, s)
-    p2, q2, _, _ = _rate(plant, u, middle, c, s)
-    middle, good2 = _current(plant, p + 0.5 * h * p2, q + 0.5 * h * q2, thetas[1], middle, c, s)
-    p3, q3, x3, y3 = _rate(plant, u, middle, c, s)
-    c, s = math.cos(thetas[2]), math.sin(thetas[2])
-    guess = (2 * middle[0] - i_dq[0], 2 * middle[1] - i_dq[1])
-    end, good3 = _current(plant, p + h * p3, q + h * q3, thetas[2], guess, c, s)
-    p4, q4, x4, y4 = _rate(plant, u, end, c, s)
-    p += h / 6 * (p1 + 2 * p2 + 2 * p3 + p4)
-    q += h / 6 * (q1 + 2 * q2 + 2 * q3 + q4)
-    end, good4 = _current(plant, p, q, thetas[2], end, c, s)
-    estimate = h / 6 * (abs(x1 - 2 * x3 + x4) + abs(y1 - 2 * y3 + y4))
-    return (p, q), end, estimate, good1 and good2 and good3 and good4
-
-
-@compiled()
-def hold(
-    plant: Plant, state: DriveState, u: tuple[float, float], speeds: tuple[float, float], span: tuple[float, float]
-) -> bool:
-    """Integrate the plant over part of a sample period under a constant voltage.
-
-    ``speeds`` are the mean electrical speeds at the period's ends, rad/s; ``span`` is the part of the period, s.
-    The steps are halved, down to 1/1024, where the drop bends sharply, that is where a phase current crosses zero.
-    """
-    steps = max(1, math.ceil(plant.substeps * (span[1] - span[0]) / plant.period - 1e-9))
-    tick = (span[1] - span[0]) / (steps * _FINEST)
-    slope = (speeds[1] - speeds[0]) / plant.period
-    mean = state.mean_angle[0]
-    flux, i_dq = (state.flux[0], state.flux[1]), (state.current[0], state.current[1])
-    now, size = 0, _FINEST
-    while now < steps * _FINEST:
-        start, middle, stop = span[0] + now * tick, span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
-        thetas = (
-            with_ripple(plant, mean + start * (speeds[0] + 0.5 * slope * start)),
-            with_ripple(plant, mean + middle * (speeds[0] + 0.5 * slope * middle)),
-            with_ripple(plant, mean + stop * (speeds[0] + 0.5 * slope * stop)),
-        )
-        new_flux, new_current, estimate, good = step(plant, u, flux, i_dq, thetas, size * tick)
-        if estimate > plant.flux_tolerance and size > 1:
-            size //= 2
-            continue
-        if not good:
-            return False
-        flux, i_dq = new_flux, new_current
-        now += size
-        if estimate < plant.flux_tolerance / 16 and size < _FINEST and now % (2 * size) == 0:
-            size *= 2
-    state.flux[0], state.flux[1] = flux
-    state.current[0], state.current[1] = i_dq
-    return True
 
 
 @compiled()
@@ -314,67 +204,7 @@ def control(
 
 
 @compiled()
-def _measure(
-    plant: Plant, sensors: Sensors, state: DriveState, speed: float, noise: Noise, out: Signals, k: int
-) -> None:
-    theta = with_ripple(plant, state.mean_angle[0])
-    for j in range(3):
-        c, s = math.cos(theta - j * 2 * math.pi / 3), math.sin(theta - j * 2 * math.pi / 3)
-        i = c * state.current[0] - s * state.current[1]
-        i = sensors.current_gain[j] * i + sensors.current_offset[j] + noise.current[k, j]
-        if sensors.current_quantum > 0.0:
-            i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
-        out.i_abc[k, j] = i
-    out.angle[k] = wrap(theta + sensors.angle_offset + noise.angle[k])
-    out.speed[k] = speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * state.mean_angle[0])) + noise.speed[k]
-    out.i_dq_true[k, 0], out.i_dq_true[k, 1] = state.current[0], state.current[1]
-    out.angle_true[k] = theta
-
-
-@compiled()
 def wrap(angle: float) -> float:
     """Return the angle in [-pi, pi)."""
     angle -= 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
     return angle - 2 * math.pi if angle >= math.pi else angle
-
-
-@compiled()
-def run(
-    plant: Plant,
-    controller: Controller,
-    sensors: Sensors,
-    state: DriveState,
-    revolution: float,
-    i_dq_reference: FloatArray,
-    mean_speed: FloatArray,
-    noise: Noise,
-    out: Signals,
-) -> int:
-    """Run the drive over a block of N samples and carry ``state`` on.
-
-    ``i_dq_reference`` is (N, 2), A; ``mean_speed`` (N + 1,) at the samples and at the end, rad/s; ``revolution`` the
-    electrical angle of one mechanical revolution, rad. Returns the sample at which the map could not be inverted, or
-    -1.
-    """
-    for k in range(len(i_dq_reference)):
-        _measure(plant, sensors, state, mean_speed[k], noise, out, k)
-        i_a, i_b, i_c = out.i_abc[k, 0], out.i_abc[k, 1], out.i_abc[k, 2]
-        i_alpha, i_beta = (2 * i_a - i_b - i_c) / 3, (i_b - i_c) / _SQRT3
-        c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
-        i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
-        reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
-        control(controller, plant.drop, state, i_dq, out.angle[k], out.speed[k], reference, plant.period)
-        for j in range(3):
-            out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
-        change = sensors.held_fraction * plant.period
-        for row, start, stop in ((2, 0.0, change), (1, change, plant.period)):
-            if stop > start:
-                u_a = state.commands[row, 0] + state.compensations[row, 0]
-                u_b = state.commands[row, 1] + state.compensations[row, 1]
-                u_c = state.commands[row, 2] + state.compensations[row, 2]
-                u = (2 * u_a - u_b - u_c) / 3, (u_b - u_c) / _SQRT3
-                if not hold(plant, state, u, (mean_speed[k], mean_speed[k + 1]), (start, stop)):
-                    return k
-        angle = state.mean_angle[0] + 0.5 * plant.period * (mean_speed[k] + mean_speed[k + 1])
-        state.mean_angle[0] = angle - revolution * math.floor(angle / revolution)
-    return -1

@@ -41,7 +41,6 @@ class Plant(NamedTuple):
     ripple: float  # amplitude of the speed ripple as a fraction of the mean speed
     ripple_order: float  # periods of the ripple per electrical revolution
     period: float  # sample period, s
-    substeps: int  # Runge-Kutta steps per sample period
     current_tolerance: float  # Newton step after which the current counts as found, A
     flux_tolerance: float  # what the bend of the drop may cost in one step, Wb
 

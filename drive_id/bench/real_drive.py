@@ -1,6 +1,9 @@
-"""Kernels of the drive with the effects of real drives; the plain drive is in :mod:`drive_id.bench.kernels`.
+"""Kernels of the drive: plant, inverter and sensors with the effects of real drives, each of which may be absent.
 
-The state is again the stator flux linkage in the stator frame. With the induced voltage e, the current i_m that
+The state of the plant is the stator flux linkage in the stator frame, so neither the speed nor the rotor harmonics
+stand in what is integrated: they enter through the inverse of the flux map, found by Newton's method to rounding. The
+balance of voltages and the map are thus exact, and the fourth-order Runge-Kutta step only has to integrate the smooth,
+small R i + drop. With the induced voltage e, the current i_m that
 magnetises the machine, the rotor position theta, the magnet temperature t and the mechanical angle theta_m,
 
     d/dt psi = e = u - R(t_copper) i - drop(i),                 i = i_m + G v + h v / sqrt(|v|^2 + s^2),
@@ -8,10 +11,12 @@ magnetises the machine, the rotor position theta, the magnet temperature t and t
     e^(-J theta) psi = m(theta_m) ((1 - k) f(i_m, theta) + k l) + (offset(t_magnet), 0),
     d/dt l = (f(i_m, theta) - l) / tau_lag,                     m = 1 + sum_n a_n cos(n theta_m),
 
+    J/p d/dt omega = 3/2 p psi x i_m - B omega/p - T_c sign(omega) - cogging(theta) - T_load     (free shaft only),
+
 where i flows in the terminals and G v + h v/... is the iron current; v lags the induced voltage slightly, because the
 field diffuses into the laminations. Temperatures and loss energies are updated after each step.
 
-numba's cache detects changes of a kernel's own file only: after a change in kernels.py, touch this file.
+The cache of numba detects changes of a kernel's own file only: after a change in kernels.py, touch this file.
 """
 
 from __future__ import annotations
@@ -29,6 +34,8 @@ from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray
 
 _FINEST = 1024
+_STICTION = 0.1
+"""Mechanical speed within which Coulomb friction changes its sign, rad/s."""
 _SQRT3 = math.sqrt(3.0)
 _REACH = (0.5, 0.5, 1.0)  # Runge-Kutta stages: fraction of the step from each rate to the next stage
 _WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
@@ -36,7 +43,6 @@ _SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
 _BEND = (1.0, 0.0, -2.0, 1.0)
 
 Pair = tuple[float, float]
-Five = tuple[float, float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 
@@ -80,8 +86,8 @@ def _drop(plant: Plant, effects: np.record, j: int, i: float) -> float:
 @compiled()
 def _rates(
     plant: Plant, effects: np.record, resistance: float, u: Pair, y: Six, i_dq: Pair, f: Pair, theta: float
-) -> tuple[Six, Pair, Pair, Five]:
-    """Return d/dt y, the terminal current, the drop (stator frame) and the powers into terminals and losses, W."""
+) -> tuple[Six, Pair, Pair, Six]:
+    """Return d/dt y, the terminal current, the drop (stator frame), powers into terminals and losses, W; torque, Nm."""
     (i_alpha, i_beta), iron = terminal_current(effects, i_dq, (y[2], y[3]), theta)
     i_b, i_c = -0.5 * i_alpha + 0.5 * _SQRT3 * i_beta, -0.5 * i_alpha - 0.5 * _SQRT3 * i_beta
     factors = effects.resistance_factor
@@ -101,15 +107,11 @@ def _rates(
         d_a * i_alpha + d_b * i_b + d_c * i_c,
         1.5 * (e_alpha * iron[0] + e_beta * iron[1]),
         magnet,
+        effects.torque_factor * (y[0] * (i_beta - iron[1]) - y[1] * (i_alpha - iron[0])),
     )
     rate = effects.iron_rate
     y_rate = (e_alpha, e_beta, rate * (e_alpha - y[2]), rate * (e_beta - y[3]), lag_d, lag_q)
     return y_rate, (i_alpha, i_beta), drop, powers
-
-
-@compiled()
-def _added(a: Five, b: Five, h: float) -> Five:
-    return a[0] + h * b[0], a[1] + h * b[1], a[2] + h * b[2], a[3] + h * b[3], a[4] + h * b[4]
 
 
 @compiled()
@@ -145,23 +147,24 @@ def _step(
     i_dq: Pair,
     thetas: tuple[float, float, float],
     h: float,
-) -> tuple[Six, Pair, tuple[Pair, Pair, Pair], Five, float, bool]:
+) -> tuple[Six, Pair, tuple[Pair, Pair, Pair], Six, float, bool]:
     """Make one step of the Runge-Kutta method of order 4; ``warm`` is resistance and flux offset at their temperatures.
 
-    Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies of the
-    step by Simpson's rule; the error estimated from the curvature of the drop, Wb; and whether Newton converged. The
-    stages are a loop, of which the fifth is the end of the step: unrolled, the kernel takes longer to compile.
+    Returns y and the machine's current at the end; the terminal current at start, middle and end; the energies and
+    the angular impulse of the step by Simpson's rule; the error estimated from the curvature of the drop, Wb; and
+    whether Newton converged. The stages are a loop, of which the fifth is the end of the step: unrolled, the kernel
+    takes longer to compile.
     """
     resistance, offset = warm
     at, new_y, i, first, theta = y, y, i_dq, i_dq, thetas[0]
     f = _map_flux(effects, offset, y, theta)
     i_start = i_middle = i_stop = (0.0, 0.0)
-    energy = (0.0, 0.0, 0.0, 0.0, 0.0)
+    energy = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     bend_alpha = bend_beta = 0.0
     good = True
     for stage in range(5):
         rate, current, drop, power = _rates(plant, effects, resistance, u, at, i, f, theta)
-        energy = _added(energy, power, _SIMPSON[stage] * h)
+        energy = _moved(energy, power, _SIMPSON[stage] * h)
         if stage % 2 == 0:
             i_start, i_middle, i_stop = i_middle, i_stop, current
         if stage == 4:
@@ -187,28 +190,64 @@ def _warm(plant: Plant, effects: np.record, more: np.record) -> Pair:
 
 
 @compiled()
-def integrate(
-    plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, speeds: Pair, span: Pair
-) -> bool:
+def _angle_at(plant: Plant, more: np.record, time: float) -> float:
+    """Return the electrical angle at ``time``, s since the sample."""
+    h = time - more.motion[0]
+    return with_ripple(plant, more.motion[1] + h * (more.motion[2] + 0.5 * more.motion[3] * h))
+
+
+@compiled()
+def _resistance(effects: np.record, angle: float, speed: float) -> float:
+    """Return the torque against the free shaft, Nm; Coulomb friction changes its sign within ``_STICTION`` of rest."""
+    torque = effects.load_torque + effects.friction[0] * speed
+    torque += effects.friction[1] * math.tanh(speed / (_STICTION * effects.pole_pairs))
+    return float(torque + effects.cogging[0] * math.sin(effects.cogging[1] * angle))
+
+
+@compiled()
+def _accelerate(effects: np.record, more: np.record, impulse: float, torque: float, time: float) -> None:
+    """Move the free shaft to ``time``, s since the sample, by the angular impulse, Nms, since the last step.
+
+    Velocity Verlet, with the torque of the machine by Simpson's rule; ``torque`` is that at the end, Nm.
+    """
+    motion = more.motion
+    h = time - motion[0]
+    angle = motion[1] + h * (motion[2] + 0.5 * motion[3] * h)
+    before = _resistance(effects, motion[1], motion[2])
+    speed = motion[2] + effects.rotor_rate * (impulse - before * h)
+    after = _resistance(effects, angle, speed)
+    speed -= 0.5 * h * effects.rotor_rate * (after - before)
+    motion[0], motion[1], motion[2] = time, angle, speed
+    motion[3] = effects.rotor_rate * (torque - _resistance(effects, angle, speed))
+
+
+@compiled()
+def integrate(plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, span: Pair) -> bool:
     """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
 
-    Arguments and the halving of steps where the drop bends are those of :func:`drive_id.bench.kernels.hold`.
+    The steps are halved, down to 1/1024, where the drop bends sharply, that is where a phase current crosses zero. The
+    rotor moves as ``more.motion`` says, which a free shaft updates after each step.
+
+    Parameters
+    ----------
+    u : (float, float)
+        Voltage in the stator frame, V.
+    span : (float, float)
+        The part of the period, s.
     """
     steps = max(1, math.ceil((span[1] - span[0]) / effects.largest_step - 1e-9))
     tick = (span[1] - span[0]) / (steps * _FINEST)
-    slope = (speeds[1] - speeds[0]) / plant.period
-    mean = state.mean_angle[0]
     warm = _warm(plant, effects, more)
     y = (state.flux[0], state.flux[1], more.iron_voltage[0], more.iron_voltage[1], more.lagged[0], more.lagged[1])
-    i_dq, energy = (state.current[0], state.current[1]), (0.0, 0.0, 0.0, 0.0, 0.0)
-    theta = with_ripple(plant, mean + span[0] * (speeds[0] + 0.5 * slope * span[0]))
+    i_dq, energy = (state.current[0], state.current[1]), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    theta = _angle_at(plant, more, span[0])
     now, size = 0, _FINEST
     while now < steps * _FINEST:
         middle, stop = span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
         thetas = (
             theta,
-            with_ripple(plant, mean + middle * (speeds[0] + 0.5 * slope * middle)),
-            with_ripple(plant, mean + stop * (speeds[0] + 0.5 * slope * stop)),
+            _angle_at(plant, more, middle),
+            _angle_at(plant, more, stop),
         )
         h = size * tick
         new_y, new_i, i, spent, estimate, good = _step(plant, effects, warm, u, y, i_dq, thetas, h)
@@ -217,7 +256,11 @@ def integrate(
             continue
         if not good:
             return False
-        y, i_dq, theta, energy = new_y, new_i, thetas[2], _added(energy, spent, 1.0)
+        y, i_dq, theta, energy = new_y, new_i, thetas[2], _moved(energy, spent, 1.0)
+        if effects.free_shaft:
+            c, s = math.cos(theta), math.sin(theta)
+            psi_d, psi_q = c * y[0] + s * y[1], c * y[1] - s * y[0]
+            _accelerate(effects, more, spent[5], effects.torque_factor * (psi_d * i_dq[1] - psi_q * i_dq[0]), stop)
         if effects.filter_pole != 0.0:
             for j in range(2):
                 more.filter[j] = _filtered(effects.filter_pole, more.filter[j], (i[0][j], i[1][j], i[2][j]), h)
@@ -233,7 +276,7 @@ def integrate(
 
 
 @compiled()
-def _heat(effects: np.record, more: np.record, energy: Five, time: float) -> None:
+def _heat(effects: np.record, more: np.record, energy: Six, time: float) -> None:
     """Add up the losses and update the temperatures of copper and magnets."""
     for k in range(5):
         more.energy[k] += energy[k]
@@ -254,6 +297,16 @@ def _angle_error(effects: np.record, theta: float) -> float:
         amplitude, phase = effects.resolver_mechanical[n, 0], effects.resolver_mechanical[n, 1]
         error += amplitude * math.cos((n + 1) * theta / effects.pole_pairs - phase)
     return float(error)
+
+
+@compiled()
+def _observe(effects: np.record, more: np.record, angle: float, period: float) -> float:
+    """Return the speed of a critically damped tracking observer of the angle, rad/s."""
+    rate, observer = effects.observer_rate, more.observer
+    error = wrap(angle - observer[0])
+    observer[1] += period * rate**2 * error
+    observer[0] = wrap(observer[0] + period * (observer[1] + 2 * rate * error))
+    return float(observer[1])
 
 
 @compiled()
@@ -278,12 +331,15 @@ def _measure(
         out.i_abc[k, j] = i
     mean, late = state.mean_angle[0], effects.latency
     theta = with_ripple(plant, mean)
-    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.slope * late))
-    angle = seen + _angle_error(effects, seen) + sensors.angle_offset + noise.angle[k]
+    seen = with_ripple(plant, mean - late * (speed - 0.5 * more.motion[3] * late))
+    angle = effects.angle_scale * (seen + _angle_error(effects, seen)) + sensors.angle_offset + noise.angle[k]
     if effects.angle_quantum > 0.0:
         angle = effects.angle_quantum * np.rint(angle / effects.angle_quantum)
     out.angle[k] = wrap(angle)
-    out.speed[k] = speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean)) + noise.speed[k]
+    out.speed[k] = effects.angle_scale * speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean))
+    if effects.observer_rate > 0.0:
+        out.speed[k] = _observe(effects, more, out.angle[k], plant.period)
+    out.speed[k] += noise.speed[k]
     (i_alpha, i_beta), _ = terminal_current(
         effects, (state.current[0], state.current[1]), (more.iron_voltage[0], more.iron_voltage[1]), theta
     )
@@ -428,10 +484,10 @@ def _vector(legs: FloatArray, scale: float) -> Pair:
 
 @compiled()
 def _period(
-    plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, speeds: Pair, u_dc: float
+    plant: Plant, effects: np.record, sensors: Sensors, state: DriveState, more: np.record, u_dc: float
 ) -> bool:
     """Integrate the plant over one sample period from mark to mark, and sample the phase currents of the next one."""
-    period, slope = plant.period, (speeds[1] - speeds[0]) / plant.period
+    period = plant.period
     legs, marks = np.empty(3), np.empty(16)
     _command(effects, state, 1 if sensors.held_fraction == 0.0 else 2, legs)
     _set_marks(effects, sensors, legs, period, marks)
@@ -444,16 +500,17 @@ def _period(
         if effects.switching:
             for j in range(3):
                 legs[j] = 0.5 * effects.u_dc if marks[10 + j] <= now < marks[13 + j] else -0.5 * effects.u_dc
-        if not integrate(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), speeds, (now, stop)):
+        if not integrate(plant, effects, state, more, _vector(legs, u_dc / effects.u_dc), (now, stop)):
             return False
-        theta = with_ripple(plant, state.mean_angle[0] + stop * (speeds[0] + 0.5 * slope * stop))
+        theta = _angle_at(plant, more, stop)
+        turn = effects.dead_time * more.motion[2]
         for j in range(3):
             if marks[j] == stop:
                 v = (more.iron_voltage[0], more.iron_voltage[1])
                 i, _ = terminal_current(effects, (state.current[0], state.current[1]), v, theta)
                 more.sampled[j] = _on_phase(_sensed(effects, more, i), j)
             if effects.switching:
-                _switch(plant, effects, state, more, marks, legs, stop, theta, effects.dead_time * speeds[0], j, u_dc)
+                _switch(plant, effects, state, more, marks, legs, stop, theta, turn, j, u_dc)
         if marks[3] == stop:
             _command(effects, state, 1, legs)
         now = stop
@@ -461,7 +518,7 @@ def _period(
 
 
 @compiled()
-def run_with_effects(
+def run(
     plant: Plant,
     effects: np.record,
     controller: Controller,
@@ -479,17 +536,23 @@ def run_with_effects(
 ) -> int:
     """Run the drive over a block of N samples, of which the first is sample ``first``, and update its state.
 
-    ``course`` is (N,) of dtype COURSE. Other arguments and result as for :func:`drive_id.bench.kernels.run`.
+    ``i_dq_reference`` is (N, 2), A; ``mean_speed`` (N + 1,) at the samples and at the end, rad/s; ``revolution`` the
+    electrical angle of one mechanical revolution, rad; ``course`` (N,) of dtype COURSE. Returns the sample at which the
+    map could not be inverted, or -1.
     """
     period = plant.period
     for k in range(len(i_dq_reference)):
-        _measure(plant, effects, sensors, state, more, mean_speed[k], noise, out, k)
+        speed = more.motion[2] if effects.free_shaft else mean_speed[k]
+        _measure(plant, effects, sensors, state, more, speed, noise, out, k)
         i_a, i_b, i_c = out.i_abc[k, 0], out.i_abc[k, 1], out.i_abc[k, 2]
         i_alpha, i_beta = (2 * i_a - i_b - i_c) / 3, (i_b - i_c) / _SQRT3
         c, s = math.cos(out.angle[k]), math.sin(out.angle[k])
         i_dq = (c * i_alpha + s * i_beta, c * i_beta - s * i_alpha)
         reference = (i_dq_reference[k, 0], i_dq_reference[k, 1])
-        control(controller, mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
+        if effects.stator_frame:
+            control(controller, mean_drop, state, (i_alpha, i_beta), 0.0, 0.0, reference, period)
+        else:
+            control(controller, mean_drop, state, i_dq, out.angle[k], out.speed[k], reference, period)
         for j in range(3):
             out.u_abc[k, j] = state.commands[1 - sensors.log_lead, j]
         u_dc = effects.u_dc
@@ -497,10 +560,14 @@ def run_with_effects(
             amplitude, frequency = effects.u_dc_waves[n, 0], effects.u_dc_waves[n, 1]
             u_dc += amplitude * effects.u_dc * math.sin(2 * math.pi * frequency * (first + k + 0.5) * period)
         _note(state, more, out.angle_true[k], u_dc, course[k])
-        speeds = (mean_speed[k], mean_speed[k + 1])
-        if not _period(plant, effects, sensors, state, more, speeds, u_dc):
+        more.motion[0], more.motion[1], more.motion[2] = 0.0, state.mean_angle[0], speed
+        if not effects.free_shaft:
+            more.motion[3] = (mean_speed[k + 1] - mean_speed[k]) / period
+        if not _period(plant, effects, sensors, state, more, u_dc):
             return k
-        more.slope = (speeds[1] - speeds[0]) / period
-        angle = state.mean_angle[0] + 0.5 * period * (speeds[0] + speeds[1])
+        if effects.free_shaft:
+            angle = more.motion[1]
+        else:
+            angle = state.mean_angle[0] + 0.5 * period * (mean_speed[k] + mean_speed[k + 1])
         state.mean_angle[0] = angle - revolution * math.floor(angle / revolution)
     return -1

@@ -52,6 +52,8 @@ class ReferenceBuffer:
         """Count of the last set-point applied."""
         self.last = np.zeros(2)
         """Reference in force, A."""
+        self.stator_frame = False
+        """Whether the references of this session are alpha and beta."""
         self._i_max = i_max
         self._slew_rate = slew_rate
         self._expected = 0
@@ -81,6 +83,7 @@ class ReferenceBuffer:
         session: int = 1,
         count: int = 0,
         safe: bool = False,
+        stator_frame: bool = False,
     ) -> None:
         """Add a block of set-points, which replaces all due at or after its stamp.
 
@@ -92,7 +95,7 @@ class ReferenceBuffer:
             s.
         d, q : (N,) float32
             A. Malformed blocks are counted and ignored.
-        session, count, safe
+        session, count, safe, stator_frame
             As in the message.
         """
         if safe:
@@ -117,7 +120,7 @@ class ReferenceBuffer:
             self.counts.beyond += len(values)
             self.fail(f"Set-points of {amplitude:.4g} A exceed the limit of {self._i_max:.4g} A.")
             return
-        self.session, self._expected = session, count + len(values)
+        self.session, self._expected, self.stator_frame = session, count + len(values), stator_frame
         kept = int(np.searchsorted(self._due, stamp))
         hold = np.full(len(due), round(_HOLD * sample_period * NANOSECONDS), np.int64)
         self._due = np.concatenate((self._due[:kept], due))

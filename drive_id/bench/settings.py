@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects
+from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects, ShaftEffects
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 from drive_id.types import SCALARS
@@ -13,7 +13,7 @@ INVERTERS = ("none", "tanh", "dead_time", "two_stage", "switching")
 
 
 @dataclass(frozen=True)
-class SimulationSettings(MachineEffects, InverterEffects, SensorEffects):
+class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEffects):
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
@@ -69,6 +69,12 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects):
     )
     current_bandwidth: float = setting(
         200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency", unit="Hz", minimum=1.0
+    )
+    controller_inductance: float = setting(
+        1.0, "Factor on the inductances that the current controller assumes", minimum=0.1, maximum=10.0
+    )
+    controller_flux: float = setting(
+        1.0, "Factor on the magnet flux that the current controller assumes", minimum=0.0, maximum=10.0
     )
     log_scalars: tuple[str, ...] = setting((), "Optional signals to log", choices=SCALARS)
     scalar_rate: float = setting(

@@ -63,16 +63,6 @@ def test_an_effect_without_strength_leaves_the_plain_drive():
     np.testing.assert_allclose(wrapped(same.samples.angle - plain.samples.angle), 0.0, atol=1e-9)
 
 
-def test_without_effects_the_plain_kernel_runs(monkeypatch):
-    def never(*_arguments):
-        raise AssertionError
-
-    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", never)
-    run(10, log_decimation=2)
-    with pytest.raises(AssertionError):
-        run(10, flux_lag=0.01)
-
-
 def test_block_by_block_equals_the_whole_bit_for_bit():
     settings = SimulationSettings(
         speeds=(500.0, -300.0), segment_durations=(0.1, 0.1), iron_conductance=0.3, flux_lag=0.03, current_filter=3e3,
@@ -189,14 +179,14 @@ def instants(monkeypatch):
     rows: list[np.ndarray] = []
     integrate, parts, begin = real_drive.integrate, 3, [-1.0]
 
-    def observed(plant, effects, state, more, u, speeds, span):
+    def observed(plant, effects, state, more, u, span):
         if span[0] == 0.0:
             begin[0] += 1
         edges = np.linspace(*span, parts + 1)
         for start, stop in pairwise(edges):
-            if not integrate(plant, effects, state, more, u, speeds, (start, stop)):
+            if not integrate(plant, effects, state, more, u, (start, stop)):
                 return False
-            angle = state.mean_angle[0] + stop * speeds[0]
+            angle = state.mean_angle[0] + stop * more.motion[2]  # at constant speed
             time = begin[0] * plant.period + stop
             rows.append(
                 np.concatenate(([time, angle], state.flux, state.current, more.lagged, more.temperature, more.energy))
@@ -205,7 +195,7 @@ def instants(monkeypatch):
 
     monkeypatch.setattr(real_drive, "integrate", observed)
     monkeypatch.setattr(real_drive, "_period", real_drive._period.function)
-    monkeypatch.setattr("drive_id.bench.drive.run_with_effects", real_drive.run_with_effects.function)
+    monkeypatch.setattr("drive_id.bench.drive.run", real_drive.run.function)
     return rows
 
 
@@ -666,6 +656,17 @@ ASSIGNMENTS = {
     "log_zero_sequence=true": [],
     "stamp_jitter=1e-5": [],
     "log_decimation=2": [],
+    "free_shaft=true": [],
+    "inertia=0.01": ["free_shaft=true"],
+    "viscous_friction=0.1": ["free_shaft=true"],
+    "coulomb_friction=5.0": ["free_shaft=true"],
+    "cogging_torque=2.0": ["free_shaft=true"],
+    "cogging_order=12": ["free_shaft=true", "cogging_torque=2.0"],
+    "load_torque=3.0": ["free_shaft=true"],
+    "start_angle=1.0": ["free_shaft=true"],
+    "angle_reversed=true": [],
+    "angle_factor=2.0": [],
+    "speed_observer=100.0": [],
 }
 """What ``--set`` says for each effect, with what it needs besides to show."""
 
@@ -681,7 +682,8 @@ def test_every_effect_is_set_by_name_changes_the_log_and_is_in_the_truth(assignm
     simulation, settings = signals([*ASSIGNMENTS[assignment], assignment])
     name = assignment.partition("=")[0]
     pairs = [
-        (getattr(without.samples, x), getattr(simulation.samples, x)) for x in ("stamp", "i_abc", "u_abc", "angle")
+        (getattr(without.samples, x), getattr(simulation.samples, x))
+        for x in ("stamp", "i_abc", "u_abc", "angle", "speed")
     ]
     assert any(a.shape != b.shape or np.abs(a - b).max() > 1e-5 for a, b in pairs)
     value = getattr(settings, name)

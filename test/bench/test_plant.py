@@ -10,10 +10,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RectBivariateSpline
 
-from drive_id.bench import kernels
 from drive_id.bench.drive import Drive, build_machine
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.parameters import DriveState
+from drive_id.bench.real_drive import integrate
 from drive_id.bench.settings import SimulationSettings
 
 T = 1e-4
@@ -102,14 +102,16 @@ def compare_with_oracle(source, settings, flux_and_slopes, tolerance):
 
 def replay(drive: Drive, state: DriveState, u_abc: np.ndarray, speed: float, parts: int, substeps: int) -> np.ndarray:
     """Repeat the plant's way under logged voltages in ``parts`` per period: (N * parts + 1, 4) of flux and current."""
-    plant = drive._plant._replace(substeps=substeps)
+    effects, more = drive._effects.copy(), drive._more.copy()
+    effects.largest_step = T / substeps
     state = DriveState(*(x.copy() for x in state))
     rows = [np.concatenate((state.flux, state.current))]
     edges = np.linspace(0, T, parts + 1)
     for u in u_abc:
         u_ab = (u @ np.cos(PHASES) * 2 / 3, u @ np.sin(PHASES) * 2 / 3)
+        more.motion[:] = 0.0, state.mean_angle[0], speed, 0.0
         for start, stop in pairwise(edges):
-            assert kernels.hold(plant, state, u_ab, (speed, speed), (start, stop))
+            assert integrate(drive._plant, effects, state, more, u_ab, (start, stop))
             rows.append(np.concatenate((state.flux, state.current)))
         state.mean_angle[0] += speed * T
     return np.array(rows)

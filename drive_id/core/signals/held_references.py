@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from drive_id.core.numerics.scans import all_finite, rising
-from drive_id.core.signals.matching import constant_shift
 from drive_id.core.signals.signal import Signal, finite_rows
 from drive_id.types import FloatArray, IntArray
 
@@ -57,17 +56,11 @@ class HeldReferences:
         if not len(self._stamp):
             return None
         late = int(0.1e9 * period)
-        begin, count = int(np.searchsorted(self._stamp, stamp[0])), len(stamp)
-        near = self._stamp[begin : begin + count + 1]
-        if constant_shift(stamp, near) == 0 and np.diff(near).min(initial=2 * late + 1) > late:
-            values: FloatArray = self._values[begin : begin + count].copy()
-            past = begin + count - 1
-        else:
-            index = np.searchsorted(self._stamp, stamp + late, side="right") - 1
-            first = np.maximum(index, 0)
-            valid = (index >= 0) & (stamp - self._stamp[first] <= 1.5e9 * (self._period or period))
-            values = self._values[first]
-            values[~valid] = np.nan
-            past = int(first[-1])
+        index = np.searchsorted(self._stamp, stamp + late, side="right") - 1
+        first = np.maximum(index, 0)
+        valid = (index >= 0) & (stamp - self._stamp[first] <= 1.5e9 * (self._period or period))
+        values = self._values[first]
+        values[~valid] = np.nan
+        past = int(first[-1])
         self._stamp, self._values = self._stamp[past:], self._values[past:]
         return values

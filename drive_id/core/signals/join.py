@@ -16,7 +16,7 @@ import numpy as np
 
 from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join_report import JoinReport, join_warnings
-from drive_id.core.signals.matching import Phase, constant_shift, partners
+from drive_id.core.signals.matching import Phase, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
 from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
@@ -140,7 +140,7 @@ class JoinResult:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _JoinedRows:
     """Joined samples that are not handed on yet: stamps (N,), currents and voltages (N, 3), angle and speed (N, 2)."""
 
     stamp: IntArray
@@ -149,19 +149,19 @@ class _Rows:
     position: FloatArray
 
     @classmethod
-    def none(cls) -> _Rows:
+    def none(cls) -> _JoinedRows:
         return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
 
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def __getitem__(self, part: slice | IntArray) -> _Rows:
-        return _Rows(self.stamp[part], self.i_abc[part], self.u_abc[part], self.position[part])
+    def __getitem__(self, part: slice | IntArray) -> _JoinedRows:
+        return _JoinedRows(self.stamp[part], self.i_abc[part], self.u_abc[part], self.position[part])
 
-    def before(self, other: _Rows) -> _Rows:
+    def before(self, other: _JoinedRows) -> _JoinedRows:
         if not len(self):
             return other
-        return _Rows(
+        return _JoinedRows(
             np.concatenate([self.stamp, other.stamp]),
             np.concatenate([self.i_abc, other.i_abc]),
             np.concatenate([self.u_abc, other.u_abc]),
@@ -246,7 +246,7 @@ class StreamJoin:
         self._given_up_to: int | None = None  # largest stamp of such partners
         self._fault: DataError | None = None
         self._taken: list[int | None] = [None, None]
-        self._carry = _Rows.none()
+        self._carry = _JoinedRows.none()
         self._continues = False  # the carry is the last sample handed on
         self._joined = 0
         self._early = 0
@@ -353,14 +353,21 @@ class StreamJoin:
         if not self._joined:
             raise _overlap_error([(track.name, *track.range) for track in self.tracks])
         if self._early > LARGEST_CUT * self._joined:
-            raise _early_error(clock, self._early, self._first_early, self._step * 1e-9)
+            raise SamplePeriodError(
+                f"{self._early} samples of {clock} follow each other within half of the sample period "
+                f"{period_text(self._step * 1e-9)}, the first {self._first_early * 1e-9:.6f} s after its start: "
+                "correct sample_period or the stamp source in a signals file."
+            )
         if not self.samples and self._cut:
             raise NoOverlapError(
                 f"The voltages of {self.tracks[1].name} are duty cycles, and the DC-link voltage is unknown during all "
                 "of them: record it, or give a constant scale in the signals file."
             )
         if not self.samples:
-            raise _no_run_error(clock)
+            raise NoOverlapError(
+                f"No {SHORTEST_RUN} consecutive samples of {clock} have partners in voltages and resolver: "
+                "record the signals without losses."
+            )
 
     def report(self) -> JoinReport:
         """Return what became of the signals."""
@@ -383,7 +390,7 @@ class StreamJoin:
                 f"{self._cut} samples were cut out, for their voltages are duty cycles and the DC-link voltage is "
                 "unknown."
             )
-        return report.with_warnings((*join_warnings(report), *given_up, *unknown))
+        return replace(report, warnings=(*join_warnings(report), *given_up, *unknown))
 
     @property
     def _step(self) -> float:
@@ -478,7 +485,7 @@ class StreamJoin:
             return False
         return True
 
-    def _match(self, *, final: bool) -> _Rows:
+    def _match(self, *, final: bool) -> _JoinedRows:
         """Return the samples whose partners are decided, and forget whatever is past."""
         clock, others, offsets = self.tracks[0], self.tracks[1:], self._offsets or (0, 0)
         decided = len(clock.stamp)
@@ -492,10 +499,8 @@ class StreamJoin:
                 clock.given_up += overdue - decided
                 decided = overdue
         stamp = clock.stamp[:decided]
-        rows = self._aligned(stamp)
-        if rows is None:
-            self._measure_drift(stamp)
-            rows = self._matched(stamp)
+        self._measure_drift(stamp)
+        rows = self._matched(stamp)
         if decided:
             for other, offset in zip(others, offsets, strict=True):
                 past = int(np.searchsorted(other.stamp, int(stamp[-1]) + offset, side="right")) - 1
@@ -506,27 +511,7 @@ class StreamJoin:
     def _note_given_up(self, stamp: int) -> None:
         self._given_up_to = max(stamp, self._given_up_to or stamp)
 
-    def _aligned(self, stamp: IntArray) -> _Rows | None:
-        """Return the samples at the clock's ``stamp`` (N,), if each signal has one for each of them, in order."""
-        parts, shifts = [], []
-        for k, (other, offset) in enumerate(zip(self.tracks[1:], self._offsets or (0, 0), strict=True)):
-            first = int(len(other.stamp) > 0 and other.stamp[0] == self._taken[k])
-            shift = constant_shift(stamp, other.stamp[first:], offset)
-            if shift is None or abs(shift - offset) > 0.5 * self._step:
-                return None
-            if first and 2 * abs(shift - offset) >= int(other.stamp[1]) - int(other.stamp[0]):
-                return None
-            parts.append(slice(first, first + len(stamp)))
-            shifts.append(shift)
-        phases = (Phase.constant(shift, len(stamp), self._step) for shift in shifts)
-        first_phase, second_phase = (before + phase for before, phase in zip(self._phases, phases, strict=True))
-        self._phases = first_phase, second_phase
-        for k, (other, part) in enumerate(zip(self.tracks[1:], parts, strict=True)):
-            self._taken[k] = int(other.stamp[part.stop - 1])
-        values = [other.values[part] for other, part in zip(self.tracks[1:], parts, strict=True)]
-        return _Rows(stamp, self.tracks[0].values[: len(stamp)], *values)
-
-    def _matched(self, stamp: IntArray) -> _Rows:
+    def _matched(self, stamp: IntArray) -> _JoinedRows:
         """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner."""
         others = self.tracks[1:]
         found = np.ones(len(stamp), np.bool_)
@@ -538,9 +523,9 @@ class StreamJoin:
             indices.append(index)
             found &= there
         if not found.any():
-            return _Rows.none()
+            return _JoinedRows.none()
         values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
-        return _Rows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
+        return _JoinedRows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
 
     def _measure_drift(self, stamp: IntArray) -> None:
         first, second = (
@@ -549,7 +534,7 @@ class StreamJoin:
         )
         self._phases = first, second
 
-    def _hand_on(self, new: _Rows) -> list[Piece]:
+    def _hand_on(self, new: _JoinedRows) -> list[Piece]:
         """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
         if not len(new):
             return []
@@ -575,7 +560,7 @@ class StreamJoin:
         self._continues = last_is_out
         return [piece] if piece else []
 
-    def _piece(self, rows: _Rows, runs: list[slice]) -> Piece | None:
+    def _piece(self, rows: _JoinedRows, runs: list[slice]) -> Piece | None:
         """Put runs into one piece, and count them."""
         if not runs:
             return None
@@ -620,23 +605,6 @@ def _derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatA
         for start, end in zip(starts, np.append(starts[1:], len(angle)), strict=True):
             speed[start:end] = np.gradient(np.unwrap(angle[start:end]), period)
     return speed
-
-
-def _early_error(name: str, count: int, after: int, period: float) -> SamplePeriodError:
-    """Return the error for samples that follow each other too soon, the first ``after`` ns behind the start."""
-    return SamplePeriodError(
-        f"{count} samples of {name} follow each other within half of the sample period "
-        f"{period_text(period)}, the first {after * 1e-9:.6f} s after its start: "
-        "correct sample_period or the stamp source in a signals file."
-    )
-
-
-def _no_run_error(name: str) -> NoOverlapError:
-    """Return the error for samples that are too scattered."""
-    return NoOverlapError(
-        f"No {SHORTEST_RUN} consecutive samples of {name} have partners in voltages and resolver: "
-        "record the signals without losses."
-    )
 
 
 def _overlap_error(ranges: Sequence[tuple[str, int, int]]) -> NoOverlapError:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,6 @@ class JoinReport:
     time_lost: float
     gaps: int
     warnings: tuple[str, ...] = ()
-
-    def with_warnings(self, warnings: tuple[str, ...]) -> JoinReport:
-        """Return this report with its sentences."""
-        return replace(self, warnings=warnings)
 
 
 def join_warnings(report: JoinReport) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.numerics.scans import apart
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, IntArray
 
@@ -20,31 +19,6 @@ def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
     left = np.maximum(right - 1, 0)
     closer: IntArray = np.where(np.abs(stamp[left] - clock) <= np.abs(stamp[right] - clock), left, right)
     return closer
-
-
-def constant_shift(clock: IntArray, stamp: IntArray, offset: int = 0) -> int | None:
-    """Return by how much ``stamp`` (M,) lies behind ``clock`` (N,), both increasing, ns, one by one.
-
-    Parameters
-    ----------
-    clock : (N,) int64
-    stamp : (M,) int64
-    offset : int
-        How far partners are expected to be apart, ns.
-
-    Returns
-    -------
-    int or None
-        ``None`` unless the k-th stamp is the one nearest to the k-th entry of the clock, and always as far from it.
-    """
-    count = len(clock)
-    if not 0 < count <= len(stamp):
-        return None
-    shift = int(stamp[0]) - int(clock[0])
-    if int(stamp[count - 1]) - int(clock[-1]) != shift or not apart(clock, stamp, shift):
-        return None
-    least = np.diff(stamp[: count + 1]).min() if len(stamp) > 1 else np.iinfo(np.int64).max
-    return shift if 2 * abs(shift - offset) < least else None
 
 
 @dataclass(frozen=True)
@@ -67,17 +41,9 @@ class Phase:
         """Measure the phase of ``stamp`` (M,), increasing, on ``clock`` (N,), ns, of period ``step``, ns."""
         if not len(clock) or not len(stamp):
             return cls()
-        shift = constant_shift(clock, stamp)
-        if shift is not None:
-            return cls.constant(shift, len(clock), step)
         away = stamp[nearest(clock, stamp)] - clock
         near = np.abs(away) <= step
         return cls(complex(np.exp(2j * np.pi * away[near] / step).sum()), int(near.sum()))
-
-    @classmethod
-    def constant(cls, shift: int, count: int, step: float) -> Phase:
-        """Return the phase of so many stamps, each ``shift``, ns, behind that of the clock."""
-        return cls(count * complex(np.exp(2j * np.pi * shift / step)), count) if abs(shift) <= step else cls()
 
     def __add__(self, other: Phase) -> Phase:
         return Phase(self.total + other.total, self.count + other.count)

@@ -1,6 +1,6 @@
 """Codec of our sample messages, which share one CDR layout: a header and one to three float32 arrays.
 
-``CurrentReference`` goes on with session, count and a flag, which bags of earlier versions lack and no reader needs.
+``CurrentReference`` goes on with session, count and two flags, which bags of earlier versions lack and no reader needs.
 
 The tests compare it with the general deserializer of rosbags.
 """
@@ -21,6 +21,8 @@ _TIME_AND_NAME = (struct.Struct(">iII"), struct.Struct("<iII"))
 LONGEST_REST = (3, 3, 24, 3)
 """Most bytes behind one, two or three arrays: padding, and behind two the rest of a ``CurrentReference``."""
 _COUNTS = (struct.Struct(">QdI"), struct.Struct("<QdI"))
+_NUMBER = (struct.Struct(">I"), struct.Struct("<I"))
+_FLOATS = (np.dtype(">f4"), np.dtype("<f4"))
 
 
 class BlockHead(NamedTuple):
@@ -63,7 +65,7 @@ def encode_block(
     sample_period: float,
     values: Sequence[NDArray[np.float32]],
     frame_id: str,
-    session: tuple[int, int, bool] | None = None,
+    session: tuple[int, int, bool, bool] | None = None,
 ) -> bytes:
     """Serialize one block as little-endian CDR.
 
@@ -78,8 +80,8 @@ def encode_block(
         The arrays in order of definition.
     frame_id : str
         Name of the drive.
-    session : (int, int, bool), optional
-        Session, count and ``safe`` of a ``CurrentReference``.
+    session : (int, int, bool, bool), optional
+        Session, count, ``safe`` and ``stator_frame`` of a ``CurrentReference``.
 
     Raises
     ------
@@ -95,7 +97,7 @@ def encode_block(
     arrays = b"".join(struct.pack("<I", len(v)) + v.astype("<f4").tobytes() for v in values)
     body = head + arrays
     if session is not None:
-        body += bytes(-len(body) % 8) + struct.pack("<QQ?", *session)
+        body += bytes(-len(body) % 8) + struct.pack("<QQ??", *session)
     return b"\x00\x01\x00\x00" + body
 
 
@@ -107,15 +109,23 @@ def read_head(data: bytes | memoryview) -> BlockHead:
     ValueError
         When the message does not begin like a block.
     """
+    return _read_head(data)[0]
+
+
+def _read_head(data: bytes | memoryview) -> tuple[BlockHead, int]:
+    """Return the head, and the position of the first array."""
     try:
         order = data[1]
         if data[0] or order > 1:
             raise ValueError("it does not begin like a CDR message")
         seconds, nanoseconds, length = _TIME_AND_NAME[order].unpack_from(data, 4)
-        first_sample, sample_period, samples = _COUNTS[order].unpack_from(data, (16 + length + 3) // 8 * 8 + 4)
+        position = (16 + length + 3) // 8 * 8 + 4
+        first_sample, sample_period, samples = _COUNTS[order].unpack_from(data, position)
     except (struct.error, IndexError):
         raise ValueError("it ends too early") from None
-    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples)
+    if nanoseconds >= NANOSECONDS:
+        raise ValueError("its stamp has more than a second of nanoseconds")
+    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples), position + 16
 
 
 def decode_block(data: bytes | memoryview, fields: int) -> Block:
@@ -126,30 +136,21 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
     ValueError
         When the message is not such a block; says why.
     """
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("it does not begin like a CDR message")
-    order = "<" if data[1] else ">"
-    body = memoryview(data)[4:]
-    try:
-        seconds, nanoseconds, length = struct.unpack_from(order + "iII", body, 0)
-        position = 12 + length
-        position += -position % 8
-        first_sample, sample_period = struct.unpack_from(order + "Qd", body, position)
-        position += 16
-        values = []
-        for _ in range(fields):
-            (count,) = struct.unpack_from(order + "I", body, position)
-            position += 4
-            if count * 4 > len(body) - position:
-                raise ValueError(f"it declares {count} samples, more than it holds")
-            values.append(np.frombuffer(body, order + "f4", count, position).astype(np.float32))
-            position += 4 * count
-    except struct.error:
-        raise ValueError("it ends too early") from None
-    if len(body) - position > LONGEST_REST[fields]:
+    head, position = _read_head(data)
+    number, floats = _NUMBER[data[1]], _FLOATS[data[1]]
+    values = []
+    for _ in range(fields):
+        try:
+            (count,) = number.unpack_from(data, position)
+        except struct.error:
+            raise ValueError("it ends too early") from None
+        position += 4
+        if count * 4 > len(data) - position:
+            raise ValueError(f"it declares {count} samples, more than it holds")
+        if count != head.samples:
+            raise ValueError(f"its arrays have different lengths, {head.samples} and {count}")
+        values.append(np.frombuffer(data, floats, count, position).astype(np.float32, copy=False))
+        position += 4 * count
+    if len(data) - position > LONGEST_REST[fields]:
         raise ValueError("it is longer than its type allows")
-    if any(len(v) != len(values[0]) for v in values):
-        raise ValueError(f"its arrays have different lengths, {', '.join(str(len(v)) for v in values)}")
-    if nanoseconds >= NANOSECONDS:
-        raise ValueError("its stamp has more than a second of nanoseconds")
-    return Block(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, tuple(values))
+    return Block(head.stamp, head.first_sample, head.sample_period, tuple(values))

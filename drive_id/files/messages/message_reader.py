@@ -82,7 +82,7 @@ def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryvie
     """
     name = topic.type_name
     if topic.encoding == "json":
-        return _json_decoded
+        return lambda data: json.loads(bytes(data))
     if topic.encoding not in ("cdr", "ros1"):
         raise MessageTypeError(
             f"{topic.name} is encoded as '{topic.encoding}', not as CDR, ROS 1 or JSON: record it with ROS 2, or "
@@ -100,10 +100,6 @@ def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryvie
             raise ValueError(str(error)) from error
 
     return decode
-
-
-def _json_decoded(data: bytes | memoryview) -> object:
-    return json.loads(bytes(data))
 
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:

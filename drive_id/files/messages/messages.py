@@ -31,7 +31,7 @@ _BODIES = {
     RESOLVER: "# Electrical angle, rad, in [-pi, pi), and speed, rad/s.\nfloat32[] angle\nfloat32[] speed\n",
     CURRENT_REFERENCE: (
         "# Current set-points, A, the first due at the stamp; safe: zero current on receipt.\n"
-        "float32[] d\nfloat32[] q\nuint64 session\nuint64 count\nbool safe\n"
+        "float32[] d\nfloat32[] q\nuint64 session\nuint64 count\nbool safe\nbool stator_frame\n"
     ),
     SCALAR_SAMPLES: "# One optional signal, V, degrees Celsius or Nm, as its topic says.\nfloat32[] value\n",
 }

@@ -16,20 +16,6 @@ from drive_id.files.messages.signal_sources import (
 from drive_id.types import FloatArray
 
 
-def is_plain(source: TimeSource) -> bool:
-    """Tell whether the fields of a source are in SI units and electrical radians as they are."""
-    if isinstance(source, PhaseSource):
-        simple = source.frame == "abc" and len(source.fields) == 3 and all(isinstance(x, str) for x in source.fields)
-        return simple and set(source.factors) == {1.0} and set(source.offsets) == {0.0}
-    if isinstance(source, RotorSource):
-        same = (source.angle_factor, source.angle_offset, source.speed_factor) == (1.0, 0.0, 1.0)
-        return same and source.angle_modulus is None
-    if isinstance(source, ScalarSource):
-        return (source.scale, source.offset) == (1.0, 0.0)
-    assert isinstance(source, ReferenceSource)
-    return source.scale == 1.0 and all(isinstance(entry, str) for entry in source.fields)
-
-
 def in_si_units(columns: list[FloatArray], source: TimeSource) -> FloatArray:
     """Return the values (N, K) in SI units and electrical radians.
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,16 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.signals.signal import Signal
-from drive_id.errors import ConfigurationError, EmptyTopicError, MessageTypeError, MissingTopicError
+from drive_id.errors import ConfigurationError, MessageTypeError, MissingTopicError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog, Rows, find_column
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
-from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder, SignalPart, spacing_remarks
-from drive_id.files.read.memory import MemoryGuard
+from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
 
 
@@ -60,7 +57,7 @@ class _Section:
         return (*self.values, *named)
 
 
-class ColumnStream:
+class ColumnStream(LogSignals):
     """The signals of one drive in an open log of columns.
 
     Parameters
@@ -83,75 +80,32 @@ class ColumnStream:
                 "names columns, which 'drive-id check LOG --draft FILE' proposes."
             )
         self._log = log
-        self._signals = signals
         self._sections: dict[str, _Section] = {}
         for name, source in signals.sources().items():
             with suppress(*[] if name in signals.needed else [MissingTopicError]):
                 self._sections[name] = _located(log, source, name)
-        self.topics = {
-            name: TopicInfo(f"{name} ({', '.join(section.source.paths)})", log.kind, None, "")
-            for name, section in self._sections.items()
-        }
-        self._builders = {
-            name: SignalBuilder(self.topics[name].name, name, section.source)
-            for name, section in self._sections.items()
-        }
+        sources = {name: section.source for name, section in self._sections.items()}
+        names = {name: f"{name} ({', '.join(source.paths)})" for name, source in sources.items()}
+        super().__init__(log.path, signals, sources, names, signals.needed)
+        self.topics = {name: TopicInfo(shown, log.kind, None, "") for name, shown in names.items()}
+        self._share = 0.0
 
-    @property
-    def continuous(self) -> bool:
-        """Whether every part is complete by itself."""
-        required = (section.source for name, section in self._sections.items() if name not in INTERPOLATED)
-        declared = all(source.sample_period is not None for source in required)
-        return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
+    def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
+        wanted = dict.fromkeys(column for section in self._sections.values() for column in section.columns)
+        for rows in self._log.parts(list(wanted)):
+            self._share = rows.progress
+            for name, section in self._sections.items():
+                try:
+                    piece = _piece(rows, section)
+                except (FieldPathError, ValueError, TypeError) as error:
+                    raise MessageTypeError(
+                        f"{self._names[name]} in {self._path} cannot be read ({error}): name other columns."
+                    ) from error
+                if len(piece.columns[0]):
+                    yield name, piece
 
-    def whole(self) -> dict[str, Signal]:
-        """Return the complete signals."""
-        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
-        guard = MemoryGuard(self._log.path)
-        for rows in self._log.parts(self._wanted):
-            for name, piece in self._pieces(rows):
-                pieces[name].append(piece)
-                if name == "currents":
-                    guard.add(len(piece.columns[0]), rows.progress)
-        self._refuse_empty(pieces)
-        return self._built(pieces)
-
-    def parts(self) -> Generator[SignalPart, None, None]:
-        """Yield the signals part by part."""
-        seen: set[str] = set()
-        for rows in self._log.parts(self._wanted):
-            pieces = {name: [piece] for name, piece in self._pieces(rows)}
-            seen.update(pieces)
-            yield SignalPart(self._built(pieces), rows.progress)
-        self._refuse_empty(seen)
-
-    def remarks(self) -> tuple[str, ...]:
-        """Return sentences on how the time of the signals was found; after :meth:`whole`."""
-        return spacing_remarks(self._builders.values())
-
-    @property
-    def _wanted(self) -> list[Column]:
-        return list(dict.fromkeys(column for section in self._sections.values() for column in section.columns))
-
-    def _refuse_empty(self, seen: Any) -> None:
-        for name in self._signals.needed:
-            if name not in seen and name not in INTERPOLATED:
-                raise EmptyTopicError(f"{self.topics[name].name} in {self._log.path} holds no sample: check the log.")
-
-    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
-        with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
-            return {name: self._builders[name].build(found) for name, found in pieces.items()}
-
-    def _pieces(self, rows: Rows) -> Iterator[tuple[str, MessageSamples]]:
-        for name, section in self._sections.items():
-            try:
-                piece = _piece(rows, section)
-            except (FieldPathError, ValueError, TypeError) as error:
-                raise MessageTypeError(
-                    f"{self.topics[name].name} in {self._log.path} cannot be read ({error}): name other columns."
-                ) from error
-            if len(piece.columns[0]):
-                yield name, piece
+    def _progress(self) -> float:
+        return self._share
 
 
 def largest_reference(path: Path, signals: SignalMap) -> float | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Generator, Iterable, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,40 +14,22 @@ from numpy.typing import NDArray
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
-from drive_id.files.messages.block_kernel import (
-    DAMAGED,
-    FIRST,
-    LOGGED,
-    SAMPLES,
-    SECTION,
-    STAMP,
-    UNUSUAL,
-    ByteArray,
-    copy_blocks,
-    read_blocks,
-)
 from drive_id.files.messages.message_reader import (
     DECODE_ERRORS,
     STAMP_LIMIT,
     MessageSamples,
     Reader,
-    block_columns,
     message_reader,
 )
-from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.files.messages.si_units import in_si_units, is_plain
+from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
-from drive_id.files.storage.mcap import MESSAGE, RECORD, McapStorage, PlainChunk
 from drive_id.types import SCALARS, FloatArray, IntArray
 
-PART_BYTES = 1 << 21
-"""Size of a part read from the chunks of MCAP files, bytes."""
 PART_SAMPLES = 1 << 15
-"""Size of a part read message by message, samples of the currents."""
-_LEAST_MESSAGE = RECORD.size + MESSAGE.size
+"""Size of a part, samples of the currents."""
 _LONGEST_PERIOD = 1e4
 _SAME_PERIOD = 1e-6
 INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
@@ -102,7 +85,110 @@ class SignalPart:
     progress: float
 
 
-class SignalStream:
+class LogSignals:
+    """The signals of one drive in an open log; its kinds say how the samples are read.
+
+    Parameters
+    ----------
+    path : Path
+        Of the log.
+    signals : SignalMap
+    sources : dict of str to TimeSource
+        By section of the signal map.
+    names : dict of str to str
+        Of topic or columns, by section.
+    required : iterable of str
+        Sections that must hold samples.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        signals: SignalMap,
+        sources: dict[str, TimeSource],
+        names: dict[str, str],
+        required: Iterable[str],
+    ) -> None:
+        self._path = path
+        self._signals = signals
+        self._sources = sources
+        self._names = names
+        self._required = [section for section in required if section not in INTERPOLATED]
+        self._builders = {
+            section: SignalBuilder(names[section], section, source) for section, source in sources.items()
+        }
+
+    @property
+    def continuous(self) -> bool:
+        """Whether every part is complete by itself: all sample periods are declared and the speed is recorded."""
+        required = (source for name, source in self._sources.items() if name not in INTERPOLATED)
+        declared = all(source.sample_period is not None for source in required)
+        return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
+
+    def whole(self) -> dict[str, Signal]:
+        """Return the complete signals; see :func:`extract_signals`."""
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        guard = MemoryGuard(self._path)
+        for section, piece in self._pieces():
+            pieces[section].append(piece)
+            if section == "currents":
+                guard.add(len(piece.columns[0]), self._progress())
+        self._refuse_empty(pieces)
+        return self._built({section: pieces[section] for section in self._sources if section in pieces})
+
+    def parts(self) -> Generator[SignalPart, None, None]:
+        """Yield the signals part by part; for the errors, see :func:`extract_signals`."""
+        seen: set[str] = set()
+        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
+        count = 0
+        for section, piece in self._pieces():
+            seen.add(section)
+            pieces[section].append(piece)
+            if section == "currents":
+                count += len(piece.columns[0])
+            if count >= PART_SAMPLES:
+                yield SignalPart(self._built(pieces), self._progress())
+                pieces, count = defaultdict(list), 0
+        yield SignalPart(self._built(pieces), self._progress())
+        self._refuse_empty(seen)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return sentences on how the time of the signals was found; after :meth:`whole`."""
+        found: dict[str, str] = {}
+        for builder in self._builders.values():
+            spacing = builder.spacing
+            if spacing is None or builder.topic in found:
+                continue
+            by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
+            lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
+            found[builder.topic] = (
+                f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
+                f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
+            )
+        return tuple(found.values())
+
+    def _refuse_empty(self, seen: Collection[str]) -> None:
+        for section in self._required:
+            if section not in seen:
+                raise EmptyTopicError(
+                    f"{self._names[section]} in {self._path} holds no sample: record again while the drive publishes "
+                    "it, or name another source in a signals file."
+                )
+
+    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
+        with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
+            return {section: self._builders[section].build(found) for section, found in pieces.items()}
+
+    def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
+        """Yield section and piece for whatever is read at once, if it holds samples, in order of arrival."""
+        raise NotImplementedError
+
+    def _progress(self) -> float:
+        """Return the part of the log that has been read, 0 to 1."""
+        raise NotImplementedError
+
+
+class SignalStream(LogSignals):
     """The signals of one drive in an open bag.
 
     Parameters
@@ -118,76 +204,16 @@ class SignalStream:
     """
 
     def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
+        sources = {section: source for section, source in signals.sources().items() if section in topics}
+        super().__init__(bag.path, signals, sources, {name: topic.name for name, topic in topics.items()}, sources)
         self._bag = bag
-        self._signals = signals
         self._topics = topics
-        self._sources = {section: source for section, source in signals.sources().items() if section in topics}
-        self._refuse_empty(section for section in self._sources if topics[section].count == 0)
-        self._builders = {
-            section: SignalBuilder(topics[section].name, section, source) for section, source in self._sources.items()
-        }
+        self._refuse_empty({section for section in sources if topics[section].count != 0})
         self._readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
-        self._columns: list[list[int]] = []
-        for section, source in self._sources.items():
+        for section, source in sources.items():
             self._readers[topics[section].name].append((section, message_reader(topics[section], source, signals)))
-            self._columns.append(block_columns(topics[section], source, signals) or [])
-
-    @property
-    def ours(self) -> bool:
-        """Whether all signals are blocks of our own messages in MCAP files, on a topic each."""
-        apart = len(self._readers) == len(self._sources)
-        mcap = all(isinstance(storage, McapStorage) for storage in self._bag.storages)
-        return apart and mcap and all(self._columns)
-
-    @property
-    def continuous(self) -> bool:
-        """Whether every part is complete by itself: all sample periods are declared and the speed is recorded."""
-        required = (source for name, source in self._sources.items() if name not in INTERPOLATED)
-        declared = all(source.sample_period is not None for source in required)
-        return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
-
-    def whole(self) -> dict[str, Signal]:
-        """Return the complete signals; see :func:`extract_signals`."""
-        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
-        guard = MemoryGuard(self._bag.path)
-        for section, piece in self._pieces():
-            pieces[section].append(piece)
-            if section == "currents":
-                guard.add(len(piece.columns[0]), self._progress())
-        self._refuse_empty(section for section in self._sources if section not in pieces)
-        return self._built({section: pieces[section] for section in self._sources if section in pieces})
-
-    def remarks(self) -> tuple[str, ...]:
-        """Return sentences on how the time of the signals was found; after :meth:`whole`."""
-        return spacing_remarks(self._builders.values())
-
-    def parts(self) -> Generator[SignalPart, None, None]:
-        """Yield the signals part by part; for the errors, see :func:`extract_signals`.
-
-        Raises
-        ------
-        UnusualError
-            When blocks of our own messages are stored in a form that the compiled reader does not know.
-        """
-        seen: set[str] = set()
-        for part in self._chunk_parts() if self.ours else self._message_parts():
-            seen.update(part.signals)
-            yield part
-        self._refuse_empty(section for section in self._sources if section not in seen)
-
-    def _refuse_empty(self, sections: Iterator[str]) -> None:
-        for section in sections:
-            if section in INTERPOLATED:
-                continue
-            raise EmptyTopicError(
-                f"{self._topics[section].name} in {self._bag.path} holds no sample: record again while the drive "
-                "publishes it."
-            )
-
-    # -- message by message ----------------------------------------------------------------------------------------
 
     def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
-        """Yield section and piece for each message with samples, in order of arrival."""
         for message in self._bag.messages(frozenset(self._readers)):
             for section, reader in self._readers[message.topic]:
                 piece = self._read_message(message, section, reader)
@@ -200,95 +226,12 @@ class SignalStream:
         except DECODE_ERRORS as error:
             said = (str(error) or type(error).__name__).split("\n")[0][:200]
             raise MessageTypeError(
-                f"A message on {message.topic} of {self._bag.path}, logged at {message.log_time} ns, cannot be read as "
+                f"A message on {message.topic} of {self._path}, logged at {message.log_time} ns, cannot be read as "
                 f"{self._topics[section].type_name} ({said}): name the right fields in a signals file."
             ) from error
 
-    def _message_parts(self) -> Iterator[SignalPart]:
-        pieces: dict[str, list[MessageSamples]] = defaultdict(list)
-        count = 0
-        for section, piece in self._pieces():
-            pieces[section].append(piece)
-            if section == "currents":
-                count += len(piece.columns[0])
-            if count >= PART_SAMPLES:
-                yield SignalPart(self._built(pieces), self._progress())
-                pieces, count = defaultdict(list), 0
-        yield SignalPart(self._built(pieces), self._progress())
-
-    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
-        with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
-            return {section: self._builders[section].build(found) for section, found in pieces.items()}
-
     def _progress(self) -> float:
         return sum(storage.progress for storage in self._bag.storages) / max(len(self._bag.storages), 1)
-
-    # -- our own blocks, straight from the chunks of MCAP files ----------------------------------------------------
-
-    def _chunk_parts(self) -> Iterator[SignalPart]:
-        found: Counter[str] = Counter()
-        for storage in self._bag.storages:
-            assert isinstance(storage, McapStorage)
-            channels = storage.channels(self._readers)
-            counts: Counter[int] = Counter()
-            chunks: list[PlainChunk] = []
-            size = 0
-            for chunk in storage.chunks(channels):
-                chunks.append(chunk)
-                size += len(chunk.data)
-                if size >= PART_BYTES:
-                    yield self._read_chunks(storage, channels, chunks, counts)
-                    chunks, size = [], 0
-            yield self._read_chunks(storage, channels, chunks, counts)
-            storage.check_counts(channels, counts)
-            for key, topic in channels.items():
-                found[topic] += counts[key]
-        self._bag.check_counts(frozenset(self._readers), found)
-
-    def _read_chunks(
-        self, storage: McapStorage, channels: dict[int, str], chunks: list[PlainChunk], counts: Counter[int]
-    ) -> SignalPart:
-        data = np.frombuffer(b"".join(chunk.data for chunk in chunks), np.uint8)
-        sections = np.full(1 << 16, -1, np.int64)
-        names = list(self._sources)
-        for key, topic in channels.items():
-            sections[key] = names.index(self._readers[topic][0][0])
-        fields = np.array([len(BLOCK_FIELDS[self._topics[section].type_name]) for section in names], np.int64)
-        table = np.empty((len(data) // _LEAST_MESSAGE + 1, 6), np.int64)
-        periods = np.empty(len(table))
-        count = start = 0
-        found = np.zeros(len(sections), np.int64)
-        for chunk in chunks:
-            stop, room = start + len(chunk.data), slice(count, None)
-            bits = periods[room].view(np.int64)
-            end, more, position = read_blocks(data, start, stop, sections, fields, table[room], bits, found)
-            if end == DAMAGED:
-                storage.refuse(chunk)
-            if end == UNUSUAL:
-                self._refuse_message(channels, chunk.data, position - start)
-            count += more
-            start = stop
-        table, periods = table[:count], periods[:count]
-        for key in channels:
-            counts[key] += int(found[key])
-        signals = {}
-        for number, section in enumerate(names):
-            own = (table[:, SECTION] == number) & (table[:, SAMPLES] > 0)
-            if own.any():
-                build = self._builders[section].build_blocks
-                signals[section] = build(data, table[own], periods[own], self._columns[number])
-        return SignalPart(signals, self._progress())
-
-    def _refuse_message(self, channels: dict[int, str], data: bytes, position: int) -> NoReturn:
-        """Raise the error for the message at a position of a chunk, or UnusualError if it is correct."""
-        body = position + RECORD.size
-        length = RECORD.unpack_from(data, position)[1]
-        channel, _, log_time, _ = MESSAGE.unpack_from(data, body)
-        topic = channels[channel]
-        message = RawMessage(topic, log_time, memoryview(data)[body + MESSAGE.size : body + length])
-        ((section, reader),) = self._readers[topic]
-        self._read_message(self._bag.decompressed(message), section, reader)
-        raise UnusualError
 
 
 class SignalBuilder:
@@ -378,40 +321,6 @@ class SignalBuilder:
             columns[0] += modulus * np.rint((self._last_angle - columns[0][0]) / modulus)
         self._last_angle = float(columns[0][-1])
 
-    def build_blocks(self, data: ByteArray, table: IntArray, periods: FloatArray, columns: list[int]) -> Signal:
-        """Return blocks of our own messages, one or more and none of them empty, as a signal.
-
-        Parameters
-        ----------
-        data, table, periods
-            See :func:`~drive_id.files.messages.block_kernel.read_blocks`.
-        columns : list of int
-            Which of the arrays to take.
-
-        Raises
-        ------
-        MessageTypeError, SamplePeriodError
-        """
-        logged = self.source.stamp == "log_time"
-        each, count = table[:, LOGGED if logged else STAMP], table[:, SAMPLES]
-        declared = self.period if self._begun else float(periods[0])
-        usual = (periods > 0.0) & (periods < _LONGEST_PERIOD)
-        usual &= np.abs(periods - (declared or 0.0)) <= _SAME_PERIOD * (declared or 0.0)
-        if not usual.all():
-            self._begin(declared)
-            k = int(np.argmin(usual))
-            self._check_period(float(periods[k]), int(each[k]))
-        self._begin(declared)
-        self._check_time(int(each.min()), int(each.max()))
-        self._block_period(int(count.max()))
-        stamp, values = np.empty(count.sum(), np.int64), np.empty((count.sum(), len(columns)))
-        own = np.full(len(table), declared)
-        copy_blocks(data, table, np.array(columns, np.int64), own, logged, stamp, values)
-        if not is_plain(self.source):
-            values = in_si_units(list(values.T), self.source)
-        start = np.concatenate(([0], np.cumsum(count)[:-1]))
-        return self._signal(stamp, values, start, self._losses(table[:, FIRST], count), self.period)
-
     def _signal(
         self, stamp: IntArray, values: FloatArray, block_start: IntArray, lost: tuple[int, int], period: float | None
     ) -> Signal:
@@ -489,19 +398,3 @@ def _unwrapped(stamp: IntArray, modulus: int, before: int | None) -> IntArray:
     ahead = np.diff(stamp, prepend=stamp[0] if before is None else before)
     rounds = np.cumsum(-np.floor_divide(ahead + modulus // 2, modulus))
     return np.asarray(stamp + rounds * modulus, np.int64)
-
-
-def spacing_remarks(builders: Iterable[SignalBuilder]) -> tuple[str, ...]:
-    """Return a sentence for each topic whose samples were taken as equally spaced."""
-    found: dict[str, str] = {}
-    for builder in builders:
-        spacing = builder.spacing
-        if spacing is None or builder.topic in found:
-            continue
-        by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
-        lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
-        found[builder.topic] = (
-            f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
-            f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
-        )
-    return tuple(found.values())

@@ -23,7 +23,7 @@ from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar
 from drive_id.files.read.column_stream import ColumnFile, ColumnStream
 from drive_id.files.read.conversion import conversions, rotor_at_currents, undecimated
-from drive_id.files.read.extraction import INTERPOLATED, SignalPart, SignalStream, UnusualError
+from drive_id.files.read.extraction import INTERPOLATED, LogSignals, SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
@@ -40,7 +40,7 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class JoinedLog:
     """The content of one bag or of several.
 
     Parameters
@@ -67,7 +67,7 @@ class Recording:
     warnings: tuple[str, ...]
 
 
-def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
+def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
     """Read one bag.
 
     Parameters
@@ -93,7 +93,7 @@ def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: s
         digests = {str(file): file_digest(file) for file in bag.files}
         names = {section: topic.name for section, topic in topics.items()}
         warnings = (*bag.warnings, *result.report.warnings)
-    return Recording(result.samples, (result.report,), truth, digests, names, warnings)
+    return JoinedLog(result.samples, (result.report,), truth, digests, names, warnings)
 
 
 def read_signals_only(
@@ -119,7 +119,7 @@ def read_signals_only(
         return found, {str(file): file_digest(file) for file in bag.files}, (*bag.warnings, *stream.remarks())
 
 
-def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> Recording:
+def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
     """Read several bags of one drive as one recording, each joined on its own; see :func:`read_recording`.
 
     Raises
@@ -141,7 +141,7 @@ def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, 
     samples, moved = merge([recording.samples for recording in recordings])
     warnings = [f"{path}: {text}" for path, rec in zip(paths, recordings, strict=True) for text in rec.warnings]
     warnings += [overlap_warning(paths[k]) for k in moved]
-    return Recording(
+    return JoinedLog(
         samples,
         tuple(report for recording in recordings for report in recording.reports),
         common_truth([recording.truth for recording in recordings]),
@@ -220,7 +220,7 @@ def bag_pieces(
 @contextmanager
 def _opened(
     path: Path, signals: SignalMap, namespace: str, *, angle: bool = True
-) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, SignalStream | ColumnStream]]:
+) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, LogSignals]]:
     if angle and not signals.resolver.angle:
         raise ConfigurationError(
             "Section 'resolver' of the signals file names no angle: name it, or fit with --method static, which needs "
@@ -238,7 +238,7 @@ def _opened(
         yield bag, topics, truth, SignalStream(bag, signals, topics)
 
 
-def _joined_at_once(path: Path, stream: SignalStream | ColumnStream, signals: SignalMap) -> JoinResult:
+def _joined_at_once(path: Path, stream: LogSignals, signals: SignalMap) -> JoinResult:
     found = stream.whole()
     with _naming(path):
         resolver, angle_error, said = rotor_at_currents(found, signals)
@@ -266,7 +266,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _joined(
     path: Path,
-    stream: SignalStream | ColumnStream,
+    stream: LogSignals,
     signals: SignalMap,
     topics: dict[str, TopicInfo],
     warnings: list[str],

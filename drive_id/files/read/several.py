@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
 
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overlap_warning
@@ -127,39 +124,24 @@ class SeveralBags:
         return f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"
 
 
-@contextmanager
-def digests_of(bags: Sequence[Path], *, threads: bool = True) -> Iterator[Future[dict[str, str]]]:
-    """Compute the digests of all files in another thread: file to its sha256, in order.
+def digests_of(bags: Sequence[Path]) -> dict[str, str]:
+    """Return the digests of all files, file to its sha256, in order; a bag that cannot be read ends them.
 
-    The future raises ConfigurationError when two bags hold the same file. Without ``threads``, it is done at once.
+    Raises
+    ------
+    ConfigurationError
+        When two bags hold the same file.
     """
-    left = Event()
-
-    def work() -> dict[str, str]:
-        found: dict[str, str] = {}
-        for bag in bags:
-            try:
-                files, _ = storage_files(bag)
-            except DriveIdError:  # the reader raises it, too, with the path
-                return found
-            own = {str(file): file_digest(file, lambda: not left.is_set()) for file in files}
-            for file, digest in own.items():
-                for other, known in found.items():
-                    if digest == known:
-                        raise ConfigurationError(f"{file} and {other} are the same recording: give each bag once.")
-            found |= own
-        return found
-
-    if not threads:
-        done: Future[dict[str, str]] = Future()
+    found: dict[str, str] = {}
+    for bag in bags:
         try:
-            done.set_result(work())
-        except ConfigurationError as error:
-            done.set_exception(error)
-        yield done
-        return
-    with ThreadPoolExecutor(1, "digest") as pool:
-        try:
-            yield pool.submit(work)
-        finally:
-            left.set()
+            files, _ = storage_files(bag)
+        except DriveIdError:  # the reader raises it, too, with the path
+            return found
+        own = {str(file): file_digest(file) for file in files}
+        for file, digest in own.items():
+            for other, known in found.items():
+                if digest == known:
+                    raise ConfigurationError(f"{file} and {other} are the same recording: give each bag once.")
+        found |= own
+    return found

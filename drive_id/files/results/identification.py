@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from drive_id.core.result.identification import (
     HarmonicMap,
     IdentifiedDrive,
     LinearMachine,
+    Mechanics,
     TorqueFit,
 )
 from drive_id.errors import DriveIdError, ResultError
@@ -254,6 +255,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "calibrations": [asdict(entry) for entry in identification.calibrations],
         "statements": list(identification.statements),
         "torque": None if identification.torque is None else asdict(identification.torque),
+        "mechanics": None if identification.mechanics is None else asdict(identification.mechanics),
         "linear_machine": None if identification.linear is None else asdict(identification.linear),
         "metrics": {
             "nrmse_d": nrmse_d,
@@ -391,7 +393,8 @@ def _identification(
         ),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=tuple(map(str, tree["statements"])),
-        torque=_torque(tree.get("torque")),
+        torque=_with_cogging(TorqueFit, tree.get("torque")),
+        mechanics=_with_cogging(Mechanics, tree.get("mechanics")),
         error_modes=modes,
         linear=_linear(tree.get("linear_machine")),
     )
@@ -401,10 +404,13 @@ def _linear(tree: Mapping[str, Any] | None) -> LinearMachine | None:
     return None if tree is None else LinearMachine(**{name: _number(value, np.inf) for name, value in tree.items()})
 
 
-def _torque(tree: Mapping[str, Any] | None) -> TorqueFit | None:
+_OfShaft = TypeVar("_OfShaft", TorqueFit, Mechanics)
+
+
+def _with_cogging(kind: type[_OfShaft], tree: Mapping[str, Any] | None) -> _OfShaft | None:
     if tree is None:
         return None
-    return TorqueFit(**{**tree, "cogging": tuple(Cogging(**entry) for entry in tree["cogging"])})
+    return kind(**{**tree, "cogging": tuple(Cogging(**entry) for entry in tree["cogging"])})
 
 
 def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drive_id.core.planning.planner import Candidate, Plan
+from drive_id.core.planning.free_shaft import AMPLITUDE, FreeShaftPlan
+from drive_id.core.planning.planner import Plan, PlannedExperiment
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.results.folder import check_absent, replace_file
 
@@ -85,6 +86,59 @@ def plan_yaml(plan: Plan, machine: str = "") -> str:
     return "\n".join(lines) + "\n"
 
 
+def free_shaft_tree(plan: FreeShaftPlan) -> dict[str, Any]:
+    """Return a plan for a free shaft as plain values; speeds mechanical, rad/s, errors percent."""
+    names = (
+        "inertia", "added_inertia", "share", "acceleration", "speed_max", "mean_speed", "frequency", "duration",
+        "swing",
+    )  # fmt: skip
+    flux, inertia = plan.expected
+    return {
+        "format": "drive_id plan",
+        "trajectory": "free_shaft",
+        **{name: getattr(plan, name) for name in names},
+        "expected": {"flux": flux, "inertia": inertia},
+        "statements": plan.statements(),
+        "warnings": plan.warnings(),
+        "machine": asdict(plan.machine),
+        "settings": asdict(plan.settings),
+    }
+
+
+def free_shaft_yaml(plan: FreeShaftPlan, machine: str = "") -> str:
+    """Write a plan for a free shaft as ROS parameters, see :func:`plan_yaml`."""
+    pairs, figure = plan.machine.pole_pairs, plan.figure
+    return "\n".join([
+        f"{_HEADER}: a free shaft of {plan.inertia:.4g} kg m^2 swings for {figure.duration:.4g} s.",
+        "# Better let a first start measure shaft_acceleration: characterize --first-start --free-shaft.",
+        "",
+        "/**/trajectory_publisher:",
+        "  ros__parameters:",
+        "    trajectory: free_shaft",
+        f"    i_max: {_number(plan.machine.i_max)}",
+        f"    amplitude: {_number(AMPLITUDE)}",
+        "    # Electrical, rad/s^2 (by i_max) and rad/s.",
+        f"    shaft_acceleration: {_number(plan.acceleration / AMPLITUDE * pairs)}",
+        f"    shaft_speed_max: {_number(plan.speed_max * pairs)}",
+        f"    mean_speed: {_number(plan.mean_speed * pairs)}",
+        f"    swing_frequency: {_number(plan.frequency)}",
+        f"    duration: {_number(plan.duration)}",
+        "    repeat: 1",
+        f"    slew_rate: {_number(math.ceil(_SLEW_RESERVE * figure.slope))}",
+        f"    sample_period: {_number(plan.settings.sample_period)}",
+        f"    lead_time: {_number(min(_LEAD_TIME, _MOST_AHEAD * plan.settings.sample_period))}",
+        "",
+        "# Where there is a simulated bench in place of the drive.",
+        "/**/bench_simulator:",
+        "  ros__parameters:",
+        *([f"    machine: {json.dumps(machine)}"] if machine else []),
+        f"    i_max: {_number(plan.machine.i_max)}",
+        f"    sample_period: {_number(plan.settings.sample_period)}",
+        "    free_shaft: true",
+        f"    inertia: {_number(plan.inertia)}",
+    ]) + "\n"  # fmt: skip
+
+
 def check_plan_output(path: Path) -> None:
     """Check, before the work is done, that a plan may be written to a path.
 
@@ -114,7 +168,7 @@ def write_plan(path: Path, text: str) -> None:
     replace_file(path, text.encode())
 
 
-def _experiment_tree(experiment: Candidate) -> dict[str, Any]:
+def _experiment_tree(experiment: PlannedExperiment) -> dict[str, Any]:
     trajectory = experiment.trajectory
     return {
         "frequency_d": trajectory.frequency_d,

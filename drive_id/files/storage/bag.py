@@ -6,7 +6,7 @@ import hashlib
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -84,9 +84,9 @@ class Bag:
             for message in storage.messages(topics):
                 found[message.topic] += 1
                 yield self.decompressed(message)
-        self.check_counts(topics, found)
+        self._check_counts(topics, found)
 
-    def check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
+    def _check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
         """Compare the numbers of messages found with ``metadata.yaml``.
 
         Raises
@@ -308,14 +308,8 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
-def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
+def file_digest(path: Path) -> str:
     """Return the sha256 of a file, hexadecimal.
-
-    Parameters
-    ----------
-    path : Path
-    going_on : callable
-        Checked after each piece; when it returns False, the digest covers what was read so far.
 
     Raises
     ------
@@ -325,7 +319,7 @@ def file_digest(path: Path, going_on: Callable[[], bool] = lambda: True) -> str:
     digest = hashlib.sha256()
     try:
         with open_input(path) as stream:
-            while going_on() and (piece := stream.read(1 << 20)):
+            while piece := stream.read(1 << 20):
                 digest.update(piece)
     except OSError as error:
         raise BagError(f"{path} cannot be read ({reason(error)}): check the disk or the network.") from error

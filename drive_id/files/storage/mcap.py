@@ -3,8 +3,7 @@
 ``mcap.StreamReader`` parses the records and checks the checksum of the data section. It trusts the file in four places,
 where this module does not: a declared length is compared with the bytes that are there before memory is taken for it;
 chunks are unpacked piece by piece and no further than their declared size; the checksums of the summary and of
-attachments are checked, too; and the records inside a chunk stay bytes, with their lengths checked, so that the
-compiled kernel of :mod:`~drive_id.files.messages.block_kernel` can read blocks without a Python object for each.
+attachments are checked, too; and of the records inside a chunk, whose lengths are checked, messages are not copied.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple, NoReturn, TypeVar, cast
+from typing import IO, TypeVar, cast
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -48,7 +47,7 @@ _FOOTER = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER.size + len(MCAP_MAGIC)
 _LARGEST_RECORD = LARGEST_CHUNK + (1 << 20)
 _MOST_DEFINED = 1 << 18
-"""Schemas and channels in one file; both have numbers of 16 bits."""
+"""Schemas and channels in one file, and in one chunk with repetitions; both have numbers of 16 bits."""
 _LARGEST_BREAK = 1 << 22
 _BUFFER = 1 << 20
 _NEVER_WRITTEN = 0
@@ -257,7 +256,7 @@ def chunk_records(chunk: bytes, position: int, known: set[bytes] | None = None) 
         Schemas and channels seen before, which are skipped; extended.
     """
     known = set() if known is None else known
-    plain, inner = memoryview(chunk), 0
+    plain, inner, defined = memoryview(chunk), 0, 0
     while inner < len(plain):
         body = inner + RECORD.size
         opcode, length = RECORD.unpack_from(plain, inner) if body <= len(plain) else (0, 0)
@@ -272,11 +271,12 @@ def chunk_records(chunk: bytes, position: int, known: set[bytes] | None = None) 
             yield records.Message(channel, log_time, data, publish_time, sequence)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             content = bytes(plain[body - RECORD.size : inner])
+            defined += 1
+            if max(defined, len(known)) > _MOST_DEFINED:
+                raise DamageError(f"the chunk at byte {position} is damaged (it defines too many channels)")
             if content in known:
                 continue
             known.add(content)
-            if len(known) > _MOST_DEFINED:
-                raise DamageError(f"the chunk at byte {position} is damaged (it defines too many channels)")
             kind = records.Schema if opcode == Opcode.SCHEMA else records.Channel
             yield _parsed(kind, content[RECORD.size :], position)
 
@@ -286,13 +286,6 @@ def _parsed(kind: type[Parsed], body: bytes | memoryview, position: int) -> Pars
         return cast(Parsed, kind.read(ReadDataStream(BytesIO(body))))  # type: ignore[attr-defined]  # not in the base
     except _PARSE_ERRORS as error:
         raise DamageError(f"the record at byte {position} is damaged") from error
-
-
-class PlainChunk(NamedTuple):
-    """The unpacked records of a chunk, and where it begins in the file, byte."""
-
-    data: bytes
-    position: int
 
 
 class McapStorage:
@@ -344,7 +337,7 @@ class McapStorage:
         MessageCountError
             When it holds more or fewer messages than it declares.
         """
-        wanted = self.channels(topics)
+        wanted = {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
         found: Counter[int] = Counter()
         try:
             for _, record in self._scan(wanted.keys()):
@@ -353,31 +346,7 @@ class McapStorage:
                     yield RawMessage(wanted[record.channel_id], record.log_time, record.data)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
-        self.check_counts(wanted, found)
-
-    def channels(self, topics: Collection[str]) -> dict[int, str]:
-        """Return the numbers of the channels of ``topics``, with their topics."""
-        return {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
-
-    def chunks(self, channels: Collection[int]) -> Iterator[PlainChunk]:
-        """Yield the chunks that may hold messages of ``channels``; does not check the declared counts.
-
-        Raises
-        ------
-        TruncatedBagError
-            When the file is damaged.
-        """
-        try:
-            for position, record in self._file.data(end=self._break):
-                if isinstance(record, records.Chunk):
-                    if self._may_hold(position, channels):
-                        yield PlainChunk(self._file.unpack(record, position), position)
-                elif isinstance(record, records.Message):
-                    head = RECORD.pack(Opcode.MESSAGE, MESSAGE.size + len(record.data))
-                    head += MESSAGE.pack(record.channel_id, record.sequence, record.log_time, record.publish_time)
-                    yield PlainChunk(head + record.data, position)
-        except DamageError as damage:
-            raise self._damaged(str(damage)) from damage
+        self._check_counts(wanted, found)
 
     @property
     def checked(self) -> bool:
@@ -389,16 +358,7 @@ class McapStorage:
         """Part of the file that has been read, 0 to 1."""
         return min(self._file.end / max(self._file.size, 1), 1.0)
 
-    def refuse(self, chunk: PlainChunk) -> NoReturn:
-        """Raise the error for a chunk whose records are damaged."""
-        try:
-            for _ in chunk_records(chunk.data, chunk.position):
-                pass
-        except DamageError as damage:
-            raise self._damaged(str(damage)) from damage
-        raise self._damaged(f"the chunk at byte {chunk.position} is damaged")
-
-    def check_counts(self, wanted: Mapping[int, str], found: Mapping[int, int]) -> None:
+    def _check_counts(self, wanted: Mapping[int, str], found: Mapping[int, int]) -> None:
         """Raise MessageCountError unless as many messages were found on each channel as the file declares."""
         if self._counts is None:
             return

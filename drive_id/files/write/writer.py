@@ -137,7 +137,7 @@ def _messages(samples: Samples, shift: int, topics: Topics, block_size: int) -> 
             stamp = int(every[start])
             end_time = int(every[end - 1]) + round(samples.sample_period * NANOSECONDS)
             columns = list(values[start:end].T)
-            session = None if when_full else (_SESSION, int(start), False)
+            session = None if when_full else (_SESSION, int(start), False, False)
             data = encode_block(stamp, int(start), samples.sample_period, columns, _FRAME, session)
             yield RawMessage(topics.absolute(name), end_time if when_full else stamp, data)
 

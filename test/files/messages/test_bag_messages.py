@@ -58,7 +58,7 @@ def test_hashes_agree_with_the_definitions_of_the_distribution(name):
 def test_blocks_are_cdr(name, stamp, first, period, frame, data):
     n = data.draw(st.integers(0, 5))
     columns = [np.array(data.draw(st.lists(FLOATS, min_size=n, max_size=n)), np.float32) for _ in BLOCK_FIELDS[name]]
-    session = (first, n, bool(n % 2)) if name == CURRENT_REFERENCE else None
+    session = (first, n, bool(n % 2), bool(n % 3)) if name == CURRENT_REFERENCE else None
     raw = encode_block(stamp, first, period, columns, frame, session)
     store = message_typestore()
     message = store.deserialize_cdr(raw, name)
@@ -67,7 +67,7 @@ def test_blocks_are_cdr(name, stamp, first, period, frame, data):
     for field, column in zip(BLOCK_FIELDS[name], columns, strict=True):
         np.testing.assert_array_equal(getattr(message, field), column)
     if session is not None:
-        assert (message.session, message.count, message.safe) == session
+        assert (message.session, message.count, message.safe, message.stator_frame) == session
         former = decode_block(encode_block(stamp, first, period, columns, frame), len(columns))
         assert (former.stamp, len(former)) == (stamp, n)
     for little in (True, False):
@@ -87,7 +87,7 @@ def test_every_broken_block_is_refused():
     with pytest.raises(ValueError, match="more than it holds"):
         decode_block(raw[:-20] + struct.pack("<I", 2**32 - 1) + raw[-16:], 3)
     unequal = encode_block(0, 0, 1e-4, [np.ones(4, np.float32), np.ones(3, np.float32)], "")
-    with pytest.raises(ValueError, match="different lengths, 4, 3"):
+    with pytest.raises(ValueError, match="different lengths, 4 and 3"):
         decode_block(unequal, 2)
 
 

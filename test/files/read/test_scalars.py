@@ -74,7 +74,6 @@ def test_rosbags_reads_what_we_write(tmp_path):
 
 @pytest.mark.parametrize("storage", [None, *StoragePlugin])
 def test_pieces_are_the_whole(tmp_path, monkeypatch, storage):
-    monkeypatch.setattr(extraction, "PART_BYTES", 3000)
     monkeypatch.setattr(extraction, "PART_SAMPLES", 300)
     write_recording(
         tmp_path / "bag", with_scalars(gap_at=2500), chunk_size=1500, scalar_periods={"winding_temperature": 0.2}

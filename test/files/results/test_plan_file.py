@@ -11,11 +11,19 @@ import yaml
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory
 from drive_id.core.experiment.trajectories import Lissajous
-from drive_id.core.planning.planner import Candidate, Plan
+from drive_id.core.planning.free_shaft import plan_free_shaft
+from drive_id.core.planning.planner import Plan, PlannedExperiment
 from drive_id.core.planning.prediction import Prediction
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import OutputError
-from drive_id.files.results.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan
+from drive_id.files.results.plan_file import (
+    check_plan_output,
+    free_shaft_tree,
+    free_shaft_yaml,
+    plan_tree,
+    plan_yaml,
+    write_plan,
+)
 from drive_id.settings import from_mapping
 
 MACHINE = RoughMachine(300.0, 4, 0.01, 1.4e-4, 2.9e-4, 0.06, 400.0)
@@ -23,8 +31,8 @@ PREDICTION = Prediction(1e-4, 2e-4, 1e-3, 1e-3, 2e-3)
 
 
 def planned(*speeds: float, sample_period: float = 1e-4) -> Plan:
-    experiment = Candidate(Lissajous(300.0, 7.3, 12.0), speeds, 10.0)
-    paper = Candidate(Lissajous(300.0, 3.7, 1.1), (500.0,), 10.0)
+    experiment = PlannedExperiment(Lissajous(300.0, 7.3, 12.0), speeds, 10.0)
+    paper = PlannedExperiment(Lissajous(300.0, 3.7, 1.1), (500.0,), 10.0)
     settings = PlanSettings(**asdict(MACHINE), sample_period=sample_period)
     return Plan(settings, MACHINE, experiment, PREDICTION, paper, PREDICTION, (30.0,) * len(speeds))
 
@@ -86,3 +94,19 @@ def test_an_earlier_plan_is_replaced_and_nothing_else(tmp_path):
     with pytest.raises(OutputError):
         write_plan(tmp_path, text)
     assert other.read_text() == "mine: true"
+
+
+@pytest.mark.parametrize("inertia", [0.003, 0.03, 0.3])
+def test_a_plan_for_a_free_shaft_is_a_file_that_publisher_and_bench_take(inertia):
+    machine = RoughMachine(300.0, 4, 0.01, 1.5e-4, 3.5e-4, 0.066, 400.0)
+    plan = plan_free_shaft(PlanSettings(**asdict(machine)), inertia)
+    nodes = {name: node["ros__parameters"] for name, node in yaml.safe_load(free_shaft_yaml(plan, "ipm")).items()}
+    settings = from_mapping(ExperimentSettings, nodes["/**/trajectory_publisher"], "the plan")
+    assert make_trajectory(settings).frequency == pytest.approx(plan.frequency)
+    assert settings.shaft_speed_max == pytest.approx(4 * plan.speed_max)
+    bench = nodes["/**/bench_simulator"]
+    of_bench = {name: bench.pop(name) for name in ("machine",)}
+    assert from_mapping(SimulationSettings, bench, "the plan").inertia == pytest.approx(plan.inertia)
+    assert from_mapping(BenchSettings, of_bench, "the plan").machine == "ipm"
+    tree = json.loads(json.dumps(free_shaft_tree(plan), allow_nan=False))
+    assert tree["added_inertia"] == pytest.approx(plan.inertia - inertia)

@@ -104,7 +104,7 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
         "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
         "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient",
-        "torque", "linear_machine", "files", "resistance_temperature",
+        "torque", "mechanics", "linear_machine", "files", "resistance_temperature",
     }  # fmt: skip
     assert (tree["pole_pairs"], tree["u_dc"], tree["duration"]) == (4, 400.0, pytest.approx(2.0))
     assert tree["speed_range"] == pytest.approx([500 * np.pi / 30 * 4] * 2, rel=1e-5)

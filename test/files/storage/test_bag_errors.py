@@ -416,7 +416,7 @@ def test_unequal_arrays(tmp_path):
         return {**block, "values": [block["values"][0][:-1], *block["values"][1:]]} if k == 2 else block
 
     blocks(tmp_path / "bag", shorten)
-    refused(tmp_path / "bag", MessageTypeError, "arrays have different lengths, 19, 20")
+    refused(tmp_path / "bag", MessageTypeError, "arrays have different lengths, 19 and 20")
 
 
 def test_a_stranger_without_header(tmp_path):

@@ -1,6 +1,8 @@
-"""The JSON schema of signals files, derived from the classes that read them.
+"""Write the JSON schema of signals files, derived from the classes that read them.
 
-``signals.schema.json`` beside this module is its text: editors check and complete signals files by it.
+    python tools/signals_schema.py
+
+Run it when a class in ``drive_id/files/messages/signal_sources.py`` changes.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ from drive_id.files.messages.signal_sources import (
 )
 from drive_id.types import SCALARS
 
-SCHEMA = Path(__file__).with_name("signals.schema.json")
-"""The published schema."""
+SCHEMA = Path(__file__).parent.parent / "drive_id" / "files" / "messages" / "signals.schema.json"
+"""The published schema, by which editors check and complete signals files."""
 _PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
 _DEFINITIONS: dict[str, type] = {
     "time": TimeSource,
@@ -128,3 +130,7 @@ def _of_type(hint: Any) -> dict[str, Any]:
     if hint is ScalarSource:
         return {"$ref": "#/$defs/scalar"}
     return {"type": _PLAIN[hint]}
+
+
+if __name__ == "__main__":
+    SCHEMA.write_text(schema_json(), encoding="utf-8")

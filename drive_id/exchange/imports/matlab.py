@@ -30,7 +30,7 @@ def read_syre_model(source: Source) -> MapPoints:
         back = np.array([[0.0, 1.0], [-1.0, 0.0]])
         i_dq, psi_dq = i_dq @ back.T, np.einsum("ab,nbh->nah", back, psi_dq)
         theta = None if theta is None else theta + np.pi / 2
-    return MapPoints.with_gaps(i_dq, psi_dq, theta, scalars=scalars, axis=axis, machine=source.path.stem)
+    return MapPoints(i_dq, psi_dq, theta, scalars=scalars, axis=axis, machine=source.path.stem).complete()
 
 
 def read_syre_flux(source: Source) -> MapPoints:
@@ -40,9 +40,9 @@ def read_syre_flux(source: Source) -> MapPoints:
     torque = real(source.path, "T", values["T"]).ravel() if "T" in values else None
     axis = getattr(values.get("dataSet"), "axisType", None)
     told = str(axis).lower() if axis is not None else None
-    return MapPoints.with_gaps(
+    return MapPoints(
         i_dq, psi_dq[..., None], torque=torque, scalars=known_scalars({}, source.scalars), axis=told
-    )
+    ).complete()
 
 
 def read_motor_cad(source: Source) -> MapPoints:
@@ -88,13 +88,13 @@ def read_motor_cad(source: Source) -> MapPoints:
     # The d axis of Motor-CAD is that of the magnet; zero current appears once for each angle of a polar grid.
     _, first = np.unique(np.round(i_dq / np.ptp(i_dq, axis=0), 9), axis=0, return_index=True)
     first.sort()
-    return MapPoints.with_gaps(
+    return MapPoints(
         i_dq[first],
         psi[first],
         theta,
         None if torque is None else torque[first],
         scalars=known_scalars(scalars, source.scalars),
-    )
+    ).complete()
 
 
 def load(source: Source) -> Mapping[str, Any]:

@@ -59,7 +59,7 @@ def read_npz(source: Source) -> MapPoints:
     if "inside" in values:
         inside = ordered(source, np.asarray(values["inside"], np.float64), "inside", len(i_d), len(i_q)).ravel() > 0
         psi_dq = np.where(inside[:, None, None], psi_dq, np.nan)
-    return MapPoints.with_gaps(
+    return MapPoints(
         i_dq,
         psi_dq,
         theta,
@@ -68,7 +68,7 @@ def read_npz(source: Source) -> MapPoints:
         scalars,
         shape=(len(i_d), len(i_q)),
         machine=machine,
-    )
+    ).complete()
 
 
 def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q: int) -> FloatArray:
@@ -139,7 +139,7 @@ def _of_motulator(path: Path, values: Mapping[str, Any], scalars: Mapping[str, f
     if "theta_m" in values:
         theta = real(path, "theta_m", values["theta_m"]).ravel()
         return turning_points(path, i_dq, psi_dq, theta, torque, scalars, machine)
-    return MapPoints.with_gaps(i_dq, psi_dq[..., None], torque=torque, scalars=scalars, machine=machine)
+    return MapPoints(i_dq, psi_dq[..., None], torque=torque, scalars=scalars, machine=machine).complete()
 
 
 def turning_points(
@@ -185,7 +185,7 @@ def turning_points(
         torque=mean_torque,
         scalars=scalars,
         machine=machine,
-    )
+    ).complete()
 
 
 def _without_end(psi: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,11 +41,6 @@ class MapPoints:
         Of the grid that the points were read from, when its index order had to be assumed.
     machine : str
         Name; empty when unknown.
-
-    Raises
-    ------
-    ConfigurationError
-        When there are too few points, or values are infinite or missing.
     """
 
     i_dq: FloatArray
@@ -58,7 +53,25 @@ class MapPoints:
     shape: tuple[int, int] | None = None
     machine: str = ""
 
-    def __post_init__(self) -> None:
+    def complete(self) -> MapPoints:
+        """Return the points whose flux linkages are not NaN.
+
+        Raises
+        ------
+        ConfigurationError
+            When there are too few, the numbers of values differ, or values are infinite or missing.
+        """
+        known = np.asarray(~np.isnan(self.psi_dq).any(axis=(1, 2)))
+        optional = {"torques": self.torque, "standard errors": self.sigma_dq}
+        for name, values in {"currents": self.i_dq, **optional}.items():
+            if values is not None and len(values) != len(known):
+                raise ConfigurationError(f"The map has {len(values)} {name} for {len(known)} fluxes: make them match.")
+        torque, sigma = (None if values is None else values[known] for values in optional.values())
+        found = replace(self, i_dq=self.i_dq[known], psi_dq=self.psi_dq[known], torque=torque, sigma_dq=sigma)
+        found._check()  # noqa: SLF001  # of its own class
+        return found
+
+    def _check(self) -> None:
         theta, count = self.theta, self.psi_dq.shape[2]
         if theta is not None and theta.shape != (count,):
             raise ConfigurationError(
@@ -76,42 +89,6 @@ class MapPoints:
             raise ConfigurationError("All points of the map have the same i_d or i_q: a map needs both to vary.")
         if not self.psi_dq.any():
             raise ConfigurationError("All flux linkages of the map are zero: check which columns or fields are read.")
-
-    @classmethod
-    def with_gaps(
-        cls,
-        i_dq: FloatArray,
-        psi_dq: FloatArray,
-        theta: FloatArray | None = None,
-        torque: FloatArray | None = None,
-        sigma_dq: FloatArray | None = None,
-        scalars: Mapping[str, float] | None = None,
-        axis: str | None = None,
-        shape: tuple[int, int] | None = None,
-        machine: str = "",
-    ) -> MapPoints:
-        """Build a map from points; those with NaN flux linkages are left out.
-
-        Raises
-        ------
-        ConfigurationError
-            Also when the numbers of values differ.
-        """
-        known = np.asarray(~np.isnan(psi_dq).any(axis=(1, 2)))
-        for name, values in (("currents", i_dq), ("torques", torque), ("standard errors", sigma_dq)):
-            if values is not None and len(values) != len(known):
-                raise ConfigurationError(f"The map has {len(values)} {name} for {len(known)} fluxes: make them match.")
-        return cls(
-            i_dq[known],
-            psi_dq[known],
-            theta,
-            None if torque is None else torque[known],
-            None if sigma_dq is None else sigma_dq[known],
-            scalars or {},
-            axis,
-            shape,
-            machine,
-        )
 
     @property
     def mean_psi_dq(self) -> FloatArray:

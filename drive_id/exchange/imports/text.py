@@ -46,7 +46,7 @@ def read_csv(source: Source) -> MapPoints:
     if "theta" in values:
         turning = np.radians(source.electrical(values["theta"]))
         return turning_points(source.path, i_dq, psi_dq, turning, values.get("torque"), scalars, machine)
-    return MapPoints.with_gaps(i_dq, psi_dq[..., None], None, values.get("torque"), sigma, scalars, machine=machine)
+    return MapPoints(i_dq, psi_dq[..., None], None, values.get("torque"), sigma, scalars, machine=machine).complete()
 
 
 def _unit(heading: list[str] | None, place: int) -> float:
@@ -103,7 +103,7 @@ def _matrices(source: Source, psi_q_file: Path) -> MapPoints:
         raise ConfigurationError(f"'{source.path}' and '{psi_q_file}' have different axes: give two maps on one grid.")
     i_dq, psi_dq = of_grid(i_d, i_q, psi_d, psi_q)
     shape = (len(i_d), len(i_q))
-    return MapPoints.with_gaps(i_dq, psi_dq, scalars=known_scalars(told, source.scalars), shape=shape)
+    return MapPoints(i_dq, psi_dq, scalars=known_scalars(told, source.scalars), shape=shape).complete()
 
 
 def _lines(path: Path) -> tuple[list[str], dict[str, Any]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from reproduction import MACHINES, METHODS, SECONDS, SIMULATION
 
 from drive_id.bench.machines import machine_map
 from drive_id.core.fit_settings import FitSettings
@@ -21,7 +22,6 @@ from drive_id.fitting.simulated import run_experiment
 from drive_id.report.diagnostics import draw_inverter
 from drive_id.report.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
 from drive_id.report.plots import rendered, trajectory
-from drive_id.report.reproduction import MACHINES, METHODS, SECONDS, SIMULATION
 from drive_id.types import FloatArray, GroundTruth, Samples
 
 DPI = 140

@@ -35,7 +35,6 @@ from drive_id.cli.options import (
     WorkersOption,
     err,
     merged_settings,
-    out,
     say,
     show,
     show_result,
@@ -152,13 +151,23 @@ def simulate(
     frequency_d: Annotated[float, typer.Option(help="Frequency of the d current reference, Hz.")] = 3.7,
     frequency_q: Annotated[float, typer.Option(help="Frequency of the q current reference, Hz.")] = 1.1,
     form: Annotated[str, typer.Option(help="Form of the trajectory: smooth, or printed (as in the paper).")] = "smooth",
+    free_shaft: Annotated[
+        bool,
+        typer.Option("--free-shaft", help="No load machine: swing the shaft; --set inertia=..., cogging_torque, ..."),
+    ] = False,
+    speed_max: Annotated[float, typer.Option(help="Highest speed of a free shaft, rpm.")] = 1500.0,
+    mean_speed: Annotated[float, typer.Option(help="Mean speed of a free shaft, rpm.")] = 0.0,
+    swing_frequency: Annotated[
+        float | None, typer.Option(help="Frequency of the swing, Hz.  \\[default: as the speeds allow]")
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with settings of the simulation.")] = None,
     settings: SetOption = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
-    """Simulate a drive on a Lissajous trajectory and record it as a rosbag2 bag with its ground truth."""
+    """Simulate a drive on a Lissajous trajectory, or its free shaft, and record a rosbag2 bag with its ground truth."""
     from drive_id.bench.settings import SimulationSettings
+    from drive_id.bench.swing import Swing
     from drive_id.core.experiment.trajectories import Lissajous
     from drive_id.fitting.simulated import load_machine, simulate_bag
 
@@ -166,7 +175,12 @@ def simulate(
     if speed:
         options["speeds"] = tuple(speed)
     chosen = merged_settings(SimulationSettings, config, settings, options)
-    trajectory = Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
+    swings = free_shaft or chosen.free_shaft
+    trajectory = (
+        Swing(speed_max, mean_speed, swing_frequency)
+        if swings
+        else Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
+    )
     with working(quiet or as_json) as tell:
         tell("Simulating", None)
         machine_map = load_machine(machine, pole_pairs=pole_pairs, u_dc=u_dc)
@@ -380,32 +394,6 @@ app.command(
 
 
 app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
-
-
-@app.command()
-def reproduce(
-    output: Annotated[Path | None, typer.Option(help="Folder for the tables, as text and JSON.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
-) -> None:
-    """Reproduce the paper's tables with the shipped simulated drives."""
-    from drive_id.report.reproduction import check_reproduction_output, write_reproduction
-    from drive_id.report.reproduction import reproduce as run
-
-    if output is not None:
-        check_reproduction_output(output, force=force)
-    with working(quiet or as_json) as tell:
-        results = run(tell)
-        if output is not None:
-            write_reproduction(output, results, force=force)
-    if as_json:
-        typer.echo(json.dumps(results.tree(), allow_nan=False))
-    elif not quiet:
-        for table in results.tables():
-            show(table)
-        for sentence in results.claims():
-            out().print(sentence, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -49,11 +49,8 @@ def _draw(panel: Axes, comparison: Comparison, values: FloatArray, title: str) -
         comparison.i_d, comparison.i_q, values.T, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="nearest"
     )
     name(panel, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
-    add_colour_bar(panel, filled, _within(levels(-limit, limit, 8), limit))
-
-
-def _within(ticks: FloatArray, limit: float) -> FloatArray:
-    return ticks[np.abs(ticks) <= limit]
+    ticks = levels(-limit, limit, 8)
+    add_colour_bar(panel, filled, ticks[np.abs(ticks) <= limit])
 
 
 def _name(result: Identification) -> str:

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drive_id.quantity import measured
+from drive_id.report.shaft import shaft_values
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
 
     from drive_id.analysis.folder import Figure
     from drive_id.core.planning.planner import Plan
-    from drive_id.core.result.identification import TorqueFit
+    from drive_id.core.result.identification import Mechanics, TorqueFit
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.information import StoredInformation
     from drive_id.fitting.result import Identification
@@ -51,7 +52,7 @@ def fit_table(fit: Identification, *, verbose: bool = False) -> Table:
     if origin.harmonics:
         row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
     table.add_section()
-    for cells in _torque_rows(drive.torque):
+    for cells in (*_torque_rows(drive.torque), *_shaft_rows(drive.mechanics)):
         row(*cells)
     if known.nrmse:
         row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
@@ -78,7 +79,10 @@ def _true(name: str, truth: GroundTruth) -> str:
     """Return the true value of a quantity of the headline, where the truth of a simulation has it as a number."""
     if name == "R":
         return measured(truth.resistance, unit="Ω")
-    return measured(_drop_at_i_max(truth), unit="V") if name == "Inverter drop" else ""
+    if name != "Inverter drop":
+        return ""
+    at = truth.inverter_current.searchsorted(truth.i_max, side="right") - 1
+    return measured(float(truth.inverter_voltage[at]), unit="V")
 
 
 def _torque_rows(torque: TorqueFit | None) -> list[tuple[str, ...]]:
@@ -99,6 +103,11 @@ def _torque_rows(torque: TorqueFit | None) -> list[tuple[str, ...]]:
         ),
         ("Torque error of the map, rms", measured(torque.rms_map, unit="Nm")),
     ]
+
+
+def _shaft_rows(mechanics: Mechanics | None) -> list[tuple[str, ...]]:
+    """Return what the headline does not hold."""
+    return [] if mechanics is None else [(name, measured(*value)) for name, value in shaft_values(mechanics)]
 
 
 def _deviation(value: float) -> str:
@@ -199,7 +208,3 @@ def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Tab
             overflow="fold",
         )  # fmt: skip
     return table
-
-
-def _drop_at_i_max(truth: GroundTruth) -> float:
-    return float(truth.inverter_voltage[truth.inverter_current.searchsorted(truth.i_max, side="right") - 1])

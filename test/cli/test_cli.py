@@ -365,7 +365,6 @@ def test_outputs_that_cannot_be(run, bag, tmp_path):
         assert_one_sentence(run("fit", bag, "--output", output), said)
         ran = run("simulate", "--machine", "ipm", "--output", output, "--seconds", "0.01")
         assert_one_sentence(ran, "exists" if output in ("file", "dangling") else said)
-    assert_one_sentence(run("reproduce", "--output", "file"), "is a file")
     assert_one_sentence(run("simulate", "--machine", "x" * 300, "--output", "out"), "no machine 'xxx")
     assert tree(tmp_path) == before
 
@@ -718,7 +717,7 @@ def test_info_of_a_recording_that_breaks_off(run, bag, tmp_path):
 
 def test_version_and_help(run):
     assert run("--version").out == f"drive-id {drive_id.__version__}\n"
-    for command in ("simulate", "fit", "info", "plan", "reproduce"):
+    for command in ("simulate", "fit", "info", "plan"):
         assert run(command, "--help").code == 0
         assert command in run("--help").out
 

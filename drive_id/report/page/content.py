@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.quantity import Quantity, measured
 from drive_id.report.page.operation import TorqueMap
 from drive_id.report.page.wording import NOT_STORED
+from drive_id.report.shaft import shaft_values
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
@@ -139,7 +139,9 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
             tuple(known.inputs.items()),
         ),
         versions=TextTable(
-            "Software that made the result", ("Software", "Version"), tuple(map(_texts, twin["versions"].items()))
+            "Software that made the result",
+            ("Software", "Version"),
+            tuple((name, str(version)) for name, version in twin["versions"].items()),
         ),
         comparison=_comparison(result),
         paragraph=_paragraph(result),
@@ -249,6 +251,8 @@ def _values(result: Identification) -> TextTable:
         rows.append(("Rotor-position harmonics", ", ".join(str(h.order) for h in result.harmonics)))
     if result.torque is not None:
         rows.append(("Common gain by the shaft torque", measured(result.torque.gain, result.torque.sigma_gain)))
+    if result.mechanics is not None:
+        rows += [(name, measured(*value)) for name, value in shaft_values(result.mechanics)]
     rows += [
         ("Origin", result.origin.caption),
         ("Pole pairs", str(result.pole_pairs or "unknown")),
@@ -467,10 +471,6 @@ def _paragraph(result: Identification) -> str:
 
 def _capital(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
-
-
-def _texts(pair: Sequence[object]) -> tuple[str, ...]:
-    return tuple(map(str, pair))
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -3,34 +3,36 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drive_id.cli import app as cli
-from drive_id.errors import OutputError
-from drive_id.report import reproduction
-from drive_id.report.reproduction import COMPENSATED, IDEAL, SIMULATION, check_reproduction_output, write_reproduction
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
-def told():
-    return []
+def reproduction():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(BENCHMARKS))
+        import reproduction
+
+        yield reproduction
 
 
 @pytest.fixture(scope="module")
-def results(told):
-    return reproduction.reproduce(lambda what, share: told.append((what, share)), machines=("ipm",), seconds=5.0)
+def results(reproduction):
+    return reproduction.reproduce(machines=("ipm",), seconds=5.0)
 
 
-def test_the_experiments_are_those_of_the_paper():
-    for settings in (SIMULATION, IDEAL, COMPENSATED):
+def test_the_experiments_are_those_of_the_paper(reproduction):
+    real, ideal, compensated = reproduction.SIMULATION, reproduction.IDEAL, reproduction.COMPENSATED
+    for settings in (real, ideal, compensated):
         assert (settings.sample_period, settings.speeds) == (1e-4, (500.0,))
-    assert (SIMULATION.inverter, SIMULATION.harmonics, SIMULATION.inverter_compensation) == ("dead_time", 1.0, False)
-    assert (IDEAL.inverter, IDEAL.harmonics, IDEAL.current_noise) == ("none", 0.0, 0.0)
-    assert COMPENSATED.inverter_compensation
+    assert (real.inverter, real.harmonics, real.inverter_compensation) == ("dead_time", 1.0, False)
+    assert (ideal.inverter, ideal.harmonics, ideal.current_noise) == ("none", 0.0, 0.0)
+    assert compensated.inverter_compensation
     assert reproduction.SECONDS == 10.0
 
 
@@ -89,14 +91,6 @@ def test_without_an_inverter_all_methods_agree(results, experiment, limit):
     assert results.agreement["simulation"] > 10 * results.agreement[experiment]
 
 
-def test_progress_is_told(told, results):
-    assert results
-    assert told[0] == ("ipm, simulation", 0.0)
-    shares = [share for _, share in told]
-    assert shares == sorted(shares)
-    assert shares[-1] < 1
-
-
 def test_tables_and_claims_show_the_rows(results):
     tables = results.tables()
     assert [len(table.rows) for table in tables] == [3, 3, 3]
@@ -119,38 +113,10 @@ def test_what_diverged_is_said_and_is_null(results):
     json.dumps(broken.tree(), allow_nan=False)
 
 
-def test_the_files(results, tmp_path):
-    write_reproduction(tmp_path / "out", results)
+def test_the_files(reproduction, results, tmp_path):
+    reproduction.write_reproduction(tmp_path / "out", results)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["reproduction.json", "tables.txt"]
-    tree = json.loads((tmp_path / "out" / "reproduction.json").read_text())
-    assert tree == json.loads(json.dumps(results.tree()))
-    assert tree["format"] == "drive_id/reproduction"
+    assert json.loads((tmp_path / "out" / "reproduction.json").read_text()) == json.loads(json.dumps(results.tree()))
     text = (tmp_path / "out" / "tables.txt").read_text()
     for said in ("NRMSE of flux maps in simulation", "Joint identification", "Without an inverter"):
         assert said in text
-    write_reproduction(tmp_path / "out", results)
-
-
-def test_the_command_prints_tables_and_claims(results, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(reproduction, "reproduce", lambda _tell: results)
-    said = {}
-    for option in ("--json", "--quiet", "--force"):
-        monkeypatch.setattr(sys, "argv", ["drive-id", "reproduce", "--output", str(tmp_path / "out"), option])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        assert not ended.value.code
-        said[option] = capfd.readouterr()
-    assert all(captured.err == "" for captured in said.values())
-    assert json.loads(said["--json"].out) == json.loads((tmp_path / "out" / "reproduction.json").read_text())
-    assert said["--quiet"].out == ""
-    for text in ("MAD of current at the emulated test bench", "With a compensated inverter"):
-        assert text in said["--force"].out
-
-
-def test_folders_of_others_are_refused(results, tmp_path):
-    (tmp_path / "identification.json").write_text('{"format": "drive_id/identification"}')
-    for refuse in (lambda: check_reproduction_output(tmp_path), lambda: write_reproduction(tmp_path, results)):
-        with pytest.raises(OutputError, match="not results of drive_id"):
-            refuse()
-    check_reproduction_output(tmp_path, force=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["identification.json"]

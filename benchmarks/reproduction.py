@@ -1,8 +1,13 @@
-"""The paper's tables and claims, on simulated drives of known truth."""
+"""The paper's tables and claims, on simulated drives of known truth.
+
+Usage: python benchmarks/reproduction.py [--output FOLDER]
+
+The folder receives the tables as text and as JSON.
+"""
 
 from __future__ import annotations
 
-import io
+import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -20,15 +25,11 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
-from drive_id.files.results.folder import check_output, replace_folder
 from drive_id.fitting.simulated import run_experiment
-from drive_id.types import Progress, silent
 
 MACHINES = ("ipm", "spm", "pmsyrm")
 METHODS = {"psm": "PSM identification", "joint": "Joint identification", "full": "Full identification"}
 SECONDS = 10.0
-FORMAT = "drive_id/reproduction"
-_MARKER = "reproduction.json"
 
 SIMULATION = SimulationSettings(inverter="dead_time", current_noise=1e-3)
 """The paper's experiment: 10 s at 10 kHz and 500 rpm, rotor harmonics and an uncompensated inverter."""
@@ -116,16 +117,14 @@ class Reproduction:
         rows = [asdict(row) for row in self.rows]
         for row in rows:
             row |= {name: None for name in ("mad_d", "mad_q") if not np.isfinite(row[name])}
-        return {"format": FORMAT, "rows": rows, "agreement": dict(self.agreement), "claims": self.claims()}
+        return {"rows": rows, "agreement": dict(self.agreement), "claims": self.claims()}
 
 
-def reproduce(tell: Progress = silent, machines: Sequence[str] = MACHINES, seconds: float = SECONDS) -> Reproduction:
+def reproduce(machines: Sequence[str] = MACHINES, seconds: float = SECONDS) -> Reproduction:
     """Run the paper's experiments.
 
     Parameters
     ----------
-    tell : callable, optional
-        Called with what is being done and how much is done.
     machines : sequence of str
         Shipped machines; the first one also serves the claims.
     seconds : float
@@ -140,8 +139,7 @@ def reproduce(tell: Progress = silent, machines: Sequence[str] = MACHINES, secon
     ]
     rows: list[Row] = []
     agreement: dict[str, float] = {}
-    for done, (experiment, name, settings) in enumerate(experiments):
-        tell(f"{name}, {experiment}", done / len(experiments))
+    for experiment, name, settings in experiments:
         simulation = run_experiment(machine_map(name), settings, seconds=seconds)
         fits = {method: identify([simulation.samples], FitSettings(method=method)) for method in METHODS}
         rows += [_row(experiment, name, identification, simulation) for identification in fits.values()]
@@ -149,34 +147,21 @@ def reproduce(tell: Progress = silent, machines: Sequence[str] = MACHINES, secon
     return Reproduction(tuple(rows), agreement)
 
 
-def write_reproduction(output: Path, results: Reproduction, *, force: bool = False) -> None:
-    """Write the tables to a folder, as text and JSON.
+def write_reproduction(output: Path, results: Reproduction) -> None:
+    """Write the tables to a folder, as text and JSON."""
+    output.mkdir(parents=True, exist_ok=True)
+    with (output / "tables.txt").open("w", encoding="utf-8") as text:
+        show(results, Console(file=text, width=100))
+    tree = json.dumps(results.tree(), indent=1, allow_nan=False) + "\n"
+    (output / "reproduction.json").write_text(tree, encoding="utf-8")
 
-    Raises
-    ------
-    OutputError
-        When the folder holds something else, or cannot be written.
-    """
-    text = io.StringIO()
-    console = Console(file=text, width=100)
+
+def show(results: Reproduction, console: Console) -> None:
+    """Print tables and claims."""
     for table in results.tables():
         console.print(table)
     for sentence in results.claims():
         console.print(sentence, highlight=False)
-    tree = json.dumps(results.tree(), indent=1, allow_nan=False) + "\n"
-    files = {"tables.txt": text.getvalue().encode(), _MARKER: tree.encode()}
-    replace_folder(output, files, marker=_MARKER, kind=FORMAT, force=force)
-
-
-def check_reproduction_output(output: Path, *, force: bool = False) -> None:
-    """Check, before the work is done, that :func:`write_reproduction` may write to a folder.
-
-    Raises
-    ------
-    OutputError
-        When the folder holds something else, or cannot be written.
-    """
-    check_output(output, force=force, marker=_MARKER, kind=FORMAT)
 
 
 def _bench(name: str) -> SimulationSettings:
@@ -226,3 +211,18 @@ def _table(title: str, rows: Sequence[Row], symbol: str, measure: str, show: Cal
     for row in rows:
         table.add_row(row.machine, METHODS[row.method], *show(row), end_section=row.method == "full")
     return table
+
+
+def main() -> None:
+    """Run the experiments."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, help="folder for the tables, as text and as JSON")
+    output = parser.parse_args().output
+    results = reproduce()
+    show(results, Console())
+    if output is not None:
+        write_reproduction(output, results)
+
+
+if __name__ == "__main__":
+    main()

@@ -20,7 +20,7 @@ from rich.console import Console
 
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.planning.planner import Candidate, Plan, plan
+from drive_id.core.planning.planner import Plan, PlannedExperiment, plan
 from drive_id.core.planning.settings import PlanSettings
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify, score
@@ -42,7 +42,7 @@ class Comparison:
     paper: FloatArray
 
 
-def errors(machine: str, experiment: Candidate, noise: float, seed: int) -> FloatArray:
+def errors(machine: str, experiment: PlannedExperiment, noise: float, seed: int) -> FloatArray:
     """Simulate and fit an experiment; return its errors (4,), percent."""
     machine_map = load_machine(machine)
     settings = SimulationSettings(

@@ -29,7 +29,7 @@ class Origin:
     summary : str
         What was done, a sentence for the paragraph to paste.
     fitted : bool
-        Whether R and standard errors were estimated; else they are what the file of another tool says.
+        Whether R and standard errors were estimated; else they are what a file says.
     inverter, harmonics : bool
         Whether results have the inverter's curve, and rotor-position harmonics.
     diagnostics : bool
@@ -104,7 +104,7 @@ PSM: Final = Origin(
     ),
     inverter=False,
     no_inverter="Method psm does not model the inverter: its drop is in the flux map and in R.",
-    limits=("The inverter's voltage drop is not told apart from R and the flux map.", *_OF_THE_DATA, _TRANSIENTS),
+    limits=("The inverter's voltage drop is not separated from R and the flux map.", *_OF_THE_DATA, _TRANSIENTS),
     one_speed=_TRANSIENTS,
     advice=_BY_FULL,
     reference=_PAPER,
@@ -174,7 +174,7 @@ IMPORTED: Final = Origin(
     caption="imported",
     title="imported",
     heading="Imported map",
-    summary="The map was not identified here: it was read from a file of another tool.",
+    summary="The map was not identified here: it was read from a file.",
     fitted=False,
     inverter=False,
     harmonics=True,

@@ -59,7 +59,8 @@ TABLE = {  # sections with data; figures at a glance; rows of the console's tabl
         set(),
         {"Points read"},
         ("Imported map", "were imported", "no recording to compare", "no curve of an inverter", "--pole-pairs"),
-        ("identified with", "method", "psm", "Gaps", "Unknowns", "± standard error", "leave open", "diagnostics.npz"),
+        ("identified with", "experiment", "another tool", "method", "psm", "Gaps",
+         "Unknowns", "± standard error", "leave open", "diagnostics.npz"),
     ),
 }  # fmt: skip
 

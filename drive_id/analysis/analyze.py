@@ -338,6 +338,6 @@ def _on_temperature(model: MachineModel, found: Identification) -> list[str]:
         out.append(
             f"The magnet's flux holds at {model.magnet_temperature:g} degC by the identified coefficient."
             if found.drive.magnet_coefficient is not None
-            else "The coefficient of the magnet was not identified: its flux is that of the experiment."
+            else "The coefficient of the magnet was not identified: its flux is that of the map."
         )
     return out

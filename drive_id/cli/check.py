@@ -55,11 +55,8 @@ def check_log(
             say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} {how}")
 
     if draft is not None and found.draft is None:
-        raise ConfigurationError(f"{draft} was not written: {_why_no_draft(found)}")
-
-
-def _why_no_draft(found: "Inspection") -> str:
-    return next(finding.message for finding in found.findings if finding.code == "no_draft")
+        why = next(finding.message for finding in found.findings if finding.code == "no_draft")
+        raise ConfigurationError(f"{draft} was not written: {why}")
 
 
 def _refuse(draft: Path | None, picture: Path | None, *, force: bool) -> None:

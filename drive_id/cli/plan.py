@@ -37,6 +37,10 @@ def plan_experiment(
     accuracy: Annotated[float | None, typer.Option(help="Wanted flux accuracy, percent.  \\[default: 0.05]")] = None,
     duration: Annotated[float | None, typer.Option(help="Duration, s.  \\[default: as the accuracy requires]")] = None,
     duration_max: Annotated[float | None, typer.Option(help="Longest duration, s.  \\[default: 60]")] = None,
+    free_shaft: Annotated[
+        bool, typer.Option("--free-shaft", help="No load machine: swing the shaft by the machine's own torque.")
+    ] = False,
+    inertia: Annotated[float | None, typer.Option(help="Rough inertia of a free shaft, kg m².")] = None,
     output: Annotated[Path | None, typer.Option(help="ROS parameter file (YAML) to write.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with planner settings.")] = None,
     settings: SetOption = None,
@@ -44,9 +48,17 @@ def plan_experiment(
     quiet: QuietFlag = False,
 ) -> None:
     """Propose trajectory, speeds and duration for a wanted accuracy, from rough machine data."""
+    from drive_id.core.planning.free_shaft import plan_free_shaft
     from drive_id.core.planning.planner import plan
     from drive_id.core.planning.settings import PlanSettings
-    from drive_id.files.results.plan_file import check_plan_output, plan_tree, plan_yaml, write_plan
+    from drive_id.files.results.plan_file import (
+        check_plan_output,
+        free_shaft_tree,
+        free_shaft_yaml,
+        plan_tree,
+        plan_yaml,
+        write_plan,
+    )
     from drive_id.fitting.simulated import rough_settings
     from drive_id.report.tables import plan_tables
 
@@ -59,19 +71,25 @@ def plan_experiment(
     chosen = merged_settings(PlanSettings, config, settings, options, rough_settings(machine) if machine else None)
     if output is not None:
         check_plan_output(output)
-    with working(quiet or as_json) as tell:
-        found = plan(chosen, tell)
-    text = plan_yaml(found, machine)
+    if free_shaft:
+        shaft = plan_free_shaft(chosen, inertia)
+        tree, text, tables = free_shaft_tree(shaft), free_shaft_yaml(shaft, machine), []
+        sentences, warnings = shaft.statements(), shaft.warnings()
+    else:
+        with working(quiet or as_json) as tell:
+            found = plan(chosen, tell)
+        tree, text, tables = plan_tree(found), plan_yaml(found, machine), plan_tables(found)
+        sentences, warnings = [found.reason(), *found.statements()], found.warnings()
     if output is not None:
         write_plan(output, text)
     if as_json:
-        typer.echo(json.dumps(plan_tree(found), allow_nan=False))
+        typer.echo(json.dumps(tree, allow_nan=False))
     elif not quiet:
-        for table in plan_tables(found):
+        for table in tables:
             show(table)
-        for sentence in (found.reason(), *found.statements()):
+        for sentence in sentences:
             say(sentence)
-        for warning in found.warnings():
+        for warning in warnings:
             warn(warning)
         shown = f"Written to {output}" if output is not None else "\n" + text.rstrip()
         say(shown)

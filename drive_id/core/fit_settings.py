@@ -110,6 +110,21 @@ class FitSettings:
         minimum=0,
         maximum=1000,
     )
+    inertia: float | None = setting(
+        None,
+        "inertia of a free shaft, where it is known by design, without added_inertia: it closes the common gain",
+        unit="kg m^2",
+        minimum=1e-9,
+        maximum=1e6,
+    )
+    added_inertia: tuple[float, ...] = setting(
+        (),
+        "inertia added to a free shaft in each recording, in order, 0 for none: two different ones close the common "
+        "gain",
+        unit="kg m^2",
+        minimum=0.0,
+        maximum=1e6,
+    )
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
     machine: str = setting("", "name of the machine, for titles and captions; default: that of a simulation")
     serial: str = setting("", "serial number of the machine")
@@ -129,7 +144,7 @@ class FitSettings:
         ------
         ConfigurationError
         """
-        for name in ("temperatures", "u_dc"):
+        for name in ("temperatures", "u_dc", "added_inertia"):
             given = len(getattr(self, name))
             if given not in {0, count}:
                 raise ConfigurationError(

@@ -35,13 +35,8 @@ def space_vector(x_abc: FloatArray) -> ComplexArray:
 
 def to_dq(x_abc: FloatArray, angle: FloatArray) -> FloatArray:
     """Transform phase quantities (N, 3) at electrical angles (N,), rad, to d and q components (N, 2)."""
-    return rotated(x_abc, np.cos(angle), np.sin(angle))
-
-
-def rotated(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray) -> FloatArray:
-    """Transform phase quantities (N, 3) at angles given by cosine and sine (N,) to d and q components (N, 2)."""
     x_dq = np.empty((len(x_abc), 2))
-    _rotate(np.ascontiguousarray(x_abc), cosine, sine, x_dq)
+    _rotate(np.ascontiguousarray(x_abc), np.cos(angle), np.sin(angle), x_dq)
     return x_dq
 
 

@@ -16,6 +16,7 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identify import identify
+from drive_id.core.result.mechanics import with_mechanics
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
@@ -148,7 +149,9 @@ def _fit_samples(
         check_output(output, force=force)
     settings.check_recordings(len(samples))
     truth = common_truth([part.truth for part in samples])
-    drive = with_torque(identify(samples, settings, tell), samples, known_pole_pairs(settings, truth))
+    pole_pairs = known_pole_pairs(settings, truth)
+    drive = with_torque(identify(samples, settings, tell), samples, pole_pairs)
+    drive = with_mechanics(drive, samples, pole_pairs, settings)
     last_stamp = int(samples[-1].stamp[-1])
     provenance = provenance_of(
         drive,
@@ -215,7 +218,9 @@ def fit_bags(
     evidence, truth = recording.evidence, recording.truth
     warnings, statements = _on_checksums(recording)
     drive = replace(drive, statements=(*drive.statements, *statements))
-    drive = with_torque(drive, recording.validation, known_pole_pairs(settings, truth, sources.signals))
+    pole_pairs = known_pole_pairs(settings, truth, sources.signals)
+    drive = with_torque(drive, recording.validation, pole_pairs)
+    drive = with_mechanics(drive, recording.validation, pole_pairs, settings)
     provenance = provenance_of(
         drive,
         settings,

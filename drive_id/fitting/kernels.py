@@ -25,11 +25,7 @@ _FIRST = ("drive_id.core.paper", "drive_id.core.numerics", "drive_id.core.maps",
 def compile_part(name: str) -> None:
     """Compile one part: the simulated drive, by running it, or one half of the kernels of a fit."""
     if name == "drive":
-        for settings in (
-            SimulationSettings(),
-            SimulationSettings(flux_lag=0.01),
-        ):  # its kernels take tuples and records
-            simulate(machine_map("ipm"), settings, np.zeros((10, 2)))
+        simulate(machine_map("ipm"), SimulationSettings(), np.zeros((10, 2)))  # its kernels take tuples and records
     else:
         for kernel in KERNELS:
             if kernel.signature is not None and kernel.__module__.startswith(_FIRST) == (name == "first half"):

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drive_id.core.result.headline import headline
-from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive, LinearMachine, TorqueFit
+from drive_id.core.result.identification import (
+    FluxMap,
+    HarmonicMap,
+    IdentifiedDrive,
+    LinearMachine,
+    Mechanics,
+    TorqueFit,
+)
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.advice import advice
@@ -111,7 +118,7 @@ class Identification:
 
     @cached_property
     def headline(self) -> tuple[Quantity, ...]:
-        """What is asked for first, with standard errors: magnet flux, inductances, R, drop, i_max, peak torque.
+        """What is asked for first, with standard errors: magnet flux, inductances, R, drop, i_max, peak torque, J.
 
         What the data do not cover, or what is not known, is left out.
         """
@@ -169,6 +176,11 @@ class Identification:
     def torque(self) -> TorqueFit | None:
         """The recorded shaft torque against that of the map; None without one, or with unknown pole pairs."""
         return self.drive.torque
+
+    @property
+    def mechanics(self) -> Mechanics | None:
+        """Inertia, friction and cogging of a free shaft; None where another torque moves it, or it is held."""
+        return self.drive.mechanics
 
     @property
     def linear(self) -> LinearMachine | None:

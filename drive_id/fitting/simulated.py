@@ -16,6 +16,7 @@ from drive_id.bench.machine import default_amplitude
 from drive_id.bench.machines import machine_map
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.swing import Swing, simulate_swing
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
@@ -38,7 +39,7 @@ def simulate(
     noise: float | None = None,
     seed: int | None = None,
     i_max: float | None = None,
-    trajectory: Lissajous | None = None,
+    trajectory: Lissajous | Swing | None = None,
     settings: SimulationSettings | None = None,
 ) -> Samples:
     """Drive a simulated machine along a Lissajous trajectory, as ``drive-id simulate`` does.
@@ -59,7 +60,8 @@ def simulate(
         Of all noise.
     i_max : float, optional
         Radius of the trajectory, A. Default: that of the machine.
-    trajectory : Lissajous, optional
+    trajectory : Lissajous or Swing, optional
+        A swing lets the shaft turn freely; it is the default for settings with ``free_shaft``.
     settings : SimulationSettings, optional
         All else that can be chosen.
 
@@ -126,7 +128,10 @@ def rough_settings(name_or_file: str) -> PlanSettings:
 
 
 def run_experiment(
-    machine: MachineMap, settings: SimulationSettings, trajectory: Lissajous | None = None, seconds: float = 10.0
+    machine: MachineMap,
+    settings: SimulationSettings,
+    trajectory: Lissajous | Swing | None = None,
+    seconds: float = 10.0,
 ) -> Simulation:
     """Drive a simulated machine along a trajectory.
 
@@ -134,8 +139,8 @@ def run_experiment(
     ----------
     machine : MachineMap
     settings : SimulationSettings
-    trajectory : Lissajous, optional
-        Its radius is replaced by that of the settings or of the machine.
+    trajectory : Lissajous or Swing, optional
+        The radius of a Lissajous figure is replaced by that of the settings or of the machine.
     seconds : float
         Duration, s.
 
@@ -150,6 +155,10 @@ def run_experiment(
             f"{seconds:g} s at a period of {settings.sample_period:g} s are {samples:.3g} samples: choose a duration "
             f"of between 2 and {_MOST_SAMPLES:.0e} samples."
         )
+    if isinstance(trajectory, Swing) or (trajectory is None and settings.free_shaft):
+        return simulate_swing(machine, replace(settings, free_shaft=True), trajectory or Swing(), seconds)
+    if settings.free_shaft:
+        raise ConfigurationError("A Lissajous figure would run a free shaft away: use trajectory Swing.")
     count = round(samples)
     i_max = settings.i_max or default_amplitude(machine)
     trajectory = replace(trajectory or Lissajous(), i_max=i_max)
@@ -158,7 +167,7 @@ def run_experiment(
 
 
 def simulate_bag(
-    machine: MachineMap, settings: SimulationSettings, output: Path, trajectory: Lissajous, seconds: float
+    machine: MachineMap, settings: SimulationSettings, output: Path, trajectory: Lissajous | Swing, seconds: float
 ) -> Simulation:
     """Drive a simulated machine along a trajectory and write the recording, its ground truth attached.
 

@@ -13,11 +13,10 @@ from drive_id.core.result.static import identify_static
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.averaging import averaged
 from drive_id.core.steady.operating_data import OperatingData
-from drive_id.core.steady.operating_points import OperatingPoints, joined_points, operating_points
+from drive_id.core.steady.operating_points import joined_points, operating_points
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.operating_log import OperatingLog, read_operating_log
-from drive_id.files.results.identification import Provenance
 from drive_id.fitting.provenance import provenance_of
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
@@ -126,7 +125,8 @@ def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = s
         inputs=sources.digests,
         warnings=sources.warnings,
     )
-    return Identification(drive, _with_speeds(provenance, points), (), sources.truth, sources.last_stamp)
+    provenance = replace(provenance, speed_range=(float(points.speed.min()), float(points.speed.max())))
+    return Identification(drive, provenance, (), sources.truth, sources.last_stamp)
 
 
 def _prepared(data: OperatingData, settings: FitSettings, number: int) -> OperatingData:
@@ -135,7 +135,3 @@ def _prepared(data: OperatingData, settings: FitSettings, number: int) -> Operat
         heat = settings.of_recording(number).temperatures[0]
         data = replace(data, winding_temperature=np.full(len(data), heat))
     return replace(data, time=None) if settings.rows_are_points else data
-
-
-def _with_speeds(provenance: Provenance, points: OperatingPoints) -> Provenance:
-    return replace(provenance, speed_range=(float(points.speed.min()), float(points.speed.max())))

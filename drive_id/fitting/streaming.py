@@ -76,11 +76,10 @@ def accumulate(
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
     saved = Checkpoint(checkpoint, bags, settings, signals, namespace) if checkpoint else None
     try:
-        with digests_of(bags, threads=threads) as digests:
-            gathering = _Gathering(reading, settings, saved, tell)
-            gathering.read()
-            found = digests.result()
-            gathering.accumulate()
+        found = digests_of(bags)
+        gathering = _Gathering(reading, settings, saved, tell)
+        gathering.read()
+        gathering.accumulate()
     except KeyboardInterrupt:
         if saved and saved.saved:
             raise Interrupted("run the same command again to resume where it stopped.") from None

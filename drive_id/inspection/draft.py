@@ -68,7 +68,7 @@ def propose(contents: Contents) -> Draft:
         When no columns look like currents, voltages and an angle: says which are missing.
     """
     try:
-        return _Writer(contents, *choose(contents)).draft()
+        return _DraftText(contents, *choose(contents)).draft()
     except NoAngleError:
         found = static_draft(contents)
         if found is None:
@@ -86,7 +86,7 @@ def _title(contents: Contents) -> list[str]:
     ]
 
 
-class _Writer:
+class _DraftText:
     """Writes the proposal as YAML."""
 
     def __init__(self, contents: Contents, tables: Sequence[Table], choice: Choice) -> None:

@@ -41,7 +41,6 @@ SETTINGS = FitSettings(method="joint")
 @pytest.fixture
 def long(monkeypatch):
     """Treat the short recordings of the tests as long ones."""
-    monkeypatch.setattr(extraction, "PART_BYTES", 20_000)
     monkeypatch.setattr(extraction, "PART_SAMPLES", 700)
     monkeypatch.setattr(bag_pieces, "_LOCKING_PAIRS", 1000)
     monkeypatch.setattr(streaming, "Spans", partial(Spans, 1000, 4))

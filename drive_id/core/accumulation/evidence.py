@@ -100,11 +100,10 @@ class Evidence:
             Leave no products for the fit to form, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
-        rotation = np.cos(samples.angle), np.sin(samples.angle)
-        i_dq = frames.rotated(samples.i_abc, *rotation)
+        i_dq = frames.to_dq(samples.i_abc, samples.angle)
         idle = self._idle(samples, i_dq, continues=continues)
         self.idle += int(idle[new].sum())
-        self.information.add(samples, done, idle, rotation)
+        self.information.add(samples, done, idle)
         if self.windows is not None:
             self.windows.add(samples, idle, continues=continues, prompt=prompt)
         self.visits.add(i_dq[new])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -12,7 +12,14 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.readings import degree_findings, reading_findings
-from drive_id.core.checks.rotor import motion_findings, rotation_finding, time_findings, unit_findings
+from drive_id.core.checks.rotor import (
+    motion_findings,
+    rotation_finding,
+    speed_lag,
+    standstill_finding,
+    time_findings,
+    unit_findings,
+)
 from drive_id.core.checks.single_samples import SingleSamples
 from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
@@ -65,7 +72,7 @@ class Prescan:
         self.samples = 0
         self._turns: FloatArray = np.zeros((2, 4))  # see _follow_rotor; by the speed, and by the angle
         self._turns[:, 1], self._turns[:, 2] = np.inf, -np.inf
-        self._products: FloatArray = np.zeros(3)  # speed squared, speed times angle, advances in the open window
+        self._products: FloatArray = np.zeros(4)  # see _follow_rotor
         self._extremes: FloatArray = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
         self._step_square: FloatArray = np.zeros((2, 2))
         self._steps = 0
@@ -175,7 +182,7 @@ class Prescan:
             lambda: time_findings(self._periods),
             lambda: unit_findings(runs) if runs else iter(()),
             self._on_jumps,
-            self._on_rotation,
+            lambda: self._on_rotation(runs),
             lambda: degree_findings(runs, self._usual) if runs else iter(()),
             self._on_trajectory,
             lambda: self._single.findings(self._usual),
@@ -243,22 +250,16 @@ class Prescan:
                 "error",
             )
 
-    def _on_rotation(self) -> Iterator[Finding]:
+    def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Finding]:
         with np.errstate(invalid="ignore"):
             turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
         if turned < _LEAST_TURN:
-            yield Finding(
-                "standstill",
-                f"The machine turned by only {turned / (2 * np.pi):.2f} electrical revolutions: without speed its flux "
-                "induces no voltage, so record while it turns.",
-                {"turned": turned},
-                "error",
-            )
+            yield standstill_finding(turned, float(self._products[3]))
             return
         expected, advance = self._turns[:, 3]
         square, product = self._products[0] + expected**2, self._products[1] + expected * advance
         ratio = float(product / square) if square > 0 else 0.0
-        if not abs(ratio - 1) <= _RESOLVER_TOLERANCE:
+        if not abs(ratio - 1) <= _RESOLVER_TOLERANCE and math.isnan(speed_lag(runs)):
             yield rotation_finding(ratio)
 
     def _on_trajectory(self) -> Iterator[Finding]:
@@ -307,9 +308,9 @@ def _follow_rotor(
         s.
     turns : (2, 4) float
         By the speed and by the angle, rad: turned so far, its minimum and maximum, and since the last full window.
-    products : (3,) float
-        Over all full windows, the squared turns by the speed and their products with those by the angle, rad^2; and
-        the number of advances since the last one.
+    products : (4,) float
+        Over all full windows, the squared turns by the speed and their products with those by the angle, rad^2; the
+        number of advances since the last one; and the way there and back by the angle over all full windows, rad.
     jumps : (N, C) float
         The first column becomes the difference between the angle and its prediction from the speed, rad.
     """
@@ -326,6 +327,7 @@ def _follow_rotor(
         if products[2] == _WINDOW:
             products[0] += turns[0, 3] * turns[0, 3]
             products[1] += turns[0, 3] * turns[1, 3]
+            products[3] += abs(turns[1, 3])
             turns[0, 3] = turns[1, 3] = products[2] = 0.0
 
 

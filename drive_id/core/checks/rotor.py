@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.core.frames import ComplexArray
 from drive_id.types import Finding, Samples
 
 _PERIODS = (5e-7, 0.02)
@@ -17,6 +18,14 @@ _COARSE_TURN = np.deg2rad(40.0)
 _HELD_STEP, _HELD_SHARE = 0.02, 0.5
 _DRIFT, _DRIFT_FIT, _DRIFT_PARTS = (0.03, 0.5), 0.9, 6
 _MOST_POLE_PAIRS, _MEANT, _DEGREES_MEANT = 50, 0.004, 0.006
+_SWINGING, _LEAST_SWING = 3.0, 0.05
+"""Way of a swinging rotor, relative to its range, and the least such range, rad: angle noise travels far, too."""
+_FASTEST_CHANGE = 200.0
+"""Hz, above which a derivative of the angle is noise."""
+_DELAYS, _DAMPINGS = np.geomspace(1e-4, 2e-2, 54), (0.5, 0.7, 1.0)
+"""Delays, s, and dampings of filters of the speed that are tried."""
+_FACTOR_TOLERANCE, _UNEXPLAINED_SPEED = 0.02, 0.01
+"""Distance of the factor from 1, and share of the energy that noise may take, where a filter explains the speed."""
 _RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
 
 
@@ -67,6 +76,68 @@ def rotation_finding(ratio: float) -> Finding:
         {"ratio": ratio},
         "error",
     )
+
+
+def standstill_finding(turned: float, travelled: float) -> Finding:
+    """Return the finding for a rotor that stays within one revolution.
+
+    Parameters
+    ----------
+    turned : float
+        Range of the angle, electrical, rad.
+    travelled : float
+        Way there and back, electrical, rad.
+    """
+    revolutions = turned / (2 * np.pi)
+    if turned < _LEAST_SWING or travelled < _SWINGING * turned:
+        message = (
+            f"The machine turned by only {revolutions:.2f} electrical revolutions: without speed its flux induces no "
+            "voltage, so record while it turns."
+        )
+    else:
+        message = (
+            f"The shaft swings within {revolutions:.2f} electrical revolutions, where rotor-position harmonics cannot "
+            "be told from the mean map and a constant flux induces no voltage: let it creep (set mean_speed), so that "
+            "ten revolutions or more pass, or swing it more slowly, with more inertia."
+        )
+    return Finding("standstill", message, {"turned": turned, "travelled": travelled}, "error")
+
+
+def speed_lag(runs: Sequence[Samples]) -> float:
+    """Return by how much the speed lags the angle, as a filter or an observer makes it, s; NaN if none explains it.
+
+    A lag takes away amplitude as a wrong factor does, but the more, the faster the speed changes, and it turns the
+    phase. So the speed must be that of the angle, at factor 1, after one of some filters of low order.
+
+    Parameters
+    ----------
+    runs : sequence of Samples
+        Excerpts of one gap-free run each.
+    """
+    spectra = [_slow_spectra(run) for run in runs]
+    if not spectra:
+        return float("nan")
+    s, by_angle, given = (np.concatenate(parts) for parts in zip(*spectra, strict=True))
+    best, found = _UNEXPLAINED_SPEED * float(np.vdot(given, given).real), float("nan")
+    for delay in _DELAYS:
+        x = s * delay
+        for response in (np.exp(-x), 1 / (1 + x), *(1 / (1 + x + (0.5 * x / damping) ** 2) for damping in _DAMPINGS)):
+            expected = response * by_angle
+            energy = float(np.vdot(expected, expected).real)
+            factor = float(np.vdot(expected, given).real) / energy if energy > 0 else 0.0
+            left = float(np.sum(np.abs(given - factor * expected) ** 2))
+            if left < best and abs(factor - 1) < _FACTOR_TOLERANCE:
+                best, found = left, float(delay)
+    return found
+
+
+def _slow_spectra(run: Samples) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return j omega, rad/s, and the spectra of the speed by the angle and of the one given, each (K,)."""
+    frequency = np.fft.rfftfreq(len(run), run.sample_period)
+    slow = (frequency > 0) & (frequency < _FASTEST_CHANGE)
+    by_angle = np.gradient(np.unwrap(run.angle), run.sample_period)
+    both = [np.fft.rfft((x - x.mean()) * np.hanning(len(x)))[slow] for x in (by_angle, run.speed)]
+    return np.asarray(2j * np.pi * frequency[slow]), both[0], both[1]
 
 
 def motion_findings(runs: Sequence[Samples]) -> Iterator[Finding]:

@@ -26,6 +26,8 @@ _AT_LIMIT, _CLIPPED = 2e-6, 0.015
 _STUCK, _MOVED, _NEAR_LIMIT = 50, 0.3, 0.999
 _FEW_LEVELS, _LEVELS_OF = 100, 20_000
 _CURRENT_OFFSET, _VOLTAGE_OFFSET, _FEWEST_TURNS, _SCATTER = 0.03, 0.05, 20, 5.0
+_MOST_REVERSING = 2
+"""Runs with turns both ways, as from one speed to the next in the other direction, in a recording that is no swing."""
 _HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))
 
 
@@ -244,15 +246,25 @@ def _clipped_voltages(u_abc: FloatArray) -> Iterator[Finding]:
 
 
 def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
-    """Yield constant parts of currents and voltages: means over whole turns of the rotor that agree with each other."""
+    """Yield constant parts of currents and voltages: means over whole turns of the rotor that agree with each other.
+
+    The means are over the angle, so that a turning vector leaves none where the speed changes within a turn. Turns that
+    a reversal breaks off do not count. Where the rotor swings to and fro again and again, the current depends on the
+    position and has a constant part, so that nothing is said.
+    """
     means: list[FloatArray] = []
+    reversing = 0
     for run in runs:
-        turn = np.floor(np.unwrap(run.angle) / (2 * np.pi)).astype(np.int64)
-        starts = np.flatnonzero(np.diff(turn) != 0) + 1
+        angle = np.unwrap(run.angle)
+        starts = np.flatnonzero(np.diff(np.floor(angle / (2 * np.pi))) != 0) + 1
         if len(starts) > 2:
             signals = np.stack([frames.space_vector(run.i_abc), frames.space_vector(run.u_abc)])
-            means.append(np.add.reduceat(signals, starts, axis=1)[:, :-1] / np.diff(starts))
-    if not means:
+            sums = np.add.reduceat(signals * np.gradient(angle), starts, axis=1)[:, :-1]
+            turned = np.diff(angle[starts])
+            whole = np.abs(turned) > np.pi
+            means.append(sums[:, whole] / turned[whole])
+            reversing += abs(np.sign(turned[whole]).sum()) < whole.sum()
+    if reversing > _MOST_REVERSING or not any(found.size for found in means):
         return
     i, u = np.concatenate(means, axis=1)
     u_rms = float(np.sqrt(np.mean([np.mean(np.abs(frames.space_vector(run.u_abc)) ** 2) for run in runs])))

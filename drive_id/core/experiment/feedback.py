@@ -95,11 +95,12 @@ class PublishedReferences:
         self._last = 0
         self.hold = True
         """False from a safe block on: the drive is then somewhere between the references and zero."""
+        self.stator_frame = False
 
     def add(self, blocks: Iterable[ReferenceBlock], now: int) -> None:
         """Add blocks that are published at ``now``, ns."""
         for block in blocks:
-            self.session, self.hold = block.session, not block.safe
+            self.session, self.hold, self.stator_frame = block.session, not block.safe, block.stator_frame
             self._last = round(2 * block.sample_period * NANOSECONDS)
             old, kept = np.searchsorted(self._due, (now - _KEPT, block.stamp))
             self._due = np.concatenate((self._due[old : max(kept, old)], block.due))

@@ -5,11 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drive_id.core.experiment.free_shaft import (
+    FASTEST_SWING,
+    SLOWEST_SWING,
+    TRIP_FACTOR,
+    FreeShaft,
+    RotatingVector,
+    SpeedFeedback,
+    swing_frequency,
+)
 from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Trajectory
 from drive_id.errors import ConfigurationError
 from drive_id.settings import check, setting
 
-TRAJECTORIES = ("lissajous", "stair", "spiral")
+FREE_SHAFT, FIRST_START = "free_shaft", "first_start"
+TRAJECTORIES = ("lissajous", "stair", "spiral", FREE_SHAFT, FIRST_START)
 _MOST_AHEAD = 100_000  # set-points
 _LONGEST_RAMP = 10.0  # s
 
@@ -20,7 +30,8 @@ class ExperimentSettings:
 
     trajectory: str = setting(
         "lissajous",
-        "Trajectory in the current disc: the paper's Lissajous figure, a stair of operating points, or a spiral",
+        "Trajectory in the current disc: the paper's Lissajous figure, a stair of operating points, or a spiral; "
+        "without load machine: free_shaft; to find the angle of a new drive: first_start",
         choices=TRAJECTORIES,
     )
     i_max: float = setting(
@@ -36,11 +47,44 @@ class ExperimentSettings:
         "smooth", "Lissajous: root without kinks, or as the paper prints it", choices=("smooth", "printed")
     )
     duration: float = setting(
-        10.0, "Lissajous: of the whole figure; spiral: out and back", unit="s", minimum=1e-2, maximum=1e5
+        10.0, "Lissajous and free_shaft: of the whole figure; spiral: out and back", unit="s", minimum=1e-2, maximum=1e5
     )
     stair_points: int = setting(9, "Stair: grid points per axis", minimum=3, maximum=101)
     dwell_time: float = setting(0.2, "Stair: time at each operating point", unit="s", minimum=1e-3, maximum=1e4)
     spiral_turns: float = setting(10.0, "Spiral: turns from the centre to the rim", minimum=0.5, maximum=1000.0)
+    shaft_acceleration: float | None = setting(
+        None,
+        "free_shaft: electrical acceleration by the largest torque, T_max pole_pairs / J; without it, only with "
+        "swing_frequency, and nothing holds the mean speed",
+        unit="rad/s^2",
+        minimum=1e-3,
+    )
+    shaft_speed_max: float | None = setting(
+        None,
+        "free_shaft: highest electrical speed planned; it trips at 1.2 times this",
+        unit="rad/s",
+        minimum=1e-3,
+    )
+    mean_speed: float = setting(
+        0.0, "free_shaft: mean electrical speed, for heavy rotors about half of shaft_speed_max", unit="rad/s"
+    )
+    swing_frequency: float | None = setting(
+        None,
+        "free_shaft: frequency of i_q; default: so that the swing takes 85 % of the speeds, from 5 to 60 Hz",
+        unit="Hz",
+        minimum=0.5,
+        maximum=200.0,
+    )
+    amplitude: float = setting(0.95, "free_shaft: amplitude relative to i_max", minimum=1e-3, maximum=1.0)
+    first_start_current: float = setting(0.15, "first_start: amplitude relative to i_max", minimum=1e-3, maximum=1.0)
+    angle_offset: float = setting(
+        0.0,
+        "What the drive's electrical angle is ahead of the magnet axis, as a first start finds it: references are "
+        "turned back by it",
+        unit="rad",
+        minimum=-math.pi,
+        maximum=math.pi,
+    )
     repeat: int = setting(1, "Repetitions of the trajectory; 0: until it is stopped", minimum=0, maximum=1_000_000)
     slew_rate: float = setting(
         10000.0, "Largest |di/dt| of the references, also when ramping in and out", unit="A/s", minimum=1.0, maximum=1e9
@@ -86,7 +130,7 @@ class ExperimentSettings:
         None, "Highest electrical speed allowed; default: the limit in drive_status, or no start", unit="rad/s"
     )
     current_limit: float | None = setting(
-        None, "Largest measured phase current allowed; default: 1.25 i_max", unit="A", minimum=0.0
+        None, "Largest measured phase current allowed; default: 1.25 i_max, free_shaft 1.2 i_max", unit="A", minimum=0.0
     )
     current_ceiling: float | None = setting(
         None,
@@ -156,6 +200,7 @@ class ExperimentSettings:
                 f"slew_rate is {self.slew_rate:g} A/s: it must bring i_max, {self.i_max:g} A, to zero within "
                 f"{_LONGEST_RAMP:g} s."
             )
+        self._check_shaft()
         steepest = make_trajectory(self).slope
         if steepest > self.slew_rate * (1 + 1e-9):
             raise ConfigurationError(
@@ -163,10 +208,44 @@ class ExperimentSettings:
                 f"{self.slew_rate:.4g} A/s: make it slower or smaller, or raise slew_rate."
             )
 
+    def _check_shaft(self) -> None:
+        if self.trajectory in {FREE_SHAFT, FIRST_START} and self.repeat == 0:
+            raise ConfigurationError(f"repeat is 0: {self.trajectory} must have an end, so set 1 or more.")
+        if self.trajectory != FREE_SHAFT:
+            return
+        if self.shaft_speed_max is None:
+            raise ConfigurationError(
+                "shaft_speed_max is not set: free_shaft needs the highest speed to plan for, rad/s."
+            )
+        if self.shaft_acceleration is None and self.swing_frequency is None:
+            raise ConfigurationError(
+                "Neither shaft_acceleration nor swing_frequency is set: a first start measures the former "
+                "(characterize --first-start)."
+            )
+        if self.shaft_acceleration is None and self.mean_speed != 0.0:
+            raise ConfigurationError("mean_speed is set without shaft_acceleration: nothing could hold it.")
+        if abs(self.mean_speed) >= self.shaft_speed_max:
+            raise ConfigurationError(
+                f"mean_speed is {self.mean_speed:g} rad/s: it must be below shaft_speed_max, "
+                f"{self.shaft_speed_max:g} rad/s."
+            )
+
+    @property
+    def stator_frame(self) -> bool:
+        """Whether the references are alpha and beta, not d and q."""
+        return self.trajectory == FIRST_START
+
+    @property
+    def planned_speed(self) -> float:
+        """Speed at which a free shaft trips, rad/s; infinite for other trajectories."""
+        shaft = self.trajectory == FREE_SHAFT and self.shaft_speed_max is not None
+        return TRIP_FACTOR * self.shaft_speed_max if shaft and self.shaft_speed_max else math.inf
+
     @property
     def largest_phase_current(self) -> float:
         """Limit of the measured phase currents, A."""
-        wanted = 1.25 * self.i_max if self.current_limit is None else self.current_limit
+        factor = TRIP_FACTOR if self.trajectory == FREE_SHAFT else 1.25
+        wanted = factor * self.i_max if self.current_limit is None else self.current_limit
         return wanted if self.current_ceiling is None else min(wanted, self.current_ceiling)
 
     @property
@@ -186,7 +265,32 @@ def make_trajectory(settings: ExperimentSettings) -> Trajectory:
         return Stair(settings.i_max, settings.stair_points, settings.dwell_time, settings.slew_rate)
     if settings.trajectory == "spiral":
         return Spiral(settings.i_max, settings.spiral_turns, settings.duration)
+    if settings.trajectory == FREE_SHAFT:
+        return _swing(settings)
+    if settings.trajectory == FIRST_START:
+        return RotatingVector(settings.first_start_current * settings.i_max)
     return Lissajous(settings.i_max, settings.frequency_d, settings.frequency_q, settings.form)
+
+
+def _swing(settings: ExperimentSettings) -> FreeShaft:
+    """Return the swing that fits the speeds; where that is faster than 60 Hz, with less current."""
+    amplitude, frequency = settings.amplitude, settings.swing_frequency
+    if frequency is None:
+        assert settings.shaft_acceleration is not None
+        assert settings.shaft_speed_max is not None
+        wanted = swing_frequency(amplitude * settings.shaft_acceleration, settings.shaft_speed_max, settings.mean_speed)
+        frequency = min(max(wanted, SLOWEST_SWING), FASTEST_SWING)
+        amplitude *= min(1.0, frequency / wanted)
+    return FreeShaft(amplitude * settings.i_max, frequency, settings.duration)
+
+
+def speed_feedback(settings: ExperimentSettings, trajectory: Trajectory) -> SpeedFeedback | None:
+    """Return what holds the mean speed of a free shaft; None for other trajectories."""
+    if not isinstance(trajectory, FreeShaft):
+        return None
+    share, acceleration = trajectory.i_max / settings.i_max, settings.shaft_acceleration
+    own = None if acceleration is None else share * acceleration
+    return SpeedFeedback(trajectory.frequency, own, settings.mean_speed, settings.lead_time)
 
 
 def total_duration(settings: ExperimentSettings, trajectory: Trajectory) -> float:

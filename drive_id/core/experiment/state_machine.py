@@ -14,8 +14,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.core.experiment.free_shaft import FreeShaft
 from drive_id.core.experiment.limits import approach, follow, inside_disc
-from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
+from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, speed_feedback, total_duration
 from drive_id.core.experiment.trajectories import Trajectory
 from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.core.signals.signal import block_stamps
@@ -56,6 +57,8 @@ class ReferenceBlock:
         Session, and running count of the first set-point in it.
     safe : bool
         The drive goes to zero current on receipt.
+    stator_frame : bool
+        The set-points are alpha and beta.
     """
 
     stamp: int
@@ -65,6 +68,7 @@ class ReferenceBlock:
     session: int
     count: int
     safe: bool
+    stator_frame: bool = False
 
     @property
     def due(self) -> IntArray:
@@ -110,6 +114,8 @@ class Experiment:
         assert not self._active
         self.settings = settings
         self._trajectory = trajectory or make_trajectory(settings)
+        self.feedback = speed_feedback(settings, self._trajectory)
+        self._turned = np.exp(-1j * (0.0 if settings.stator_frame else settings.angle_offset))
         self._step = settings.slew_rate * settings.sample_period
         total = total_duration(settings, self._trajectory) / settings.sample_period
         self._total = None if math.isinf(total) else round(total)
@@ -162,6 +168,7 @@ class Experiment:
         self._marks = []
         self._run_start = -1
         self._visits.count[:] = 0
+        self.feedback = speed_feedback(self.settings, self._trajectory)
         self._enter(ExperimentState.RAMP_IN)
 
     def stop(self, now: int, reason: str) -> None:
@@ -212,6 +219,13 @@ class Experiment:
         self._active = False
         return blocks
 
+    def withhold(self, now: int, block: ReferenceBlock) -> bool:
+        """Return whether a block must not be published: it became late since it was made, which trips."""
+        if block.safe or now < block.stamp:
+            return False
+        self._trip_late(now, now - block.stamp)
+        return True
+
     def rest(self, now: int) -> ReferenceBlock:
         """Return a block that brings the drive to zero current, whoever drives it; only while none is active."""
         assert not self._active
@@ -239,17 +253,20 @@ class Experiment:
             self._epoch, self._next, self._ahead = now, 0, np.zeros((0, 2))
             self._marks = [(0, self._state)]
             self.trip(now, f"The clock was set back by {(last - now) / NANOSECONDS:.3f} s.", immediate=True)
-        elif late <= 0 or self._pending or self._state is ExperimentState.IDLE:
+        elif late <= 0 or (self._pending and self._safe) or self._state is ExperimentState.IDLE:
             return
         elif self._cut:
             self._state = ExperimentState.IDLE  # the drive is at zero without further set-points
         else:
-            self.trip(
-                now,
-                f"The publisher came {late / NANOSECONDS:.3f} s too late to publish ahead: its process was held up, or "
-                "the clock jumped; raise lead_time.",
-                immediate=True,
-            )
+            self._trip_late(now, late)
+
+    def _trip_late(self, now: int, late: int) -> None:
+        self.trip(
+            now,
+            f"The publisher came {late / NANOSECONDS:.3f} s too late to publish ahead: its process was held up, or the "
+            "clock jumped; raise lead_time.",
+            immediate=True,
+        )
 
     # Set-points
 
@@ -304,7 +321,11 @@ class Experiment:
     def _block(self, stamp: int, values: NDArray[np.float32]) -> ReferenceBlock:
         first, period = self._first_sample, self.settings.sample_period
         self._first_sample += len(values)
-        return ReferenceBlock(stamp, first, period, values, self.session, first - self._session_start, self._safe)
+        count, frame = first - self._session_start, self.settings.stator_frame
+        if self._turned != 1.0:  # into the frame of the drive
+            vector = (values[:, 0] + 1j * values[:, 1].astype(np.float64)) * self._turned
+            values = inside_disc(np.stack([vector.real, vector.imag], axis=-1), self.settings.i_max)
+        return ReferenceBlock(stamp, first, period, values, self.session, count, self._safe, frame)
 
     def _piece(self, count: int) -> FloatArray:
         """Return up to ``count`` further set-points of the present state; none when it is over."""
@@ -332,7 +353,11 @@ class Experiment:
             self._rest = self._resting()
             return np.zeros((0, 2))
         times = (passed + np.arange(left, dtype=np.float64)) * self.settings.sample_period
-        return follow(self._point, self._trajectory(times), self._step)
+        if self.feedback is not None and isinstance(self._trajectory, FreeShaft):
+            targets = self._trajectory(times, self.feedback.biases(left))
+        else:
+            targets = self._trajectory(times)
+        return follow(self._point, targets, self._step)
 
     def _forget(self, now: int) -> None:
         """Drop the set-points before the one that is due now, and count where they were."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
@@ -15,6 +15,27 @@ from drive_id.health import Health, Level
 from drive_id.types import FloatArray
 
 _CLEAR = "Call ~/clear_fault when the cause is gone."
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer to a request.
+
+    Parameters
+    ----------
+    code : str
+        A constant of the services ``StartExperiment`` and ``Command``.
+    message : str
+        A sentence.
+    """
+
+    code: str
+    message: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the request was fulfilled."""
+        return self.code == "ok"
 
 
 @dataclass(frozen=True)
@@ -33,6 +54,10 @@ class Report:
         Reference that is due now, A.
     coverage : float
         0 to 1.
+    dry_run : bool
+        Nothing is published.
+    mean_speed, mean_speed_reference, bias : float
+        Of a free shaft: electrical, rad/s; and the mean of i_q relative to its amplitude. NaN for other trajectories.
     """
 
     state: ExperimentState
@@ -42,6 +67,10 @@ class Report:
     duration: float
     i_dq: FloatArray
     coverage: float
+    dry_run: bool
+    mean_speed: float = math.nan
+    mean_speed_reference: float = math.nan
+    bias: float = math.nan
 
 
 def rehearse(settings: ExperimentSettings) -> None:
@@ -73,57 +102,86 @@ class SupervisedExperiment:
         self._duration = total_duration(settings, make_trajectory(settings))
         self._heartbeat = -math.inf
         self._leased = self._rest = False
+        self._dry_run = settings.dry_run
+        self._unpublished = 0
 
     @property
     def trip_reason(self) -> str:
         """Why the last experiment tripped; empty if it did not."""
         return self._experiment.trip_reason
 
+    @property
+    def session(self) -> int:
+        """Session of the last experiment, 0 before the first one."""
+        return self._experiment.session
+
     def plan(self) -> str:
         """Describe the experiment that a start runs."""
         settings = self._settings
         seconds = total_duration(settings, make_trajectory(settings))
         how_long = "until it is stopped" if math.isinf(seconds) else f"for {seconds:.4g} s"
-        dry = ", published to nobody (dry_run)" if settings.dry_run else ""
+        dry = ", published to nobody (dry_run)" if self._dry_run else ""
         return f"{settings.trajectory} within {settings.i_max:g} A {how_long}{dry}"
 
-    def start(self, now: int, steady: float, publishers: int = 1) -> tuple[bool, str]:
-        """Start, or return why not; ``publishers`` is the number of publishers of references, this one included."""
+    def start(
+        self, now: int, steady: float, publishers: int = 1, *, dry_run: bool = False, require_lease: bool = False
+    ) -> Answer:
+        """Start, or return why not.
+
+        Parameters
+        ----------
+        now, steady
+            As for the class.
+        publishers : int
+            Publishers of references, this one included.
+        dry_run, require_lease : bool
+            In addition to the settings, which they cannot loosen.
+        """
+        self._watchdog.publishers = publishers
+        leased = steady - self._heartbeat <= self._settings.lease_time
+        refused = self._refused(now, steady)
+        if refused is None and (require_lease or self._settings.require_lease) and not leased:
+            refused = "no_heartbeat", "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
+        if refused is not None:
+            return Answer(*refused)
+        self._leased, self._dry_run = leased, dry_run or self._settings.dry_run
+        self._experiment.start(now, secrets.randbits(63) | 1)
+        return Answer("ok", f"Started: {self.plan()}.")
+
+    def _refused(self, now: int, steady: float) -> tuple[str, str] | None:
+        """Return code and sentence of what forbids any start."""
         if self._experiment.active:
             state = self._experiment.state(now).value
-            return False, f"An experiment is under way ({state}): stop it, or wait for its end."
+            return "busy", f"An experiment is under way ({state}): stop it, or wait for its end."
         if now <= 0:
-            return False, "The time is 0: use_sim_time is set, but nobody publishes /clock."
+            return "no_clock", "The time is 0: use_sim_time is set, but nobody publishes /clock."
         if self.trip_reason:
-            return False, f"Not started: it tripped before. {self.trip_reason} {_CLEAR}"
-        self._watchdog.publishers = publishers
-        fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
-        if fault is not None:
-            return False, f"Not started: {fault.reason}"
-        self._leased = steady - self._heartbeat <= self._settings.lease_time
-        if self._settings.require_lease and not self._leased:
-            return False, "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
-        self._experiment.start(now, secrets.randbits(63) | 1)
-        return True, f"Started: {self.plan()}."
+            return "tripped", f"Not started: it tripped before. {self.trip_reason} {_CLEAR}"
+        if (fault := self._watchdog.fault(now, steady)) is not None:
+            return "fault", f"Not started: {fault.reason}"
+        if (fault := self._watchdog.start_fault()) is not None:
+            return "limit", f"Not started: {fault.reason}"
+        return None
 
-    def stop(self, now: int) -> tuple[bool, str]:
+    def stop(self, now: int) -> Answer:
         """Ramp down to zero; when nothing is running, bring a drive to zero that somebody else drives."""
         self._rest = not self._experiment.active
         self._experiment.stop(now, "Stopped on request.")
         if self._watchdog.flows():
-            return False, f"{self._doing()} But the drive does not go to zero current: use the emergency stop."
-        return True, self._doing()
+            flows = f"{self._doing()} But the drive does not go to zero current: use the emergency stop."
+            return Answer("current_flows", flows)
+        return Answer("ok", self._doing())
 
-    def clear_fault(self, now: int, steady: float) -> tuple[bool, str]:
+    def clear_fault(self, now: int, steady: float) -> Answer:
         """Permit a start again after a trip or an emergency stop whose cause is gone."""
         if self._experiment.active:
-            return False, f"Not cleared: {self._doing()}"
+            return Answer("busy", f"Not cleared: {self._doing()}")
         self._watchdog.release()
         fault = self._watchdog.fault(now, steady)
         if fault is not None:
-            return False, f"Not cleared: {fault.reason}"
+            return Answer("fault", f"Not cleared: {fault.reason}")
         was, self._experiment.trip_reason = self.trip_reason, ""
-        return True, f"Cleared: {was}" if was else "There was no fault."
+        return Answer("ok", f"Cleared: {was}" if was else "There was no fault.")
 
     def _doing(self) -> str:
         """Return a sentence on what stop and clear_fault find."""
@@ -143,7 +201,18 @@ class SupervisedExperiment:
 
     def resolver(self, now: int, steady: float, block: SampleBlock) -> bool:
         """Check a block of angle, rad, and speed, rad/s, (N,) each; return whether it trips the experiment."""
-        return self._judge(now, self._watchdog.resolver(now, steady, block))
+        fault = self._watchdog.resolver(now, steady, block)
+        feedback = self._experiment.feedback
+        if feedback is not None and fault is None and len(block):
+            active = self._experiment.state(now) is ExperimentState.RUNNING
+            feedback.add(block.first_sample, block.sample_period, block.values[0], active=active)
+            if feedback.stands_still(self._settings.watch_timeout):
+                fault = Fault(
+                    f"The angle has not changed for {self._settings.watch_timeout:g} s, though the torque reverses: "
+                    "the shaft is locked, or the drive repeats old samples.",
+                    True,
+                )
+        return self._judge(now, fault)
 
     def status(self, now: int, steady: float, status: DriveStatus) -> bool:
         """Check what the drive says of itself; return whether it trips the experiment."""
@@ -169,15 +238,20 @@ class SupervisedExperiment:
                 f"{self._settings.lease_time:g} s."
             )
         self._judge(now, fault)
-        blocks = self._experiment.advance(now)
-        rival = bool(self.trip_reason) and (publishers > 1 or self._watchdog.flows())
-        if (
-            self._rest or rival
-        ) and not self._experiment.active:  # after a trip, nobody else drives before it is cleared
-            blocks.append(self._experiment.rest(now))
+        blocks = self._told(self._experiment.advance(now), now)
+        if not self._experiment.active:
+            self._dry_run = self._settings.dry_run
+            # After a trip, nobody else drives before it is cleared.
+            rival = bool(self.trip_reason) and (publishers > 1 or self._watchdog.flows())
+            if self._rest or rival:
+                blocks += self._told([self._experiment.rest(now)], now)
         self._rest = False
         self._take_settings()
-        return self._told(blocks, now)
+        return blocks
+
+    def withhold(self, now: int, block: ReferenceBlock) -> bool:
+        """Return whether a block must not be published: the process was held up since it was made, which trips."""
+        return self._experiment.withhold(now, block)
 
     def finish(self, now: int, reason: str = "Stopped, because the node ends.") -> list[ReferenceBlock]:
         """Stop, and return all blocks down to the last zero: before nothing more can be published."""
@@ -185,10 +259,11 @@ class SupervisedExperiment:
 
     def _told(self, blocks: list[ReferenceBlock], now: int) -> list[ReferenceBlock]:
         """Return the blocks that are published, and have the watchdog expect the drive to follow them."""
-        if self._experiment.settings.dry_run:
+        if self._dry_run:
+            self._unpublished += sum(len(block.i_dq) for block in blocks)
             return []
         self._watchdog.published.add(blocks, now)
-        return blocks
+        return [replace(block, first_sample=block.first_sample - self._unpublished) for block in blocks]
 
     def report(self, now: int, steady: float) -> Report:
         """Return the present state."""
@@ -199,7 +274,11 @@ class SupervisedExperiment:
             reason = "" if fault is None else f"A start would be refused: {fault.reason}"
         i_dq, state = experiment.current(now), experiment.state(now)
         elapsed = experiment.elapsed(now)
-        return Report(state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage)
+        feedback = experiment.feedback
+        shaft = () if feedback is None else (feedback.mean.value, feedback.reference, feedback.bias)
+        return Report(
+            state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage, self._dry_run, *shaft
+        )
 
     def health(self, now: int, steady: float) -> Health:
         """Return state, time, set-point and coverage."""
@@ -215,6 +294,9 @@ class SupervisedExperiment:
             "coverage": f"{report.coverage:.3f}",
             "clock offset [s]": f"{self._watchdog.clock_offset:.3f}",
         }
+        if not math.isnan(report.bias):
+            values["mean speed [rad/s]"] = f"{report.mean_speed:.4g} of {report.mean_speed_reference:.4g}"
+            values["bias of i_q"] = f"{report.bias:.3f}"
         values |= {f"lost samples of {name}": str(lost) for name, lost in self._watchdog.lost.items()}
         if report.state is ExperimentState.TRIPPED:
             flows = " The drive does not go to zero current: use the emergency stop." if self._watchdog.flows() else ""

@@ -141,7 +141,14 @@ class Watchdog:
         low, high = self.speed_band
         if fault is None and len(block):
             slowest, fastest = float(np.min(block.values[1])), float(np.max(block.values[1]))
-            if slowest < low:
+            planned = self.settings.planned_speed  # a free shaft: every further moment of torque drives it on
+            if max(-slowest, fastest) > planned:
+                fault = Fault(
+                    f"The speed is {max(-slowest, fastest):.4g} rad/s, above 1.2 times shaft_speed_max, "
+                    f"{planned:.4g} rad/s.",
+                    True,
+                )
+            elif slowest < low:
                 fault = Fault(f"The speed is {slowest:.4g} rad/s, below speed_min, {low:.4g} rad/s.")
             elif fastest > high:
                 fault = Fault(f"The speed is {fastest:.4g} rad/s, above speed_max, {high:.4g} rad/s.")
@@ -203,9 +210,9 @@ class Watchdog:
         if first >= last:
             return
         a, b, c = (phase[first:last].astype(np.float64) for phase in currents.values)
-        vector = ((2 * a - b - c) / 3 + 1j * (b - c) / math.sqrt(3)) * np.exp(
-            -1j * resolver.values[0][first - shift : last - shift]
-        )
+        vector = (2 * a - b - c) / 3 + 1j * (b - c) / math.sqrt(3)
+        if not self.published.stator_frame:
+            vector = vector * np.exp(-1j * resolver.values[0][first - shift : last - shift])
         stamps = currents.stamp + np.round(np.arange(first, last) * period).astype(np.int64)
         measured = np.array([vector.real.mean(), vector.imag.mean()])
         wanted = self.published.at(stamps)[0].mean(axis=0)

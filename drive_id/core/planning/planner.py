@@ -62,7 +62,7 @@ _FEWEST_SAMPLES = 4
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PlannedExperiment:
     """An experiment to choose from: a Lissajous figure driven at one or several speeds.
 
     Parameters
@@ -97,9 +97,9 @@ class Plan:
     ----------
     settings : PlanSettings
     machine : RoughMachine
-    experiment : Candidate
+    experiment : PlannedExperiment
     prediction : Prediction
-    paper : Candidate
+    paper : PlannedExperiment
         The paper's, of the same duration.
     paper_prediction : Prediction
     voltages : tuple of float
@@ -108,9 +108,9 @@ class Plan:
 
     settings: PlanSettings
     machine: RoughMachine
-    experiment: Candidate
+    experiment: PlannedExperiment
     prediction: Prediction
-    paper: Candidate
+    paper: PlannedExperiment
     paper_prediction: Prediction
     voltages: tuple[float, ...]
 
@@ -199,7 +199,7 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     duration = settings.duration or min(_FIRST_GUESS, settings.duration_max)
 
     tell("Choosing the speeds", 0.0)
-    usual = Candidate(Lissajous(machine.i_max, highest, 0.618 * highest), (low,), duration)
+    usual = PlannedExperiment(Lissajous(machine.i_max, highest, 0.618 * highest), (low,), duration)
     usual = retimed(usual, duration, highest)
     sets = [replace(usual, speeds=speeds) for speeds in speed_sets(low, high, reverse=settings.reverse)]
     best = _best(_Scout(settings, machine, _COARSE), sets)
@@ -240,11 +240,11 @@ class _Scout:
         self._model = RoughModel.over(machine.i_max, cells)
         self._known: dict[tuple[Lissajous, float, float], FisherInformation] = {}
 
-    def predict(self, experiment: Candidate) -> Prediction:
+    def predict(self, experiment: PlannedExperiment) -> Prediction:
         parts = [self._information(experiment, speed) for speed in experiment.speeds]
         return predict(self._model, parts, self.machine, self.settings.current_noise)
 
-    def _information(self, experiment: Candidate, speed: float) -> FisherInformation:
+    def _information(self, experiment: PlannedExperiment, speed: float) -> FisherInformation:
         """Return the information of the experiment's share at one speed."""
         key = experiment.trajectory, speed, experiment.figure
         if key not in self._known:
@@ -253,12 +253,12 @@ class _Scout:
         return self._known[key].lasting(experiment.share / experiment.figure)
 
 
-def _best(scout: _Scout, trials: Iterable[Candidate]) -> Candidate:
+def _best(scout: _Scout, trials: Iterable[PlannedExperiment]) -> PlannedExperiment:
     """Return the experiment of least cost, which is high where one standard error exceeds the paper's."""
     trials = list(trials)
     paper = _measures(scout.predict(_paper(scout.machine, trials[0].duration)))
 
-    def rank(trial: Candidate) -> float:
+    def rank(trial: PlannedExperiment) -> float:
         prediction = scout.predict(trial)
         excess = np.log(_measures(prediction) / (_MARGIN * paper))
         return cost(prediction) + _LOSS * float(np.maximum(excess, 0.0).sum())
@@ -270,8 +270,8 @@ def _measures(prediction: Prediction) -> FloatArray:
     return prediction.values()[:4]
 
 
-def _paper(machine: RoughMachine, duration: float) -> Candidate:
-    return Candidate(Lissajous(machine.i_max, *PAPER_FREQUENCIES), (PAPER_SPEED,), duration)
+def _paper(machine: RoughMachine, duration: float) -> PlannedExperiment:
+    return PlannedExperiment(Lissajous(machine.i_max, *PAPER_FREQUENCIES), (PAPER_SPEED,), duration)
 
 
 def highest_frequency(settings: PlanSettings, machine: RoughMachine) -> float:
@@ -366,7 +366,7 @@ def figures(i_max: float, highest: float, period: float) -> Iterator[Lissajous]:
             yield Lissajous(i_max, round(d / period, 6), round(q / period, 6))
 
 
-def retimed(experiment: Candidate, duration: float, highest: float) -> Candidate:
+def retimed(experiment: PlannedExperiment, duration: float, highest: float) -> PlannedExperiment:
     """Return an experiment of another duration, s, with the most similar figure that closes then."""
     old, other = experiment.trajectory, replace(experiment, duration=duration)
     wanted = np.log([old.frequency_d, old.frequency_q])
@@ -377,7 +377,7 @@ def retimed(experiment: Candidate, duration: float, highest: float) -> Candidate
     return replace(other, trajectory=min(figures(old.i_max, highest, other.figure), key=distance))
 
 
-def needed_voltages(machine: RoughMachine, experiment: Candidate, sample_period: float) -> tuple[float, ...]:
+def needed_voltages(machine: RoughMachine, experiment: PlannedExperiment, sample_period: float) -> tuple[float, ...]:
     """Return the largest voltage amplitude, V, at each speed of an experiment, the inverter's error included."""
     figures = (
         synthesize(machine, experiment.trajectory, speed, experiment.figure, sample_period)

@@ -46,8 +46,8 @@ def headline(
     if drive.origin.inverter:
         note = "Of one phase at large current, without its linear part, which is in R."
         found.append(Quantity("Inverter drop", drive.voltage_error, drive.sigma_voltage_error, "V", note))
-    found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc of the experiment."))
-    return (*found, *(_at_peak_torque(drive, pole_pairs) if pole_pairs else ()))
+    found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc."))
+    return (*found, *(_at_peak_torque(drive, pole_pairs) if pole_pairs else ()), *_of_shaft(drive))
 
 
 def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -63,6 +63,14 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
         return ()
     psi_pm = Quantity(names[0], float(local.psi[0]), float(drive.flux_map.sigma(0.0, 0.0)[0]), "Wb", "At zero current.")
     return (psi_pm, local.inductance(0, names[1], note), local.inductance(1, names[2], note))
+
+
+def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
+    mechanics = drive.mechanics
+    if mechanics is None or mechanics.sigma_inertia == 0.0:  # it was given
+        return ()
+    note = "By the torque of the map." if mechanics.gain is None else "By the torque of the map and the added inertia."
+    return (Quantity("J", mechanics.inertia, mechanics.sigma_inertia, "kg m²", note),)
 
 
 def _at_peak_torque(drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, ...]:

@@ -362,6 +362,49 @@ class TorqueFit:
     samples: int
 
 
+@dataclass(frozen=True)
+class Mechanics:
+    """What the motion of a free shaft says of its mechanics, by the torque T of the flux map.
+
+    The model is ``g T = (J + dJ) dw/dt + b w + T_f sign(w) + T_0 + T_c(theta)`` with the mechanical speed w and the
+    known inertia dJ of discs. A term that the motion cannot tell is None. Voltages and currents alone leave the common
+    gain g open, by which all values scale: 1 is assumed unless an inertia is known.
+
+    Parameters
+    ----------
+    inertia, sigma_inertia : float
+        J without discs and its standard error, kg m^2; where it was given, that value and 0.
+    friction, sigma_friction : float or None
+        T_f, N m.
+    viscous_friction, sigma_viscous_friction : float or None
+        b, with the drag of the iron loss, N m s/rad.
+    load, sigma_load : float or None
+        T_0, against positive rotation, N m.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    gain, sigma_gain : float or None
+        g: true torque over that of the map; None where no inertia is known.
+    explained : float
+        Share of the energy of the torque that the motion explains, 0 to 1.
+    seconds : float
+        Of data in the regression.
+    """
+
+    inertia: float
+    sigma_inertia: float
+    friction: float | None
+    sigma_friction: float | None
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    load: float | None
+    sigma_load: float | None
+    cogging: tuple[Cogging, ...]
+    gain: float | None
+    sigma_gain: float | None
+    explained: float
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class IdentifiedDrive(Parameters):
     """An identified drive: the parameters, the map and how good they are, without their origin.
@@ -378,6 +421,8 @@ class IdentifiedDrive(Parameters):
         Of the rotor position; method ``full``.
     torque : TorqueFit or None
         The recorded shaft torque against that of the map.
+    mechanics : Mechanics or None
+        Of a free shaft, by the torque of the map.
     simulated : SimulatedCurrent or None
         Where the MAD comes from; None when the result was read from files.
     linear : LinearMachine or None
@@ -390,6 +435,7 @@ class IdentifiedDrive(Parameters):
     report: FitReport
     harmonics: tuple[HarmonicMap, ...] = ()
     torque: TorqueFit | None = None
+    mechanics: Mechanics | None = None
     simulated: SimulatedCurrent | None = None
     linear: LinearMachine | None = None
 

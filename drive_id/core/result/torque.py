@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.result.block_regression import BlockRegression, grouped
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.types import FloatArray, Samples
 
@@ -94,17 +95,24 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
             if len(rows):
                 blocks.append(rows.T @ rows)
                 speeds.add(rows[:, _SPEED])
-    blocks = _grouped(blocks)
+    blocks = grouped(blocks, _BLOCKS)
     if len(blocks) < _FEWEST_BLOCKS:
         return None
     base = [_GAIN, _FRICTION, *([_SPEED] if speeds.apart else []), *([_OFFSET] if speeds.reversed else [])]
     every = [*base, *range(_HARMONICS, _HARMONICS + 2 * len(orders))]
-    solution = _Solution.of(np.array(blocks), every)
+    solution = BlockRegression.of(np.array(blocks), _TORQUE, every)
     kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > _SIGNIFICANT]
     columns = [*base, *(_HARMONICS + 2 * k + part for k, _ in kept for part in (0, 1))]
-    solution = _Solution.of(np.array(blocks), columns)
-    viscous, offset = (solution.estimate(c) if c in columns else (None, None) for c in (_SPEED, _OFFSET))
-    gain, friction = solution.estimate(_GAIN), solution.estimate(_FRICTION)
+    solution = BlockRegression.of(np.array(blocks), _TORQUE, columns)
+
+    def estimate(column: int) -> tuple[float, float]:
+        """Return a coefficient and its standard error, for which errors of the map count as common to all currents."""
+        value, sigma = solution.estimate(column)
+        return value, float(np.sqrt(sigma**2 + solution.total[_MAP, _MAP] / solution.total[column, column]))
+
+    viscous, offset = (estimate(c) if c in columns else (None, None) for c in (_SPEED, _OFFSET))
+    gain, friction = estimate(_GAIN), estimate(_FRICTION)
+    samples = int(solution.total[_OFFSET, _OFFSET])
     unit = solution.coefficients.copy()
     unit[columns.index(_GAIN)] = 1.0
     return TorqueFit(
@@ -117,10 +125,10 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
         offset=offset[0],
         sigma_offset=offset[1],
         cogging=tuple(Cogging(order, *solution.amplitude(_HARMONICS + 2 * k)) for k, order in kept),
-        rms_map=solution.rms(unit),
-        rms_residual=solution.rms(solution.coefficients),
+        rms_map=solution.rms(unit, samples),
+        rms_residual=solution.rms(solution.coefficients, samples),
         pole_pairs=pole_pairs,
-        samples=solution.samples,
+        samples=samples,
     )
 
 
@@ -186,62 +194,6 @@ class _Speeds:
     @property
     def reversed(self) -> bool:
         return len(self._signs) > 1
-
-
-def _grouped(blocks: list[FloatArray]) -> list[FloatArray]:
-    """Merge neighbouring blocks to about the number wanted."""
-    group = max(1, round(len(blocks) / _BLOCKS))
-    return [np.sum(blocks[k : k + group], axis=0) for k in range(0, len(blocks), group)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """Coefficients (K,) of some columns of the regression, their covariance (K, K), and the sums over all blocks."""
-
-    columns: list[int]
-    coefficients: FloatArray
-    covariance: FloatArray
-    total: FloatArray
-
-    @classmethod
-    def of(cls, blocks: FloatArray, columns: list[int]) -> _Solution:
-        total = blocks.sum(axis=0)
-        inverse = np.linalg.pinv(total[np.ix_(columns, columns)], hermitian=True)
-        coefficients = inverse @ total[columns, _TORQUE]
-        scores = blocks[:, columns, _TORQUE] - blocks[:, columns][:, :, columns] @ coefficients
-        count = len(blocks)
-        covariance = count / max(count - 1, 1) * inverse @ (scores.T @ scores) @ inverse
-        return cls(columns, coefficients, covariance, total)
-
-    @property
-    def samples(self) -> int:
-        return int(self.total[_OFFSET, _OFFSET])
-
-    def estimate(self, column: int) -> tuple[float, float]:
-        """Return a coefficient and its standard error, for which errors of the map count as common to all currents."""
-        k = self.columns.index(column)
-        of_map = self.total[_MAP, _MAP] / self.total[column, column]
-        return float(self.coefficients[k]), float(np.sqrt(self.covariance[k, k] + of_map))
-
-    def amplitude(self, column: int) -> tuple[float, float]:
-        """Return the amplitude of a cosine and the sine behind it, and its standard error."""
-        k = self.columns.index(column)
-        both = self.coefficients[k : k + 2]
-        amplitude = float(np.hypot(*both))
-        direction = both / max(amplitude, np.finfo(np.float64).tiny)
-        return amplitude, float(np.sqrt(direction @ self.covariance[k : k + 2, k : k + 2] @ direction))
-
-    def wald(self, column: int) -> float:
-        """Return the Wald statistic of a cosine and the sine behind it."""
-        k = self.columns.index(column)
-        both = self.coefficients[k : k + 2]
-        return float(both @ np.linalg.pinv(self.covariance[k : k + 2, k : k + 2]) @ both)
-
-    def rms(self, coefficients: FloatArray) -> float:
-        """Return the rms of the torque minus the columns with these coefficients, Nm."""
-        every = [_TORQUE, *self.columns]
-        weights = np.append(1.0, -coefficients)
-        return float(np.sqrt(max(weights @ self.total[np.ix_(every, every)] @ weights, 0.0) / self.samples))
 
 
 def _statement(found: TorqueFit) -> str:

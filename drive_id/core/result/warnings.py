@@ -42,14 +42,20 @@ def review(
 
 def unexplained_sentence(evidence: Evidence, estimate: Estimate) -> str:
     """Return why a fit that explains too little is refused: by the first finding of the checks, if there is one."""
-    start = f"The model leaves {100 * estimate.unexplained:.0f} % of the voltage unexplained, so there is no valid map"
+    return _condemned(
+        evidence,
+        f"The model leaves {100 * estimate.unexplained:.0f} % of the voltage unexplained",
+        "check the order of the phases, the angle, and that currents, voltages and angle are of one drive and of the "
+        "same time",
+    )
+
+
+def _condemned(evidence: Evidence, symptom: str, advice: str) -> str:
+    """Return a symptom with the first finding of the checks as its cause, or with advice if there is none."""
     if not evidence.findings:
-        return (
-            f"{start}: check the order of the phases, the angle, and that currents, voltages and angle are of one "
-            "drive and of the same time."
-        )
+        return f"{symptom}, so there is no valid map: {advice}."
     cause = evidence.findings[0].message
-    return f"{start}; most likely, {cause[0].lower()}{cause[1:]}"
+    return f"{symptom}, so there is no valid map; most likely, {cause[0].lower()}{cause[1:]}"
 
 
 def impossible_sentence(
@@ -58,9 +64,10 @@ def impossible_sentence(
     """Return why no machine can have this result, or None."""
     resistance, sigma = estimate.resistance, estimate.sigma_resistance
     if resistance < -_IMPOSSIBLE * sigma:
-        return (
-            f"The resistance comes out negative ({resistance:.3g} +- {sigma:.2g} ohm), so there is no valid map: check "
-            "the signs of currents and voltages and their alignment in time, and record at a second speed."
+        return _condemned(
+            evidence,
+            f"The resistance comes out negative ({resistance:.3g} +- {sigma:.2g} ohm)",
+            "check the signs of currents and voltages and their alignment in time, and record at a second speed",
         )
     grid = flux_map.grid()
     i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
@@ -69,10 +76,11 @@ def impossible_sentence(
     active = float((~estimate.positive_definite(i_dq)).mean())
     if active < _INDEFINITE:
         return None
-    return (
+    return _condemned(
+        evidence,
         f"The inductances of the fitted map are not positive definite at {100 * active:.0f} % of its points and the "
-        "current simulated with it diverges, so there is no valid map: check the order of the phases, the angle and "
-        "the alignment in time, or record longer and at a second speed."
+        "current simulated with it diverges",
+        "check the order of the phases, the angle and the alignment in time, or record longer and at a second speed",
     )
 
 

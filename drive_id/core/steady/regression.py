@@ -141,7 +141,7 @@ def solved(equations: Equations) -> Posterior:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
+class _Gaussian:
     """One Gaussian solution; its matrix is factored with columns scaled by ``by``."""
 
     beta: FloatArray
@@ -163,7 +163,7 @@ def _normal(system: Equations, shape: int) -> tuple[FloatArray, FloatArray]:
     return columns.T @ columns + prior.T @ prior, columns.T @ system.y
 
 
-def _solution(matrix: FloatArray, right: FloatArray, system: Equations, weight: float) -> _Solution:
+def _solution(matrix: FloatArray, right: FloatArray, system: Equations, weight: float) -> _Gaussian:
     by = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     scaled = matrix * by[:, None] * by
     scaled[np.diag_indices(len(scaled))] += _ROUNDING
@@ -176,4 +176,4 @@ def _solution(matrix: FloatArray, right: FloatArray, system: Equations, weight: 
     evidence = determinant + system.log_volume + rest / scale + freedom * np.log(scale)
     if system.rank:
         evidence -= system.rank * np.log(weight)
-    return _Solution(np.asarray(beta), factor, by, scale, float(evidence))
+    return _Gaussian(np.asarray(beta), factor, by, scale, float(evidence))

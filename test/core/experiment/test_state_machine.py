@@ -293,6 +293,36 @@ def test_held_up_too_long():
     ends_at_zero(run.drive.seen(), 100)
 
 
+@pytest.mark.parametrize("held_up", [60 * MS, 150 * MS, 3000 * MS])
+def test_held_up_between_a_start_and_its_first_block(held_up):
+    """The first set-points were due after half of lead_time, so the ramp would begin somewhere in its midst."""
+    run = Run(trajectory=Offset())
+    run.experiment.start(run.now)
+    run.now += held_up
+    run.advance()
+    run.until_idle()
+    assert "too late to publish ahead" in run.experiment.trip_reason
+    assert run.drive.blocks[0].safe
+    assert not run.drive.seen().any()
+
+
+def test_held_up_between_a_block_and_its_publication():
+    run = Run()
+    run.start()
+    run.ticks(30)
+    run.now += 10 * MS
+    (block,) = run.experiment.advance(run.now)
+    assert block.i_dq.any()
+    assert not run.experiment.withhold(run.now + 89 * MS, block)
+    assert run.experiment.trip_reason == ""
+    run.now += 3000 * MS
+    assert run.experiment.withhold(run.now, block)
+    assert "too late to publish ahead" in run.experiment.trip_reason
+    after = run.experiment.advance(run.now)
+    assert all(block.safe and not block.i_dq.any() for block in after)
+    assert not any(run.experiment.withhold(run.now + 3000 * MS, block) for block in after)  # a way to zero never is
+
+
 def test_held_up_less_than_the_lead_time_does_not_matter():
     run = Run()
     run.start()

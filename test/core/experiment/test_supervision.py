@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.errors import ConfigurationError
 from drive_id.health import Level
 
+SERVICES = Path(__file__).parents[3] / "msg_defs" / "srv"
 MS = 1_000_000
 T0 = 1_700_000_000 * 1000 * MS
 SETTINGS = ExperimentSettings(
@@ -26,6 +29,10 @@ def phase_currents(i_dq, angle):
     """Return the phase currents (3, N) of i_dq (N, 2), written out."""
     shifts = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])[:, None]
     return i_dq[:, 0] * np.cos(angle - shifts) - i_dq[:, 1] * np.sin(angle - shifts)
+
+
+def plain(answer):
+    return answer.success, answer.message
 
 
 class Bench:
@@ -84,11 +91,14 @@ class Bench:
         self.count = self.statuses = 0
         self.references = ReferenceBuffer(1000.0, 1000.0)
 
-    def start(self):
-        return self.watched.start(self.now, self.steady, self.publishers)
+    def start(self, **options):
+        return plain(self.watched.start(self.now, self.steady, self.publishers, **options))
+
+    def stop(self):
+        return plain(self.watched.stop(self.now))
 
     def clear(self):
-        return self.watched.clear_fault(self.now, self.steady)
+        return plain(self.watched.clear_fault(self.now, self.steady))
 
     def health(self):
         return self.watched.health(self.now, self.steady)
@@ -162,12 +172,12 @@ def test_the_course_in_diagnostics(running):
 
 
 def test_stop(running):
-    assert running.watched.stop(running.now) == (True, "Stopping: the current ramps down to zero.")
+    assert running.stop() == (True, "Stopping: the current ramps down to zero.")
     running.ticks(30)
     assert running.state() == "idle"
     assert running.health().message == "Stopped on request."
     assert np.all(running.blocks[-1].i_dq[-1] == 0.0)
-    assert running.watched.stop(running.now) == (True, "Nothing is running.")
+    assert running.stop() == (True, "Nothing is running.")
 
 
 @pytest.mark.parametrize(
@@ -191,7 +201,7 @@ def test_trips(running, fault, reason):
     running.ticks(50)
     assert np.all(running.blocks[-1].i_dq[-1] == 0.0)
     assert running.state() == "tripped"
-    done, sentence = running.watched.stop(running.now)
+    done, sentence = running.stop()
     assert sentence.startswith(f"Nothing is running. It tripped: {reason}")
     done, sentence = running.clear()  # the cause persists
     assert not done
@@ -327,7 +337,7 @@ def test_a_stop_that_is_not_obeyed_is_told(running):
     running.peak = np.array([[5.0], [-2.5], [-2.5]])
     running.watched.stop(running.now)
     running.ticks(100)
-    done, sentence = running.watched.stop(running.now)
+    done, sentence = running.stop()
     assert not done
     assert "does not go to zero current: use the emergency stop" in sentence
 
@@ -514,6 +524,78 @@ def test_a_dry_run_that_is_switched_on_meanwhile_does_not_leave_the_current_alon
     running.ticks(30)
     assert not np.any(running.references.last)
     assert running.state() == "idle"
+
+
+def test_a_start_may_ask_for_a_dry_run(bench):
+    assert "published to nobody" in bench.start(dry_run=True)[1]
+    bench.ticks(30)
+    assert (bench.blocks, bench.state()) == ([], "running")
+    assert bench.watched.report(bench.now, bench.steady).dry_run
+    bench.stop()
+    bench.ticks(40)
+    assert (bench.blocks, bench.state()) == ([], "idle")
+    assert not bench.watched.report(bench.now, bench.steady).dry_run
+    assert bench.start() == (True, "Started: lissajous within 10 A for 2 s.")
+    bench.ticks(30)
+    assert (bench.blocks[0].first_sample, bench.blocks[0].count) == (0, 0)  # nothing was lost before
+    assert bench.blocks[-1].first_sample == sum(len(block.i_dq) for block in bench.blocks[:-1])
+
+
+def test_the_end_of_the_process_publishes_nothing_of_a_dry_run(bench):
+    bench.start(dry_run=True)
+    bench.ticks(30)
+    assert bench.watched.finish(bench.now) == []
+
+
+def test_a_start_may_ask_for_heartbeats(bench):
+    ask = {"require_lease": True}
+    assert not bench.start(**ask)[0]
+    bench.watched.heartbeat(bench.steady)
+    assert bench.start(**ask)[0]
+
+
+def codes(name):
+    """Return the codes that a service defines."""
+    return set(re.findall(r"^string CODE_\w+=(\w+)", (SERVICES / f"{name}.srv").read_text("utf-8"), re.MULTILINE))
+
+
+def test_every_answer_has_its_code(bench):
+    """All of StartExperiment but that of a node that is not active, and of Command those of the publisher."""
+    found = {"start": [], "stop": [], "clear_fault": []}
+
+    def ask(what, *further, **options):
+        found[what].append(getattr(bench.watched, what)(bench.now, *further, **options).code)
+        return found[what][-1]
+
+    def start(**options):
+        return ask("start", bench.steady, bench.publishers, **options)
+
+    assert bench.watched.start(0, bench.steady).code == "no_clock"
+    assert start(require_lease=True) == "no_heartbeat"
+    bench.publishers = 2
+    assert start() == "fault"
+    bench.publishers, bench.status = 1, {"current_limit": 5.0}
+    bench.ticks(3)
+    assert start() == "limit"
+    bench.status = {}
+    bench.ticks(3)
+    assert start() == "ok"
+    bench.ticks(10)
+    assert start() == "busy"
+    assert ask("clear_fault", bench.steady) == "busy"
+    bench.speed = 111.0
+    bench.ticks(70)
+    assert start() == "tripped"
+    assert ask("clear_fault", bench.steady) == "fault"
+    bench.speed = 100.0
+    bench.ticks(3)
+    assert ask("clear_fault", bench.steady) == "ok"
+    assert ask("stop") == "ok"
+    bench.obey, bench.peak = lambda _: None, np.array([[5.0], [-2.5], [-2.5]])
+    bench.ticks(100)
+    assert ask("stop") == "current_flows"
+    assert {*found["start"], "no_clock", "inactive"} == codes("StartExperiment")
+    assert {*found["stop"], *found["clear_fault"], "not_recording"} == codes("Command")
 
 
 def test_a_stop_at_rest_brings_others_to_zero(bench):

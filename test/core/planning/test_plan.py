@@ -18,7 +18,7 @@ from drive_id.core.full.solver import Solver
 from drive_id.core.planning import planner as plan_module
 from drive_id.core.planning import prediction as prediction_module
 from drive_id.core.planning.planner import (
-    Candidate,
+    PlannedExperiment,
     figures,
     highest_frequency,
     needed_voltages,
@@ -63,7 +63,7 @@ def test_synthesized_samples_obey_the_voltage_balance():
         ModelSpec(True, model.all_orders, penalty=1e-9)
     )
     assert solution.estimate[RESISTANCE] == pytest.approx(0.35, rel=0.02)
-    (voltage,) = needed_voltages(MACHINE, Candidate(trajectory, (-600.0,), 1.0), 1e-4)
+    (voltage,) = needed_voltages(MACHINE, PlannedExperiment(trajectory, (-600.0,), 1.0), 1e-4)
     slope = trajectory.slope * MACHINE.inductance_q
     assert MACHINE.steady_voltage(600.0) * 0.9 < voltage < MACHINE.steady_voltage(600.0) + slope + 3.25 + 1.0
 
@@ -153,7 +153,7 @@ def test_figures_close_after_their_period_and_not_before(period):
 
 
 def test_another_duration_keeps_the_figure_about_as_it_was():
-    old = Candidate(Lissajous(20.0, 11.9, 7.3), (200.0, -200.0), 10.0)
+    old = PlannedExperiment(Lissajous(20.0, 11.9, 7.3), (200.0, -200.0), 10.0)
     new = retimed(old, 26.0, 12.0)
     assert new.duration == 26.0
     assert new.share == 13.0
@@ -222,7 +222,7 @@ def test_a_planned_experiment_beats_the_papers_in_simulation(pmsyrm):
     assert np.sqrt(ratio[0] * ratio[1]) < 1, ratio  # of both fluxes: one alone differs by chance
 
 
-def _errors(experiment: Candidate, seed: int) -> np.ndarray:
+def _errors(experiment: PlannedExperiment, seed: int) -> np.ndarray:
     """Return the errors of psi_d, psi_q, R and the inverter's curve."""
     drive = SimulationSettings(current_noise=1e-3, seed=seed, speeds=experiment.speeds)
     simulation = run_experiment(machine_map("pmsyrm"), drive, experiment.trajectory, experiment.duration)

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from machine_kinds import mean_flux
 
-from drive_id.bench.machines import machine_map
+from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
@@ -83,6 +84,20 @@ def test_unequal_gains_of_the_voltages_are_no_mismatch_of_the_currents(good):
     found = next(entry for entry in gained.calibrations if entry.name == "voltage_gain_mismatch")
     assert found.applied
     assert found.value == pytest.approx(0.01 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize("signal", ["u_abc", "i_abc"])
+def test_one_wrong_gain_leaves_that_of_all_phases_open(good, signal):
+    """The mean gain is off by a third of it, which no signal shows; the errors of R and of the flux hold it."""
+    wrong = fitted(replace(good.samples, **{signal: getattr(good.samples, signal) * [1.0, 1.06, 1.0]}))
+    machine, flux_map = good.machine, wrong.flux_map
+    assert abs(wrong.resistance - machine.resistance) < 2.5 * wrong.sigma_resistance
+    d, q = (int(np.argmin(np.abs(axis + 0.4 * I_MAX))) for axis in (flux_map.i_d, flux_map.i_q))
+    true = np.array(mean_flux(MACHINES["ipm"], flux_map.i_d[d], flux_map.i_q[q])).ravel()
+    error = np.array([flux_map.psi_d[d, q], flux_map.psi_q[d, q]]) - true
+    sigma = np.array([flux_map.sigma_d[d, q], flux_map.sigma_q[d, q]])
+    assert np.all(np.abs(error) < 2.5 * sigma)
+    assert sigma.max() > 2e-3 * flux_map.psi_d[d, q]
 
 
 def logged_late(samples, late):

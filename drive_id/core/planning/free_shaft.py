@@ -1,0 +1,185 @@
+"""Plan an experiment without load machine: current, frequency and mean speed of the swing, inertia to add."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.experiment.free_shaft import FASTEST_SWING, SLOWEST_SWING, FreeShaft, swing_frequency
+from drive_id.core.planning.settings import PlanSettings, RoughMachine
+from drive_id.errors import ConfigurationError
+
+AMPLITUDE = 0.95
+"""Of the current, relative to i_max."""
+_BANDWIDTH_SHARE = 0.25
+"""Highest frequency of the swing relative to the bandwidth of the current controller."""
+_VOLTAGE_SHARE = 0.9
+_HEAVY = 0.25
+"""Swing relative to the highest speed below which the shaft is let run at half of that speed."""
+_FEWEST_TURNS = 10.0
+"""Electrical revolutions in an experiment, at least; below, the shaft creeps."""
+_DURATION = 20.0  # s
+_RIM_NODES = 721
+_RPM = 30 / math.pi
+
+_CREEP = 60.0 / _RPM
+"""Usual speed of creeping, mechanical, rad/s."""
+
+_EXPECTED = ((10.0, 0.05, 0.1), (30.0, 0.06, 0.2), (math.inf, 0.1, 0.5))
+"""Up to a frequency of the swing, Hz: error of the flux and of the inertia, percent, that no simulated drive of
+docs/free_shaft.md exceeded."""
+
+
+@dataclass(frozen=True)
+class FreeShaftPlan:
+    """The proposed experiment.
+
+    Parameters
+    ----------
+    settings : PlanSettings
+    machine : RoughMachine
+    inertia : float
+        Of the shaft as planned, with what is added, kg m^2.
+    added_inertia : float
+        kg m^2.
+    share : float
+        Part of the wanted amplitude of the current that the shaft allows without added inertia, 0 to 1.
+    acceleration : float
+        By the amplitude, with added inertia, mechanical, rad/s^2.
+    speed_max, mean_speed : float
+        Mechanical, rad/s.
+    frequency : float
+        Hz.
+    duration : float
+        s.
+    """
+
+    settings: PlanSettings
+    machine: RoughMachine
+    inertia: float
+    added_inertia: float
+    share: float
+    acceleration: float
+    speed_max: float
+    mean_speed: float
+    frequency: float
+    duration: float
+
+    @property
+    def figure(self) -> FreeShaft:
+        """The trajectory."""
+        return FreeShaft(AMPLITUDE * self.machine.i_max, self.frequency, self.duration)
+
+    @property
+    def swing(self) -> float:
+        """Amplitude of the speed, mechanical, rad/s."""
+        return self.acceleration / (2 * math.pi * self.frequency)
+
+    @property
+    def expected(self) -> tuple[float, float]:
+        """Error of the flux and of the inertia to expect, percent."""
+        return next((flux, inertia) for most, flux, inertia in _EXPECTED if self.frequency <= most)
+
+    def statements(self) -> list[str]:
+        """Say why, and what accuracy to expect."""
+        flux, inertia = self.expected
+        low, high = (_RPM * (self.mean_speed + sign * self.swing) for sign in (-1, 1))
+        said = [
+            (
+                f"i_q swings at {self.frequency:.3g} Hz with {AMPLITUDE * self.machine.i_max:.4g} A, by which the "
+                f"shaft turns between {low:.0f} and {high:.0f} rpm for {self.duration:g} s."
+            ),
+            f"Simulated drives reach {flux:g} % of the largest flux and {inertia:g} % of J at such a frequency.",
+        ]
+        if self.mean_speed and self.swing < _HEAVY * self.speed_max:
+            said.append("The rotor is heavy: it runs as a flywheel about half of the highest speed.")
+        elif self.mean_speed:
+            said.append(
+                f"The swing alone is too small a part of a turn: the shaft creeps at {_RPM * self.mean_speed:.0f} rpm, "
+                f"so that at least {_FEWEST_TURNS:.0f} electrical revolutions pass."
+            )
+        elif self.swing > 0.5 * self.speed_max:
+            said.append("The swing through zero also tells Coulomb and viscous friction.")
+        return said
+
+    def warnings(self) -> list[str]:
+        """Say what has to be changed before."""
+        if not self.added_inertia:
+            return []
+        advice = (
+            f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled rotor), "
+            f"or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
+        )
+        return [advice]
+
+
+def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftPlan:
+    """Plan from rough data.
+
+    Parameters
+    ----------
+    settings : PlanSettings
+        Machine, ``speed_max``, ``current_bandwidth``, ``duration``.
+    inertia : float
+        Rough inertia of the shaft, kg m^2.
+
+    Raises
+    ------
+    ConfigurationError
+        When machine data are missing, the machine has no torque, or the DC link leaves no speed.
+    """
+    machine = RoughMachine.from_settings(settings)
+    if inertia is None:
+        raise ConfigurationError("The plan needs inertia, at least roughly: give it in kg m^2.")
+    if not (math.isfinite(inertia) and inertia > 0):
+        raise ConfigurationError(f"inertia is {inertia:g} kg m^2: it must be positive.")
+    torque = AMPLITUDE * _largest_torque(machine)
+    if not torque > 1e-9 * machine.i_max:
+        raise ConfigurationError("The machine has no torque: check magnet_flux and the inductances.")
+    speed_max = _fastest(machine, settings.speed_max) / _RPM
+    fastest = min(FASTEST_SWING, _BANDWIDTH_SHARE * settings.current_bandwidth)
+    if fastest < SLOWEST_SWING:
+        raise ConfigurationError(
+            f"current_bandwidth is {settings.current_bandwidth:g} Hz: a swing needs at least "
+            f"{SLOWEST_SWING / _BANDWIDTH_SHARE:g} Hz."
+        )
+    wanted = swing_frequency(torque / inertia, speed_max)
+    share = min(1.0, fastest / wanted)
+    total = inertia / share
+    frequency, duration = min(wanted, fastest), settings.duration or min(_DURATION, settings.duration_max)
+    swing = torque / total / (2 * math.pi * frequency)
+    mean_speed = 0.0
+    if swing < _HEAVY * speed_max and wanted == SLOWEST_SWING:
+        mean_speed = 0.5 * speed_max
+    elif 2 * swing * machine.pole_pairs / (2 * math.pi * frequency) < 2 * math.pi:  # from one reversal to the next
+        mean_speed = min(2 * math.pi * _FEWEST_TURNS / machine.pole_pairs / duration, 0.5 * speed_max)
+        mean_speed = max(mean_speed, min(_CREEP, 0.25 * speed_max))
+    return FreeShaftPlan(
+        settings, machine, total, total - inertia, share, torque / total, speed_max, mean_speed, frequency, duration
+    )
+
+
+def _largest_torque(machine: RoughMachine) -> float:
+    """Return the largest torque on the rim of the disc, Nm."""
+    angle = np.linspace(0.0, 2 * np.pi, _RIM_NODES)
+    i_d, i_q = machine.i_max * np.cos(angle), machine.i_max * np.sin(angle)
+    psi = machine.flux(np.stack([i_d, i_q], axis=-1))
+    return float(1.5 * machine.pole_pairs * np.max(psi[:, 0] * i_q - psi[:, 1] * i_d))
+
+
+def _fastest(machine: RoughMachine, limit: float) -> float:
+    """Return the highest speed that the DC link allows on the whole disc, up to a limit, rpm."""
+    most = _VOLTAGE_SHARE * machine.largest_voltage
+    if machine.steady_voltage(limit) <= most:
+        return limit
+    if machine.steady_voltage(0.0) >= most:
+        raise ConfigurationError(
+            f"The DC link of {machine.u_dc:g} V does not suffice for i_max at standstill: reduce i_max."
+        )
+    low, high = 0.0, limit
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if machine.steady_voltage(middle) <= most else (low, middle)
+    return low

@@ -1,0 +1,307 @@
+"""Inertia, friction and cogging of a free shaft, from its motion and the torque of the flux map.
+
+The torque balance is weighted by a bell w that vanishes with its slope at both ends of a window, and the derivatives
+are moved from the angle to the bell: ``int w d2theta/dt2 = int w'' theta``, ``int w dtheta/dt = -int w' theta``.
+Nothing measured is differentiated, so neither noise nor the lag of a speed signal matters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.core.result.block_regression import BlockRegression, grouped
+from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, Mechanics
+from drive_id.types import FloatArray, Samples
+
+ORDERS = (6, 12, 18, 24)
+"""Electrical orders of cogging that are looked for."""
+_SHORTEST, _LONGEST = 4e-3, 0.1
+"""Bounds of the width of the bell, s."""
+_BELLS = 8
+"""Bells per width: neighbours overlap."""
+_BLOCKS, _FEWEST_BLOCKS = 40, 8
+_OUTSIDE = 0.05
+"""Share of a bell in which the current may lie beyond the data of the map, where its continuation is taken."""
+_RESTING = 0.02
+"""Speed relative to the largest one at which a shaft rests: friction then is what holds it."""
+_EXPLAINED = 0.9
+"""Share of the torque's energy that the motion must explain to be that of a free shaft."""
+_SIGNIFICANT = 30.0
+"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
+_TOLD = 5.0
+"""Standard errors of friction, viscous friction or load from which on the motion tells it."""
+_UNMODELLED = 1 / 3
+"""Part of the rms torque that the model leaves, such as a ripple, that may resemble an acceleration."""
+_SAME_GAIN = 2e-3
+_LEAST_WAVE = 0.05
+"""Rms of a harmonic under the bells below which it has averaged out."""
+_SAME_SPEED = 1.2
+_LEAST_TURN = 2 * math.pi
+"""Range of the angle below which no harmonic is looked for, rad."""
+
+
+def with_mechanics(
+    drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs: int | None, settings: FitSettings
+) -> IdentifiedDrive:
+    """Return the drive with the mechanics of its free shaft; the same drive if its torque does not move the shaft.
+
+    Parameters
+    ----------
+    drive : IdentifiedDrive
+    excerpts : sequence of Samples
+    pole_pairs : int or None
+        None when unknown: then there are no mechanics.
+    settings : FitSettings
+        For ``inertia`` and ``added_inertia``.
+    """
+    if pole_pairs is None or not excerpts:
+        return drive
+    discs = settings.added_inertia
+    if discs and len(discs) != len(excerpts):
+        said = "The added inertias were not used, for only some of the recordings are kept: fit these recordings alone."
+        drive, discs = replace(drive, statements=(*drive.statements, said)), ()
+    pieces = list(excerpts)
+    if drive.calibrations:
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+
+        pieces = [corrected(piece, drive.calibrations) for piece in pieces]
+    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), settings.inertia)
+    if found is None:
+        return drive
+    return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
+
+
+_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _HARMONICS = range(8)
+"""Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
+speed, direction, 1, and from the last one on cosines and sines of the harmonics; all under a bell."""
+
+
+@one_blas_thread(with_scipy=True)
+def fit_mechanics(
+    flux_map: FluxMap,
+    pieces: Sequence[Samples],
+    pole_pairs: int,
+    discs: Sequence[float] = (),
+    inertia: float | None = None,
+) -> Mechanics | None:
+    """Fit inertia, friction, load and cogging to the motion.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    pieces : sequence of Samples
+    pole_pairs : int
+    discs : sequence of float, optional
+        Inertia added in each piece, kg m^2. Default: none.
+    inertia : float, optional
+        Known inertia without discs, kg m^2.
+
+    Returns
+    -------
+    Mechanics or None
+        None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
+    """
+    width = _bell_width(flux_map, pieces)
+    rows = [
+        _rows(flux_map, run, pole_pairs, disc, width)
+        for piece, disc in zip(pieces, discs or (0.0,) * len(pieces), strict=True)
+        for run in map(piece.part, *_edges(piece))
+    ]
+    count = sum(len(run) for run in rows)
+    size = max(count // _BLOCKS, 1)
+    blocks = [part.T @ part for run in rows for part in np.split(run, range(size, len(run), size)) if len(part)]
+    blocks = grouped(blocks, _BLOCKS)
+    if len(blocks) < _FEWEST_BLOCKS:
+        return None
+    products, data = np.array(blocks), np.concatenate(rows)
+    two_discs = len(set(discs)) > 1
+    known = inertia is not None or two_discs
+    if inertia is not None:
+        products, data = _with_known(products, data, inertia)
+    base = [_INERTIA, *([_DISC] if two_discs and inertia is None else []), *_of_speeds(data[:, _VISCOUS])]
+    turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
+    waves = [
+        column
+        for column in range(_HARMONICS, data.shape[1], 2)
+        if turned > _LEAST_TURN and np.sqrt(np.mean(data[:, column : column + 2] ** 2)) > _LEAST_WAVE
+    ]
+    every = [*base, *(column + part for column in waves for part in (0, 1))]
+    solution = BlockRegression.of(products, _TORQUE, every)
+    waves = [column for column in waves if solution.wald(column) > _SIGNIFICANT]
+    columns = [*base, *(column + part for column in waves for part in (0, 1))]
+    solution = BlockRegression.of(products, _TORQUE, columns)
+    energy = solution.total[_TORQUE, _TORQUE]
+    explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
+    coefficient, sigma = solution.estimate(_INERTIA)
+    if explained < _EXPLAINED or coefficient < _TOLD * sigma:
+        return None
+    of_map = math.sqrt(solution.total[_MAP, _MAP] / energy)  # common to all currents, relative
+    found = _Found(solution, math.hypot(of_map, _UNMODELLED * math.sqrt(max(1 - explained, 0.0))))
+    gain = found.gain(_INERTIA if inertia is not None else _DISC) if known else None
+    by = 1.0 if gain is None else gain[0]
+    own, sigma_own = (inertia, 0.0) if inertia is not None else found.inertia(by, known=known)
+    friction, viscous, load = (found.term(column, by) for column in (_FRICTION, _VISCOUS, _LOAD))
+    return Mechanics(
+        inertia=own,
+        sigma_inertia=sigma_own,
+        friction=friction[0],
+        sigma_friction=friction[1],
+        viscous_friction=viscous[0],
+        sigma_viscous_friction=viscous[1],
+        load=load[0],
+        sigma_load=load[1],
+        cogging=tuple(
+            Cogging(ORDERS[(column - _HARMONICS) // 2], *(by * x for x in solution.amplitude(column)))
+            for column in waves
+        ),
+        gain=None if gain is None else gain[0],
+        sigma_gain=None if gain is None else gain[1],
+        explained=float(explained),
+        seconds=count * width / _BELLS,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The solution, and the relative standard error by the torque of the map and by what the model leaves."""
+
+    solution: BlockRegression
+    common: float
+
+    def gain(self, column: int) -> tuple[float, float]:
+        """Return the common gain, whose inverse is the coefficient of a known inertia, and its standard error."""
+        inverse, sigma = self.solution.estimate(column)
+        return 1 / inverse, math.hypot(sigma / inverse, self.common) / abs(inverse)
+
+    def inertia(self, by: float, *, known: bool) -> tuple[float, float]:
+        """Return the inertia without discs and its standard error; ``known``: by two of them."""
+        value, sigma = self.solution.estimate(_INERTIA)
+        if not known:
+            return value, math.hypot(sigma, self.common * value)
+        at = [self.solution.columns.index(column) for column in (_INERTIA, _DISC)]  # J = g (J / g), g = 1 / coefficient
+        slope = np.array([by, -(by**2) * value])
+        variance = float(slope @ self.solution.covariance[np.ix_(at, at)] @ slope)
+        return by * value, math.sqrt(variance)
+
+    def term(self, column: int, by: float) -> tuple[float | None, float | None]:
+        """Return a term and its standard error, None if the motion does not tell it.
+
+        Errors of the map count as common to all currents, as if they all fell on this term. Negative friction is none:
+        then the torque is in error with the speed, as by a latency of the angle.
+        """
+        if column not in self.solution.columns:
+            return None, None
+        total = self.solution.total
+        value, scatter = self.solution.estimate(column)
+        sigma = math.hypot(scatter, math.sqrt(total[_MAP, _MAP] / total[column, column]))
+        told = (abs(value) if column == _LOAD else value) > _TOLD * sigma > 0
+        return (by * value, by * sigma) if told else (None, None)
+
+
+def _with_known(products: FloatArray, data: FloatArray, inertia: float) -> tuple[FloatArray, FloatArray]:
+    """Return products and data whose column of the inertia is the torque of the whole known inertia."""
+    change = np.eye(data.shape[1])
+    change[_INERTIA, _INERTIA], change[_DISC, _INERTIA] = inertia, 1.0
+    return change.T @ products @ change, data @ change
+
+
+def _of_speeds(speed: FloatArray) -> list[int]:
+    """Return the columns of friction and load that speeds (N,), rad/s, tell from each other."""
+    size = np.abs(speed)
+    low, high = np.percentile(size, [5, 95])
+    reversed_ = speed.min() < -0.2 * high and speed.max() > 0.2 * high
+    return [_FRICTION, *([_VISCOUS] if high > _SAME_SPEED * low else []), *([_LOAD] if reversed_ else [])]
+
+
+def _edges(piece: Samples) -> tuple[list[int], list[int]]:
+    runs = list(piece.runs())
+    return [run.start for run in runs], [run.stop for run in runs]
+
+
+def _bell_width(flux_map: FluxMap, pieces: Sequence[Samples]) -> float:
+    """Return half the mean period of the torque, s, by its changes of sign."""
+    changes, seconds = 0, 0.0
+    for piece in pieces:
+        torque, _, _ = _torque(flux_map, piece, 1)
+        step = max(1, round(1e-3 / piece.sample_period))
+        smooth = torque[: len(torque) // step * step].reshape(-1, step).mean(axis=1)
+        active = np.abs(smooth) > 0.1 * np.abs(smooth).max(initial=0.0)  # noise about zero torque is no swing
+        changes += int(np.count_nonzero(np.diff(np.sign(smooth[active]))))
+        seconds += float(active.sum()) * step * piece.sample_period
+    return min(max(seconds / max(changes, 1), _SHORTEST), _LONGEST)
+
+
+def _torque(flux_map: FluxMap, samples: Samples, pole_pairs: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the torque of the map and its standard error (N,), Nm, and 1.0 where the current is beyond the data."""
+    i_dq = frames.to_dq(samples.i_abc, samples.angle)
+    i_d, i_q = i_dq.T
+    psi = flux_map.continued(i_dq)
+    sigma_d, sigma_q = flux_map.sigma(i_d, i_q)
+    sigma = np.hypot(sigma_d * i_q, sigma_q * i_d)
+    scale = 1.5 * pole_pairs
+    inside = np.isfinite(sigma)
+    torque = scale * (psi[:, 0] * i_q - psi[:, 1] * i_d)
+    return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0)
+
+
+def _rows(flux_map: FluxMap, run: Samples, pole_pairs: int, disc: float, width: float) -> FloatArray:
+    """Return the rows (W, 7 + 2 H) of a gap-free run; see the columns above."""
+    period = run.sample_period
+    half = max(round(0.5 * width / period), 4)
+    stride = max(2 * half // _BELLS, 1)
+    if len(run) < 2 * half + 3:
+        return np.zeros((0, _HARMONICS + 2 * len(ORDERS)))
+    bell = (1 - (np.arange(-half, half + 1) / (half + 0.5)) ** 2) ** 4
+    bell /= bell.sum()
+    padded = np.concatenate([[0.0, 0.0], bell, [0.0, 0.0]])
+    slope, bend = (padded[2:] - padded[:-2]) / (2 * period), np.diff(padded, 2) / period**2
+    wide = np.concatenate([[0.0], bell, [0.0]])
+    angle = np.unwrap(run.angle)
+    speed = np.gradient(angle, period) / pole_pairs
+    steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
+    torque, sigma, outside = _torque(flux_map, run, pole_pairs)
+    waves = [wave(order * angle) for order in ORDERS for wave in (np.cos, np.sin)]
+
+    def under(kernel: FloatArray, x: FloatArray) -> FloatArray:
+        places = np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::stride]
+        return np.asarray(places @ kernel)
+
+    acceleration = under(bend, angle) / pole_pairs
+    columns = [
+        under(wide, torque), under(wide, sigma), acceleration, disc * acceleration, -under(slope, angle) / pole_pairs,
+        under(wide, np.sign(steady)),
+    ]  # fmt: skip
+    columns += [np.ones(len(acceleration), np.float64), *(under(wide, wave) for wave in waves)]
+    size = under(wide, np.abs(steady))
+    kept = (under(wide, outside) < _OUTSIDE) & (size > _RESTING * size.max())
+    return np.asarray(np.column_stack(columns)[kept], np.float64)
+
+
+def _statements(found: Mechanics) -> list[str]:
+    said = f"The torque of the map explains {100 * found.explained:.2f} % of the free shaft's motion"
+    out = []
+    if found.gain is None or found.sigma_gain is None:
+        out.append(
+            f"{said}: its inertia is {found.inertia:.4g} +- {found.sigma_inertia:.2g} kg m^2 if voltages and currents "
+            "have no common gain error; set inertia, or record with and without a disc (added_inertia), to find that."
+        )
+    elif abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN):
+        out.append(
+            f"{said}, and the known inertia confirms the common gain of voltages and currents: {found.gain:.4f} +- "
+            f"{found.sigma_gain:.4f}."
+        )
+    else:
+        out.append(
+            f"{said}; by the known inertia the true torque is {found.gain:.4f} +- {found.sigma_gain:.4f} of the map's: "
+            f"the gains of voltages and currents are off by {100 * abs(found.gain - 1):.2g} % together."
+        )
+    if found.friction is None or found.viscous_friction is None:
+        out.append("The swing does not tell Coulomb from viscous friction: that needs large swings through zero speed.")
+    return out

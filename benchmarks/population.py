@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import os
 import re
@@ -24,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: befor
 
 import numpy as np
 import population_report
-from population_drives import Drive, drive, recordings, true_flux
+from population_drives import Drive, drive, on_free_shaft, recordings, true_flux
 
 import drive_id
 from drive_id.core import frames
@@ -59,7 +60,11 @@ CAUSES = {
     "harmonics": r"rotor-position harmonic",
 }
 """What a warning names (a sentence), and the names of corrections, by cause."""
-_WEAK = re.compile("not significantly different from zero|standard error above 1 %|too short to estimate")
+_WEAK = re.compile(
+    "not significantly different from zero|standard error above 1 %|too short to estimate|belong to R or to the drop"
+    "|The data cover"
+)
+"""Warnings that say what the data leave open, true of any drive."""
 _TESTED = re.compile(r"none of the causes tested \([^)]*\)")
 
 
@@ -90,6 +95,10 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
     row["band"] = float(np.mean(np.abs(error / sigma) < BAND))
     wrong = found.resistance - one.resistance()
     row |= {"R": 100 * wrong / one.resistance(), "R_z": wrong / found.sigma_resistance}
+    if one.swing is not None and found.mechanics is not None:
+        true_inertia = one.settings[0].inertia or math.nan
+        wrong = found.mechanics.inertia - true_inertia
+        row |= {"J": 100 * wrong / true_inertia, "J_z": wrong / found.mechanics.sigma_inertia}
     row["corrected"] = {
         entry.name: [entry.value, entry.sigma]
         for entry in found.calibrations
@@ -99,9 +108,10 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
     return row
 
 
-def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None) -> Row:
+def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None, free_shaft: bool = False) -> Row:
     """Simulate one drive and fit it by all methods."""
     one = drive(seed, number)
+    one = on_free_shaft(one) if free_shaft else one
     row: Row = {**one.labels(), "fits": {}}
     start = time.monotonic()
     try:
@@ -141,10 +151,12 @@ class Worker:
         its.close()
         return cls(ours, process)
 
-    def ask(self, seed: int, number: int, methods: Sequence[str], cache: Path | None, timeout: float) -> None:
+    def ask(
+        self, seed: int, number: int, methods: Sequence[str], cache: Path | None, timeout: float, free_shaft: bool
+    ) -> None:
         """Begin one drive."""
         self.number, self.deadline = number, time.monotonic() + timeout
-        self.pipe.send((seed, number, methods, cache))
+        self.pipe.send((seed, number, methods, cache, free_shaft))
 
     def answer(self, seed: int) -> Row | None:
         """Return the row of the drive; None while it is measured. The process is dead after a crash or timeout."""
@@ -166,14 +178,21 @@ class Worker:
 
 
 def rows(
-    seed: int, numbers: Sequence[int], methods: Sequence[str], cache: Path | None, jobs: int, timeout: float = TIMEOUT
+    seed: int,
+    numbers: Sequence[int],
+    methods: Sequence[str],
+    cache: Path | None,
+    jobs: int,
+    timeout: float = TIMEOUT,
+    *,
+    free_shaft: bool = False,
 ) -> Iterator[Row]:
     """Measure drives in processes of their own, and yield the rows in the order in which they are ready."""
     waiting, idle, busy = list(numbers), list[Worker](), list[Worker]()
     while waiting or busy:
         while waiting and len(busy) < jobs:
             worker = idle.pop() if idle else Worker.started()
-            worker.ask(seed, waiting.pop(0), methods, cache, timeout)
+            worker.ask(seed, waiting.pop(0), methods, cache, timeout, free_shaft)
             busy.append(worker)
         connection.wait([worker.pipe for worker in busy], timeout=1.0)
         for worker in [*busy]:
@@ -239,7 +258,8 @@ def line_of(row: Row) -> str:
         if "psi_d" in fit:
             cells.append(
                 f"{method} {fit['psi_d']:.3f}/{fit['psi_q']:.3f} % R {fit['R']:+.1f} % ({fit['R_z']:+.1f}) "
-                f"band {fit['band']:.2f} {len(fit['warnings'])}w {fit['seconds']:.1f}s {verdicts}"
+                + (f"J {fit['J']:+.2f} % ({fit['J_z']:+.1f}) " if "J" in fit else "")
+                + f"band {fit['band']:.2f} {len(fit['warnings'])}w {fit['seconds']:.1f}s {verdicts}"
             )
         else:
             cells.append(f"{method} {verdicts}: {fit['refused']}")
@@ -253,6 +273,9 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of drives, fitted again")
+    parser.add_argument(
+        "--free-shaft", action="store_true", help="the same drives without load machine; give another --output"
+    )
     parser.add_argument("--methods", default="full,joint")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--samples-cache", type=Path, help="keep the simulated samples in this folder (4 MB a drive)")
@@ -271,7 +294,8 @@ def main() -> None:
         if options.only is not None or number not in known or known[number]["seed"] != options.seed
     ]
     with options.output.open("a", encoding="utf-8") as output:
-        for row in rows(options.seed, missing, methods, options.samples_cache, options.jobs, options.timeout):
+        measuring = (options.seed, missing, methods, options.samples_cache, options.jobs, options.timeout)
+        for row in rows(*measuring, free_shaft=options.free_shaft):
             known[row["number"]] = row
             output.write(json.dumps(row) + "\n")
             output.flush()

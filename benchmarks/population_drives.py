@@ -6,16 +6,21 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from population_machines import FAMILIES, CoEnergy, Machine, Measured, Random, random_shape
 
+from drive_id.bench.drive import build_machine
+from drive_id.bench.effects import largest_torque
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.swing import Swing
 from drive_id.core.experiment.trajectories import Lissajous
+from drive_id.core.planning.free_shaft import plan_free_shaft
+from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import FloatArray, Samples
 
@@ -33,6 +38,8 @@ _WIDE = 0.1
 """Width of an inverter curve, in the largest current, above which docs/limits.md takes it for resistance."""
 _FASTEST, _SLOWEST = 0.09, 3.0
 """Electrical frequency: at most, of the sampling rate; at least, Hz."""
+_SLOWEST_SWING = 100.0
+"""Least planned speed of a free shaft, rpm."""
 _HEADROOM = 0.85
 """Share of the DC link's circle that the largest induced voltage takes at the fastest speed of a drive."""
 
@@ -145,6 +152,7 @@ class Drive:
     settings: tuple[SimulationSettings, ...]  # one for each recording
     seconds: float  # of each recording
     effects: tuple[str, ...] = ()  # keys of EFFECTS
+    swing: Swing | None = None  # of a free shaft
 
     @property
     def i_max(self) -> float:
@@ -239,6 +247,34 @@ def drive(seed: int, number: int) -> Drive:
     return Drive(seed, number, family, machine, tuple(settings), seconds, chosen)
 
 
+def on_free_shaft(one: Drive) -> Drive:
+    """Return the drive without load machine, its swing as planned from rough data; of two recordings, the first."""
+    rng = np.random.default_rng([one.seed, one.number, 1])
+    first, machine_map = one.settings[0], one.machine.to_map("")
+    bandwidth = float(rng.uniform(100.0, 150.0))
+    rough = asdict(RoughMachine.from_map(machine_map, one.i_max)) | {"current_bandwidth": bandwidth}
+    fastest = max(abs(first.speeds[0]), _SLOWEST_SWING)
+    settings = PlanSettings(**rough, speed_min=1.0, speed_max=fastest, duration=one.seconds)
+    torque = largest_torque(build_machine(machine_map, replace(first, i_max=one.i_max)))
+    plan = plan_free_shaft(settings, torque / float(np.exp(rng.uniform(np.log(300.0), np.log(12_000.0)))))
+    changes: Changes = {
+        "free_shaft": True,
+        "inertia": plan.inertia,
+        "coulomb_friction": torque * float(rng.uniform(2e-3, 0.03)),
+        "viscous_friction": torque * float(rng.uniform(2e-3, 0.03)) / plan.speed_max,
+        "cogging_torque": torque * float(rng.choice([0.0, rng.uniform(2e-3, 0.01)])),
+        "speed_observer": float(rng.choice([0.0, 60.0, 100.0, 200.0])),
+        "speed_ripple": 0.0,
+        "current_bandwidth": bandwidth,
+        "controller_inductance": float(rng.uniform(0.7, 1.2)),
+        "controller_flux": float(rng.uniform(0.85, 1.1)),
+    }
+    to_rpm = 30 / np.pi
+    swing = Swing(plan.speed_max * to_rpm, plan.mean_speed * to_rpm, plan.frequency)
+    kept = tuple(name for name in one.effects if not EFFECTS[name].second)
+    return replace(one, settings=(replace(first, **changes),), effects=kept, swing=swing)
+
+
 def _least_inductance(shape: CoEnergy | Measured) -> float:
     """Return the smaller incremental inductance at zero current, per unit."""
     step = np.array([[-0.05, 0.05, 0.0, 0.0], [0.0, 0.0, -0.05, 0.05]])
@@ -303,7 +339,7 @@ def _recording(drive: Drive, k: int, cache: Path | None) -> Samples:
 
 def _simulated(drive: Drive, k: int) -> Samples:
     machine = drive.machine.to_map(f"{drive.family} {drive.number}")
-    samples = run_experiment(machine, drive.settings[k], Lissajous(), drive.seconds).samples
+    samples = run_experiment(machine, drive.settings[k], drive.swing or Lissajous(), drive.seconds).samples
     for name in drive.effects:
         spoil = EFFECTS[name].spoil
         samples = spoil(samples) if spoil else samples

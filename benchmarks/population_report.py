@@ -59,7 +59,8 @@ def page(rows: Sequence[Row], methods: Sequence[str], verdicts: Verdicts, comman
         numbers = ", ".join(map(str, found[0]))
         yield f"| {verdict}: {meaning} | {' | '.join(str(len(each)) for each in found)} | {numbers} |"
     for method in methods[1:]:
-        losers = [row["number"] for row in simulated if _grown(flux_error(row, method), flux_error(row, methods[0]))]
+        pairs = [(row["number"], flux_error(row, method), flux_error(row, methods[0])) for row in simulated]
+        losers = [number for number, its, ours in pairs if np.isfinite(ours) and _grown(its, ours)]
         yield f"| worse than `{method}` | {len(losers)} |{' |' * (len(methods) - 1)} {', '.join(map(str, losers))} |"
     families = {row["family"]: [r for r in good if r["family"] == row["family"]] for row in good}
     ordinary = [row for row in good if not row["effects"]]

@@ -316,19 +316,31 @@ def ratios(machines: list[str]) -> Iterator[str]:
     yield ""
 
 
+LEGEND = """\
+## Columns and conditions
+
+Written by `python benchmarks/robustness.py --output docs/robustness.md`: 10 s at 10 kHz, 0.1 % current noise, an
+inverter with dead time, the default trajectory and the default settings.
+
+| column | meaning |
+|---|---|
+| ψ_d / ψ_q | NRMSE over the map points with data within the disc, against the map at the start of the first \
+recording and, with iron loss, over the machine's current (without the iron's) |
+| R | error and, in brackets, in stated standard errors |
+| band | share of map points whose nominal 95 % interval contains the truth |
+| report | effects identified and corrected, with values, (open) if another would explain nearly as much; then the \
+first warning, shortened (+ further ones) |
+| **No warning** | a result without a warning whose error exceeds 0.3 % of the flux, or 1 % of R and 3 σ |
+"""
+
+
 def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]:
     """Yield the lines of the page."""
     yield from (
         "# Robustness",
         "",
-        "Written by `python benchmarks/robustness.py --output docs/robustness.md`. Simulated drives with one effect of",
-        "real drives each: 10 s at 10 kHz, 0.1 % current noise, an inverter with dead time, the default trajectory and",
-        "the default settings of method `full`. ψ_d / ψ_q: NRMSE over the map points with data within the disc, in",
-        "percent, against the map at the start of the first recording and, with iron loss, over the machine's current",
-        "(without the iron's). R: error in percent and, in brackets, in stated standard errors. Band: share of map",
-        "points whose nominal 95 % interval contains the truth. Report: effects identified and corrected, with",
-        "values, (open) if another would explain nearly as much; then the first warning, shortened (+ further ones).",
-        "**No warning** marks results without a warning whose error exceeds 0.3 % of the flux, or 1 % of R and 3 σ.",
+        "Method `full` on simulated drives with one effect of real drives each; the columns are explained",
+        "[below the tables](#columns-and-conditions).",
         "",
     )
     for number, name in enumerate(machines):
@@ -341,7 +353,8 @@ def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]
                     yield f"| {EFFECTS[effect].title} | {' | '.join(cells(EFFECTS[effect], name, speeds))} |"
             yield ""
     if ratio:
-        yield from ratios(machines)
+        yield from (*ratios(machines), "")
+    yield from LEGEND.splitlines()
 
 
 def main() -> None:

@@ -44,6 +44,16 @@ def test_a_part_of_the_population(population, number):
     assert population.judged({**one.labels(), "fits": {"full": fit}}, "full") == set()
 
 
+@pytest.mark.parametrize("number", [0, 2])
+def test_a_part_of_the_population_on_free_shafts(population, number):
+    one = replace(population.drive(SEED, number), seconds=8.0)
+    one = population.on_free_shaft(one)
+    fit = population.fitted(one, population.recordings(one), "full")
+    assert max(fit["psi_d"], fit["psi_q"]) < 0.15
+    assert abs(fit["R_z"]) < 4
+    assert abs(fit["J"]) < 0.5
+
+
 def test_drives_depend_on_seed_and_number_alone(population):
     assert population.drive(3, 17) == population.drive(3, 17)
     assert population.drive(3, 17) != population.drive(4, 17)

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.linalg import lsqr
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.fit import FullFit
-from drive_id.core.full.model import CONSTANT, SENSOR_ORDERS
+from drive_id.core.full.model import CONSTANT, RESISTANCE, SENSOR_ORDERS
 from drive_id.core.full.windows import MOST_DELAY
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
@@ -29,6 +30,7 @@ _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
+VOLTAGE_MISMATCH = "voltage_gain_mismatch"
 _FEWEST_MIRRORED, _MOST_MIRRORED = 16, 1500
 
 
@@ -328,6 +330,38 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         return Calibration(name, angle, sigma, unit, False, reason)
     sentence = f"The measured angle is {degrees} too large, as the mirror symmetry shows; this was corrected."
     return Calibration(name, angle, sigma, unit, True, sentence)
+
+
+@one_blas_thread(with_scipy=True)
+def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
+    """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
+
+    A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be
+    seen, so where a sensor is faulty, the latter is as uncertain as the former is large.
+
+    Parameters
+    ----------
+    fit : FullFit
+    found : sequence of Calibration
+    i_dq : (N, 2) float
+        Currents with data, A.
+    faulty : float
+        Mismatch of the current gains from which on.
+    """
+    values = {entry.name: entry.value for entry in found if entry.applied}
+    alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
+    of_currents = float(np.hypot(alpha, beta))
+    model, estimate = fit.model, fit.solution.estimate
+    of_voltage, of_current = np.zeros((2, model.size))
+    if VOLTAGE_MISMATCH in values:
+        of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
+        of_voltage[model.effects] = 0.0
+    if of_currents > faulty:  # the same voltages at other currents: R i and f(i) are stretched along i
+        of_current[RESISTANCE] = of_currents * fit.solution.resistance
+        slopes = jacobian(model.flux, estimate[model.map], i_dq)
+        rows = model.flux.rows(i_dq).sparse(model.flux.parameters)
+        of_current[model.map] = lsqr(rows, of_currents * np.einsum("nab,nb->na", slopes, i_dq).ravel())[0]
+    return np.stack([change for change in (of_voltage, of_current) if change.any()] or [of_voltage], axis=1)
 
 
 def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:

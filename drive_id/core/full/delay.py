@@ -8,7 +8,8 @@ import numpy as np
 
 from drive_id.core.full.model import PENALTIES
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products
-from drive_id.core.full.windows import MOST_DELAY
+from drive_id.core.full.windows import MOST_DELAY, Windows
+from drive_id.types import FloatArray
 
 _SIGNIFICANCE = 2.0
 _LEAST_ANGLE = 2e-3  # rad
@@ -21,6 +22,13 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a physical delay from a half or a whole sample, samples."""
+_SEGMENT = 0.25
+"""Time over which a delay is averaged to find where it jumps, s."""
+_LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
+"""Jump of a delay in what the fit left of it, samples, and the share of the squared residuals that it must explain: the
+fit takes half of a jump and more; without one, the share was below 0.002."""
+_SAME_SPEED = 0.1
+"""Relative difference of speeds above which something else may have changed as well."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,57 @@ class Delay:
         halves = 2 * self.value
         allowed = max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
         return round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed
+
+
+@dataclass(frozen=True)
+class DelayJump:
+    """Where the delay of the voltages changes within a recording.
+
+    Parameters
+    ----------
+    recording : int
+        Number, from 0.
+    time : float
+        Since the start of that recording, gaps not counted, s.
+    later : bool
+        Whether the voltages act later from then on.
+    """
+
+    recording: int
+    time: float
+    later: bool
+
+
+def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:
+    """Return the jump of the delay that explains a substantial part of the residuals (N, 2), Vs, if there is one.
+
+    A delay by d samples of the period T adds ``-d T [u_s]`` to the balance of a window, [] being the difference between
+    its ends.
+    """
+    error = residuals[:, 0] + 1j * residuals[:, 1]
+    column = -windows.period * (windows.held[:, 1] - windows.held[:, 0]) * np.sqrt(windows.weights)
+    speed, found = windows.speed.mean(axis=1), []
+    for number in np.unique(windows.recording):
+        own = np.flatnonzero(windows.recording == number)
+        first = windows.time[own].min()
+        segment = ((windows.time[own] - first) / _SEGMENT).astype(np.int64)
+        facts = (np.real(column[own].conj() * error[own]), np.abs(column[own]) ** 2, speed[own], np.ones(len(own)))
+        before = np.cumsum([np.bincount(segment, weights=fact) for fact in facts], axis=1)
+        after = before[:, -1:] - before
+        (moment, weight, *_), before, after = before[:, -1], before[:, :-1], after[:, :-1]
+        if not before.size:
+            continue
+        low, high = (np.maximum(part[1:], np.finfo(np.float64).tiny) for part in (before, after))
+        delays = before[0] / low[0], after[0] / high[0]
+        saved = before[0] * delays[0] + after[0] * delays[1] - moment**2 / max(weight, np.finfo(np.float64).tiny)
+        speeds = before[2] / low[2], after[2] / high[2]
+        alike = np.abs(speeds[1] - speeds[0]) < _SAME_SPEED * np.abs(speeds[0])
+        share = np.where(alike, saved, 0.0) / max(float(np.sum(np.abs(error[own]) ** 2)), np.finfo(np.float64).tiny)
+        best = int(np.argmax(share))
+        jump = float(delays[1][best] - delays[0][best])
+        if share[best] > _LEAST_SHARE and abs(jump) > _LEAST_JUMP:
+            found.append((share[best], DelayJump(int(number), _SEGMENT * (best + 1), jump < 0)))
+    return max(found, key=lambda each: each[0])[1] if found else None
 
 
 def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> Delay:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.full.calibration import Calibration
+from drive_id.core.full.calibration import VOLTAGE_MISMATCH, Calibration
 from drive_id.core.full.effect_search import Taken
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.fit import sigma as fitted_sigma
@@ -48,8 +48,9 @@ TESTED = (
 )
 
 _MICRO, _MILLI = 1e6, 1e3
-_NEGLIGIBLE = 3e-4
-"""Ratio of the rms residual to the rms integrated voltage below which there is no warning."""
+_NEGLIGIBLE = 5e-4
+"""Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
+random drive 0.1 % of the flux."""
 _CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.15, 20.0
 _ALIKE, _MOST_NAMED = 0.5, 2
 """Share of the best explanation above which another one is named too, and the most that are named."""
@@ -58,7 +59,8 @@ _ALIKE, _MOST_NAMED = 0.5, 2
 def misfit_warning(fit: FullFit) -> str | None:
     """Describe residuals above noise: size, region and likely cause; None if they are small."""
     misfit = fit.misfit
-    if misfit.ratio < LEAST_TOLD or fit.solution.residual_rms**2 < _NEGLIGIBLE**2 * fit.total_voltage:
+    beyond = fit.solution.residual_rms**2 * (1 - misfit.ratio**-2)
+    if misfit.ratio < LEAST_TOLD or beyond < _NEGLIGIBLE**2 * fit.total_voltage:
         return None
     d, q = misfit.i_dq
     where = f"most of all around i_d = {d:.3g} A, i_q = {q:.3g} A ({misfit.worst:.1f} times)"
@@ -135,7 +137,9 @@ def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibr
     reported = _REPORTS.get(name, _gains)(_Found(fit, taken.name, value, sigma))
     open_question = _open(taken, several_speeds=several_speeds)
     return [
-        Calibration(key, x, dx, unit, True, sentence + open_question, doubtful=bool(open_question) or key == _MISMATCH)
+        Calibration(
+            key, x, dx, unit, True, sentence + open_question, doubtful=bool(open_question) or key == VOLTAGE_MISMATCH
+        )
         for key, x, dx, unit, sentence in reported
     ]
 
@@ -148,8 +152,6 @@ def _open(taken: Taken, *, several_speeds: bool) -> str:
     remedy = "a faster trajectory" if several_speeds else "a second recording at another speed, in the other direction"
     return f" This is open: {others} would explain these data nearly as well; {remedy} would tell."
 
-
-_MISMATCH = "voltage_gain_mismatch"
 
 Value = tuple[str, float, float, str, str]
 """Name, value, standard error, unit and sentence."""
@@ -318,7 +320,7 @@ def _gains(found: _Found) -> list[Value]:
         f"were {-300 * along[phase]:+.2g} % off; this was corrected, but a gain error that all phases share, which "
         "scales R and all fluxes, cannot be seen and is probably as large: check the gains of the voltages."
     )
-    return [(_MISMATCH, amplitude, deviation, "1", sentence)]
+    return [(VOLTAGE_MISMATCH, amplitude, deviation, "1", sentence)]
 
 
 _REPORTS: dict[str, Report] = {

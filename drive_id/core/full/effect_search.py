@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
@@ -30,6 +31,10 @@ _MOST_BY_PENALTY = 0.3
 _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _MOST_EFFECTS, _REFINEMENTS = 6, 2
+_GROWN = 1.03
+"""Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
+_SETTLING, _SETTLED = 4, 0.01
+"""Most repetitions for what the current does between samples, and relative change of the residuals that ends them."""
 _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
@@ -118,6 +123,12 @@ def search_effects(
     columns = _columns(sums.model, solution, sums.kept(), pole_pairs)
     extended, solver = _linearized(sums, columns)
     solution = solver.solve(solution.spec)
+    for _ in range(_SETTLING if _remains(solver) else 0):
+        before, columns = solution.residual_rms, replace(columns, estimate=solution.estimate)
+        extended, solver = _linearized(sums, columns)
+        solution = solver.solve(solution.spec)
+        if abs(solution.residual_rms - before) < _SETTLED * before:
+            break
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
     period = noise.period
     taken: list[Taken] = []
@@ -169,11 +180,16 @@ def several_speeds(speeds: FloatArray) -> bool:
 
 
 def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
-    """Repeat the linearization about the estimate that includes the effects (Gauss-Newton)."""
+    """Repeat the linearization about the estimate that includes the effects, while the residuals shrink.
+
+    They grow where an effect moves the current by more than the map bends over.
+    """
     for _ in range(_REFINEMENTS if search.solution.spec.effects else 0):
         columns = replace(search.columns, estimate=search.solution.estimate)
         extended, solver = _linearized(sums, columns)
         solution = solver.solve(search.solution.spec)
+        if solution.residual_rms > _GROWN * search.solution.residual_rms:
+            break
         search = replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
     return search
 
@@ -239,10 +255,14 @@ def _best(savings: dict[str, float], *, physical: bool) -> str | None:
 
 
 def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float) -> bool:
+    """Tell whether an effect explains more than chance and what is uncertain of the current between samples do."""
     unknowns = 1 if name == DELAY else EFFECTS[name].stop - EFFECTS[name].start
-    voltage = saving * solution.sum_of_squares / max(solution.rows, 1.0)
-    least = _LEAST_SAVING + _PER_UNKNOWN * unknowns / max(solution.rows, 1.0)
-    return saving > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage
+    rows, own = max(solution.rows, 1.0), solver.model.effect("remainder").start
+    uncertain = UNCERTAIN_SHARE**2 * solver.total[own, own] / rows
+    return bool(
+        saving > _LEAST_SAVING + _PER_UNKNOWN * unknowns / rows
+        and saving * solution.sum_of_squares / rows > _LEAST_VOLTAGE**2 * solver.total_voltage + uncertain
+    )
 
 
 def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:

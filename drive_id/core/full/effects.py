@@ -28,7 +28,7 @@ phase_resistance    R of phases a and b above the mean, c below                 
 voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
 remainder           none: what the columns above, linear in the effects, leave  [e^{j (theta + eps)} f((i + di)
                     of the flux at the estimated effects, and what the current  e^{-j eps}) - e^{j theta} (f + ...)]
-                    does between the samples                                    + int (R i_s + drop) - its quadrature
+                    does between samples, see ``between_samples.py``             + int (R i_s + drop) - its quadrature
 ==================  ==========================================================  =====================================
 
 [x] is the difference of x between the ends of the window, f' the Jacobian of the present estimate of the map, i the
@@ -38,11 +38,6 @@ voltage held before. The controller responds to the noise of a sample with volta
 For effects of several percent of the current, the second order matters. Let di and eps be the changes of current and
 angle by the effects, both at the estimate. The remainder is the exact change of the flux minus its linear part. It has
 no unknown of its own and makes the repeated linearization converge to the nonlinear model.
-
-Between samples u_s is held, so that psi_s moves on a straight line while the rotor turns by omega T: the current bows
-away from the line between its samples, by i_s'' = omega^2 e^{j theta} (f'^{-1} psi - i). The trapezoidal rule misses
-``-(omega T)^2 / 12 int e^{j theta} (f'^{-1} psi - i) dt``, and the drop crosses zero at other instants, which matters
-above some 5 degrees per sample.
 """
 
 from __future__ import annotations
@@ -54,6 +49,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
+from drive_id.core.full.between_samples import between_samples
 from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, MOST_RECORDINGS, MOST_RUNS, RESISTANCE, FullModel
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
@@ -71,13 +67,6 @@ OF_RECORDINGS = (
 
 _SLOWEST = 1.0
 """Speed below which hysteresis cannot be distinguished from noise, rad/s."""
-
-_SINGULAR = 1e-3
-"""Determinant of the inductances over the square of their sum below which they are not known."""
-_LEAST_TURN = np.deg2rad(3.0)
-"""Angle per sample below which the current between samples is as good as straight, to 2e-4 of the short circuit's."""
-_NODES = 5
-"""Points of a window between which the drop is integrated."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -151,7 +140,7 @@ class EffectColumns:
         shift = shift + self._value("magnet_heating")[1] * heat[:, None]
         late = self._value("current_latency") * windows.speed  # the currents belong to an earlier angle
         error = self._sum(waves).real + self._value("angle_latency") * windows.speed - late
-        columns["remainder"] = [self._between_samples(windows, i_dq, psi)]
+        columns["remainder"] = [between_samples(self.model, self.estimate, windows, psi)]
         if shift.any() or error.any():
             ahead = np.exp(1j * error)
             changed = self._flux((i_dq + shift) * ahead.conj(), windows.angle + error)[0]
@@ -183,14 +172,10 @@ class EffectColumns:
 
     def _jacobian(self, windows: Windows) -> Callable[[ComplexArray], ComplexArray]:
         """Return the function f'(i) x of x (N, 2)."""
-        slopes = self._slopes(windows)
+        flat = windows.i_dq.reshape(-1, 2)
+        slopes = jacobian(self.model.flux, self.estimate[self.model.map], flat).reshape(len(windows), 2, 2, 2)
         d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
         return lambda x: np.asarray(d * x.real + q * x.imag)
-
-    def _slopes(self, windows: Windows) -> FloatArray:
-        """Return the incremental inductances (N, 2, 2, 2) at the ends, H."""
-        flat = windows.i_dq.reshape(-1, 2)
-        return jacobian(self.model.flux, self.estimate[self.model.map], flat).reshape(len(windows), 2, 2, 2)
 
     def _currents(self, windows: Windows, i_dq: ComplexArray, turn: ComplexArray) -> dict[str, list[ComplexArray]]:
         """Return the currents (N, 2) that each effect adds to that of the map, per unit."""
@@ -202,34 +187,6 @@ class EffectColumns:
             "hysteresis": [-e / speed],
             "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
         }
-
-    def _between_samples(self, windows: Windows, i_dq: ComplexArray, psi: ComplexArray) -> ComplexArray:
-        """Return the integral (N,), Vs, of R and drop over currents that bow, minus that over straight ones.
-
-        It is 0 where the rotor hardly turns between samples or the inductances are not known.
-        """
-        turn = windows.speed * windows.period[:, None]
-        if np.abs(turn).max() < _LEAST_TURN:
-            return np.zeros(len(windows), np.complex128)
-        slopes = self._slopes(windows)
-        known = np.linalg.det(slopes) > _SINGULAR * np.square(np.trace(slopes, axis1=-2, axis2=-1))
-        flux, bow = frames.as_pairs(psi[known]), np.zeros_like(i_dq)
-        bow[known] = np.linalg.solve(slopes[known], flux[..., None])[..., 0] @ np.array([1.0, 1j]) - i_dq[known]
-        bow *= -np.square(turn) / 12  # its mean over a sample
-        part = np.linspace(0.0, 1.0, _NODES)
-        angle = windows.angle[:, :1] + part * np.angle(np.exp(1j * np.diff(windows.angle, axis=1)))
-        straight, bowed = (
-            np.exp(1j * angle) * (ends[:, :1] + part * np.diff(ends, axis=1)) for ends in (i_dq, i_dq + bow)
-        )
-        r = float(self.estimate[RESISTANCE]) * windows.duration * np.trapezoid(bowed - straight, part, axis=1)
-        return np.asarray(r + self._drop_over(bowed, windows) - self._drop_over(straight, windows))
-
-    def _drop_over(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
-        """Return the integral of the drop (N,), Vs, over windows with these currents (N, K) at equal intervals, A."""
-        i_abc = frames.phases(i_s.ravel())
-        shapes = self.model.shapes.integrals(i_abc, 1.0 / (i_s.shape[1] - 1)).reshape(*i_s.shape, -1, 3)
-        drops = np.einsum("nsp,sp->np", shapes[:, -1] - shapes[:, 0], self.estimate[self.model.phase_columns()])
-        return np.asarray(frames.space_vector(drops) * windows.drop_scale * windows.duration)
 
     def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
         """Return the angle errors (N, 2) of the resolver, per unit of each effect."""

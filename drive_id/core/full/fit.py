@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import chain, pairwise, zip_longest
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.between_samples import UNCERTAIN_SHARE
+from drive_id.core.full.delay import DelayJump, delay_jump
 from drive_id.core.full.effect_search import EffectSearch, Taken
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
@@ -37,6 +40,8 @@ _STUDENT = 1.21
 _KURTOSIS, _FEWEST = 3.0, 6.0
 _PARTS = 4
 """Parts of the windows that are evaluated in parallel threads."""
+_BY_SHAPE = 2.0
+"""Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
 _NEAR_ZERO = 0.02
 """Currents relative to i_max below which the steep inverter curve amplifies current noise."""
 _PASSIVE_POINTS, _STIFFER, _ROUNDS = 41, 10.0, 7
@@ -46,23 +51,19 @@ _Batch = tuple[FloatArray, float, float, float]
 """Scores (M,), mean square residual, (Vs)^2, mean square inductance, H^2, and time, s."""
 
 
-@dataclass(frozen=True, eq=False)
-class FullFit:
-    """The fitted model and the influence of each batch of time on it.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Assessment:
+    """What the windows tell of a fit besides the estimate: the influence of each batch of time, and what is left.
 
     Parameters
     ----------
-    model : FullModel
-    solution : FullSolution
     changes : (size, B) float
         First-order change of the estimate when each batch's residuals are left out; then the bias by the penalties, the
-        bound on the bias by current noise, the changes by the lack of fit, and last, if the inverter's curve is wide,
-        the change with its shapes. ``changes @ changes.T`` is the covariance of the estimate, consistent for
-        heteroscedastic and autocorrelated residuals, biases included.
+        bound on the bias by current noise, what is uncertain of the current between samples, the changes by the lack of
+        fit, and last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the covariance of
+        the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
     misfit : LackOfFit
         Residuals beyond noise.
-    selection : Selection
-        The selected model and its alternatives.
     speeds : (N,) float
         Electrical speeds of windows, rad/s.
     drop_slope : float
@@ -76,13 +77,12 @@ class FullFit:
         Rms residual of that batch over the rms of the integrated voltages.
     outlying_time : float
         Time of that batch, gaps not counted, s.
+    jump : DelayJump, optional
+        Where the delay of the voltages changes.
     """
 
-    model: FullModel
-    solution: FullSolution
     changes: FloatArray
     misfit: LackOfFit
-    selection: Selection
     speeds: FloatArray
     drop_slope: float
     turn: float
@@ -90,6 +90,24 @@ class FullFit:
     outlying: float
     outlying_share: float
     outlying_time: float
+    jump: DelayJump | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FullFit(Assessment):
+    """The fitted model.
+
+    Parameters
+    ----------
+    model : FullModel
+    solution : FullSolution
+    selection : Selection
+        The selected model and its alternatives.
+    """
+
+    model: FullModel
+    solution: FullSolution
+    selection: Selection
 
     @property
     def spec(self) -> ModelSpec:
@@ -171,8 +189,8 @@ class EarlierFit:
     delay, sigma_delay, advantage : float
     left : mapping of str to float
         See :class:`~drive_id.core.full.selection.Selection` and ``EffectSearch``.
-    changes, misfit, speeds, drop_slope, turn, duration, outlying, outlying_share, outlying_time
-        See :class:`FullFit`.
+    assessment : dict
+        The fields of its :class:`Assessment`.
     """
 
     orders: tuple[int, ...]
@@ -185,40 +203,24 @@ class EarlierFit:
     sigma_delay: float
     advantage: float
     left: Mapping[str, float]
-    changes: FloatArray
-    misfit: LackOfFit
-    speeds: FloatArray
-    drop_slope: float
-    turn: float
-    duration: float
-    outlying: float
-    outlying_share: float
-    outlying_time: float
+    assessment: Mapping[str, Any]
 
     @classmethod
     def of(cls, fit: FullFit) -> EarlierFit | None:
         """Return the earlier fit of a fit; None if that used other sums (free maps or short windows)."""
         if np.isfinite(fit.crossings) or not fit.spec.reciprocal:
             return None
-        of_fit = {name: getattr(fit, name) for name in _KEPT_OF_FIT}
         search = fit.selection.search
         of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
-        advantage = fit.selection.advantage
-        model = fit.model
         return cls(
-            orders=model.orders,
-            cells=model.cells,
+            orders=fit.model.orders,
+            cells=fit.model.cells,
             remains=search.sums.effects is not None,
             spec=fit.spec,
-            advantage=advantage,
-            **of_fit,
+            advantage=fit.selection.advantage,
+            assessment={entry.name: getattr(fit, entry.name) for entry in fields(Assessment)},
             **of_search,
         )
-
-
-_KEPT_OF_FIT = (
-    "changes", "misfit", "speeds", "drop_slope", "turn", "duration", "outlying", "outlying_share", "outlying_time",
-)  # fmt: skip
 
 
 def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> FullFit:
@@ -239,8 +241,7 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     )
     selection = Selection(solver, plain, earlier.delay, earlier.sigma_delay, earlier.advantage, search)
     solution, _ = correct_attenuation(solver, plain, noise)
-    kept = {name: getattr(earlier, name) for name in _KEPT_OF_FIT}
-    return FullFit(model=sums.model, solution=solution, selection=selection, **kept)
+    return FullFit(model=sums.model, solution=solution, selection=selection, **earlier.assessment)
 
 
 @one_blas_thread(with_scipy=True)
@@ -280,9 +281,8 @@ def fit_full(
         if settings.passive_maps:
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
-        changes = np.column_stack([batches, solver.shrinkage(solution), bias_bound, misfit.changes])
-        if solution.spec.wide:
-            changes = np.column_stack([changes, _among_curves(solver, solution)])
+        biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
+        changes = np.column_stack([batches, *biases, misfit.changes, _among_curves(solver, solution)])
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
             break
@@ -295,6 +295,10 @@ def fit_full(
         expected = tuple(order for order in spec.orders if order in (*SENSOR_ORDERS, *settings.harmonic_orders))
         reciprocal = solver.solve(replace(spec, effects=solution.spec.effects, orders=expected))
         misfit = replace(misfit, causes=tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings)))
+    jump = None
+    if misfit.ratio > LEAST_TOLD:
+        every = Windows.joined(list(kept))
+        jump = delay_jump(every, sums.model.residuals(every, solution.estimate))
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny
     return FullFit(
@@ -310,13 +314,23 @@ def fit_full(
         outlying=float(energy.max() / max(np.median(energy[energy > 0]) if energy.any() else 0.0, tiny)),
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
         outlying_time=float(times[energy.argmax()]),
+        jump=jump,
     )
 
 
 def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
-    """Return the change (size,) of the estimate from one wide shape of the inverter's curve to two."""
-    one, two = (solver.solve(replace(solution.spec, wide=wide)).estimate for wide in (1, 2))
-    return np.asarray(two - one)
+    """Return the change (size,) of the estimate with another shape of the inverter's curve, if beyond noise.
+
+    It is that from one wide shape to two, or from none to one: selecting the simpler curve does not show that it is
+    true, and R takes the difference.
+    """
+    spec = solution.spec
+    if not spec.inverter:
+        return np.zeros(solver.model.size)
+    fewer, more = (solver.solve(replace(spec, wide=wide)) for wide in ((1, 2) if spec.wide else (0, 1)))
+    change = more.estimate - fewer.estimate
+    noise = np.sqrt(abs(more.variance_of_resistance - fewer.variance_of_resistance))
+    return change if spec.wide or abs(change[RESISTANCE]) > _BY_SHAPE * noise else np.zeros_like(change)
 
 
 def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:

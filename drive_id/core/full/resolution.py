@@ -26,6 +26,8 @@ _MOST_CELLS = 1200
 """Of the plane, at most: memory grows with their square, time with their third power."""
 _OF_LARGEST = 1 / 30
 """Smallest misfit of a cell that is divided, relative to the largest: the next division shows what remains."""
+_FEWER = (1.0, 3.0, 10.0)
+"""Factors of the least misfit of a cell that is divided, tried in turn until there are no more cells than allowed."""
 _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
 _STRONG = 10.0
@@ -60,9 +62,15 @@ class Resolution:
         return max(len(self.d), len(self.q)) > FLUX_CELLS + 1 or self.harmonic > HARMONIC_CELLS
 
     def finer(self, misfit: Misfit) -> Resolution:
-        """Return a resolution with the cells divided where the misfit exceeds noise, or this one if it does nowhere."""
-        d, q = _divided(self.d, misfit.d, misfit.least), _divided(self.q, misfit.q, misfit.least)
-        return replace(self, d=d, q=q) if len(d) * len(q) <= _MOST_CELLS else self
+        """Return a resolution with the cells divided where the misfit exceeds noise, the worst where not all may be.
+
+        If none may be, return this one.
+        """
+        for factor in _FEWER:
+            d, q = (_divided(*of_axis, factor * misfit.least) for of_axis in ((self.d, misfit.d), (self.q, misfit.q)))
+            if len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS:
+                return replace(self, d=d, q=q)
+        return self
 
     def with_finer_harmonics(self) -> Resolution:
         """Return a resolution with twice the cells per axis for the harmonics."""

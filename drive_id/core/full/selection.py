@@ -15,7 +15,6 @@ from drive_id.core.full.model import (
     MOST_RECORDINGS,
     MOST_RUNS,
     PENALTIES,
-    RESISTANCE,
     SENSOR_ORDERS,
     FullModel,
     ModelSpec,
@@ -66,6 +65,8 @@ _MISFIT_WINDOWS = 6000
 """Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
 _REFINEMENTS = 4
 """Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
+_SMOOTH = 1.0
+"""Penalty of fine cells at first: effects are linearized about the map, which fine cells make rough."""
 _LOCAL = 1e-3
 """Misfit of a cell, relative to the integrated voltage, that matters to nobody."""
 _NEAR_ZERO = 0.04
@@ -156,8 +157,8 @@ def _with_finer_cells(
         if not misfit.shows or cells is model.resolution or not solution.spec.reciprocal:
             break
         finer = sums.resolved(cells, model.orders)
-        solver = Solver.over(finer)
-        spec = replace(solution.spec, effects=(), delay=0.0 if settings.calibrate_delay else settings.voltage_delay)
+        solver, delay = Solver.over(finer), 0.0 if settings.calibrate_delay else settings.voltage_delay
+        spec = replace(solution.spec, effects=(), delay=delay, penalty=_SMOOTH)
         found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
         errors = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
         if not _clearly_better(solver, *errors):
@@ -354,17 +355,11 @@ def _with_wide_curve(solver: Solver, solution: FullSolution) -> FullSolution:
     """
     for wide in (1, 2) if solution.spec.inverter else ():
         wider = solver.solve(replace(solution.spec, wide=wide))
-        noise = np.sqrt(abs(_variance_of_resistance(wider) - _variance_of_resistance(solution)))
+        noise = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
         if abs(wider.resistance - solution.resistance) < _BY_WIDTH * noise:
             break
         solution = wider
     return solution
-
-
-def _variance_of_resistance(solution: FullSolution) -> float:
-    """Return the variance of R for white residuals, ohm^2."""
-    row = solution.basis[[RESISTANCE]].toarray()[0]
-    return float(solution.residual_rms**2 * (row @ solution.white_covariance @ row))
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:

@@ -97,6 +97,12 @@ class FullSolution:
         scaled = forms / self.scale[:, None]
         return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
 
+    @property
+    def variance_of_resistance(self) -> float:
+        """Variance of R for white residuals, ohm^2."""
+        row = self.basis[[RESISTANCE]].toarray()[0]
+        return float(self.residual_rms**2 * (row @ self.white_covariance @ row))
+
     @cached_property
     def white_covariance(self) -> FloatArray:
         """Covariance (M, M) of the unknowns for white residuals of unit variance."""
@@ -172,6 +178,11 @@ class Solver:
     def shrinkage(self, solution: FullSolution) -> FloatArray:
         """Return the bias (size,) of the estimate caused by the penalties, to first order."""
         return solution.response(self._roughness(solution.spec.penalty) @ solution.estimate)
+
+    def by_remainder(self, solution: FullSolution) -> FloatArray:
+        """Return the change (size,) of the estimate by the remainder, see :mod:`drive_id.core.full.effects`."""
+        products = self._normal(solution.spec).t.T @ self.total[:, self.model.effect("remainder")]
+        return np.asarray(solution.basis @ solution.gain(np.asarray(products)))[:, 0]
 
     def left_out(
         self,

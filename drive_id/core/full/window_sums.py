@@ -31,6 +31,10 @@ _GROUP = 512
 _DUE = 16 * FOLDS
 """Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
 in parallel threads."""
+_UNSEEN, _STEPS = 0.1, 4
+"""Share of all windows' products below which those of the kept ones count as unseen, and steps of the regularization:
+what the kept windows hold in full is regressed to 1e-4."""
+_ROUNDING = 1e-10
 
 
 class WindowSums:
@@ -157,6 +161,8 @@ class WindowSums:
         -----
         Where not all windows are kept, the products of the effects with all columns are extrapolated from the kept
         ones by regression, ``z = Z b + r``: only the part of the effects that no other column explains is extrapolated.
+        Any b gives the right sums on average. It must not be large where the kept windows hold little of Z, at the rim
+        of what they cover, and is therefore found by iterated Tikhonov regularization.
         """
         other, model = self.copy(), self.model
         numbers, kept = sorted(self._kept), self.kept()
@@ -193,12 +199,16 @@ class WindowSums:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
         effects, folds, size = self.model.effects, self.triangles(), self.model.summed.size
         total = unpacked(np.sum(some.triangles, axis=0), size)
-        scale = np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
-        scaled = total / scale[:, None] / scale
-        scaled[np.diag_indices_from(scaled)] += 1e-8
-        outer = products.sum(axis=0) / scale[:, None]
+        every = unpacked(np.sum(folds, axis=0), size) * some.counts.sum() / max(float(self._counts.sum()), 1.0)
+        total[effects] = every[effects] = 0.0
+        scale = np.sqrt(np.maximum(np.diag(every), np.finfo(np.float64).tiny))
+        shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
+        shrunk[np.diag_indices_from(shrunk)] += _ROUNDING
+        factor, outer = linalg.cho_factor(shrunk, lower=True), products.sum(axis=0)
         outer[effects] = 0.0
-        b = linalg.cho_solve(linalg.cho_factor(scaled, lower=True), outer) / scale[:, None]
+        b = np.zeros_like(outer)
+        for _ in range(_STEPS):
+            b += linalg.cho_solve(factor, (outer - total @ b) / scale[:, None]) / scale[:, None]
         out = np.empty_like(products)
         for fold, product in enumerate(products):
             share = self._counts[fold] / max(float(some.counts[fold]), 1.0)

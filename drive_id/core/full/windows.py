@@ -29,6 +29,8 @@ WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)
 """Angle turned in a window, and in a short one, which fits between the zero crossings of two phase currents."""
 LONGEST_WINDOW = 0.1
 """Limit at low speed, where 60 degrees would take longer, s."""
+WINDOW_CURRENT = 1.3
+"""Way of the current in a window, rotor frame, in i_max: fast changes of the current are integrated less accurately."""
 STRIDE = 0.8e-3
 """Mean distance between the starts of windows, s."""
 SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
@@ -53,7 +55,8 @@ _FEWEST = 4096
 _FINEST = 1e-4
 """Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
-_SPEED_SPAN = 5e-3
+_WAY_STEP = 5e-4
+"""Step in which the way of rotor and current is added up, s: noise lengthens shorter ones."""
 _GOLDEN = 0.6180339887498949
 _THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 _AXES = np.exp(1j * frames.PHASE_SHIFTS)
@@ -342,7 +345,7 @@ class WindowCutter:
         """Yield the windows that end within ``stretch``, the beginning of the rest; drop samples no longer needed."""
         assert self._rest is not None  # for the type checker
         begin, length = self._places(stretch)
-        complete = begin + length + _REACH < len(stretch)
+        complete = begin + length + max(_REACH, self._way_step) < len(stretch)
         count = len(begin) if complete.all() else int(complete.argmin())
         begin_used, end_used = begin[:count], begin[:count] + length[:count]
         moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
@@ -353,7 +356,7 @@ class WindowCutter:
                 begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
-        grain = _grain(self._period)
+        grain = spacing(self._period)
         past = max(0, int(begin[count]) - grain * -(_PAST[0] // grain)) if count < len(begin) else 0
         self._rest, self._origin = self._rest.part(slice(past, None)), self._origin + past
         self._time += past * self._period
@@ -364,23 +367,27 @@ class WindowCutter:
         Equally spaced starts can lock to the phase of a rotor-position harmonic at certain speeds; a golden-section
         jitter spreads them evenly over all phases.
         """
-        grain = _grain(self._period)
+        grain = spacing(self._period)
         stride = max(1.0, STRIDE / self._period / grain)
         number = self._number + np.arange(int(len(stretch) / grain / stride) + 2)
         place = np.floor((number + number * _GOLDEN % 1.0) * stride).astype(np.int64)
         begin = grain * (place - (2 * _PAST[0] // grain)) - self._origin  # only after the lags have settled
-        span = max(1, round(_SPEED_SPAN / self._period))
-        travelled = np.concatenate([[0.0], np.cumsum(np.abs(stretch.speed))])
-        first = np.clip(begin, 0, len(stretch) - 1)
-        last = np.minimum(first + span, len(stretch))
-        turn = (travelled[last] - travelled[first]) / (last - first) * (self._period * grain)
-        longest = max(2.0, LONGEST_WINDOW / (self._period * grain))
-        length = np.clip(np.rint(WINDOW_ANGLE / np.maximum(turn, WINDOW_ANGLE / longest)), 2, longest)
+        longest, step = max(2.0, LONGEST_WINDOW / (self._period * grain)), self._way_step
+        lengths = [
+            _length_of_way(x, way, begin, step)
+            for x, way in ((stretch.turned, WINDOW_ANGLE), (stretch.i_dq, WINDOW_CURRENT * self._shapes.i_max))
+        ]
+        length = np.clip(np.rint(np.minimum(*lengths) / grain), 2, longest)
         return begin, grain * length.astype(np.int64)
+
+    @property
+    def _way_step(self) -> int:
+        """Samples from one to the next over which the way of rotor and current is taken."""
+        return max(1, round(_WAY_STEP / self._period))
 
     def _with_short(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
         """Append the places of the short windows."""
-        grain = _grain(self._period)
+        grain = spacing(self._period)
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
         current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
@@ -390,7 +397,7 @@ class WindowCutter:
         return np.append(begin, begin[useful]), np.append(end, sooner[useful])
 
     def _windows(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
-        period, grain = self._period, _grain(self._period)
+        period, grain = self._period, spacing(self._period)
         u_s, turned = stretch.u_s, stretch.i_dq
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
         ends = np.stack([begin, end], axis=1)
@@ -432,7 +439,7 @@ class WindowCutter:
 
     def _lag(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> ComplexArray:
         """Return the integrals (N, L), see :class:`Windows`, between ends given in grains."""
-        grain, shapes = _grain(self._period), self._shapes.coarse
+        grain, shapes = spacing(self._period), self._shapes.coarse
         i_s, angle = stretch.i_s, stretch.angle
         places = np.arange(0, len(angle), grain)
         earlier = np.maximum(places - 1, 0)
@@ -577,6 +584,19 @@ def _complex(pairs: FloatArray) -> ComplexArray:
     return pairs.view(np.complex128)[..., 0]
 
 
+def _length_of_way(x: FloatArray | ComplexArray, way: float, begin: IntArray, step: int) -> IntArray:
+    """Return after how many samples (W,) from ``begin`` ``x`` (N,) has gone a way; more than N if it has not.
+
+    Steps of several samples are added up, so that noise does not lengthen the way.
+    """
+    rate = np.abs(x[step:] - x[:-step]) / step
+    gone = np.concatenate([[0.0], np.cumsum(rate)])
+    wanted = gone[np.minimum(begin, len(rate))] + way
+    end = np.minimum(np.searchsorted(gone, wanted), len(rate))
+    end -= (end > 0) & (gone[end] - wanted > wanted - gone[end - 1])  # the nearer one
+    return np.where(wanted <= gone[-1], end - begin, 2 * len(x))
+
+
 def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:
     """Return int u_s u_dc (N,), V^2 s, NaN where the DC-link voltage is not known."""
     missing = np.isnan(stretch.link)
@@ -597,5 +617,6 @@ def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     return decay, 1 - decay - now, now
 
 
-def _grain(period: float) -> int:
+def spacing(period: float) -> int:
+    """Return the samples, of a period in s, from one possible end of windows to the next; between, i is linear."""
     return max(1, int(1.001 * _FINEST / period))

@@ -14,6 +14,8 @@ from drive_id.types import FloatArray
 _FLAT = 1e-5
 """Steps of the current, relative to the scale of a curve, over which its mean is that in the middle."""
 _SERIES_BELOW = 0.02
+_FINEST = 800.0
+"""Largest current over the scale of the steepest curve."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,12 @@ class CapacitiveShapes:
 
         The last two bend so far out that R can hardly be separated from them, see :attr:`usual`.
         """
-        return cls(i_max / 800 * 2.0 ** np.arange(10, dtype=np.float64))
+        return cls(i_max / _FINEST * 2.0 ** np.arange(10, dtype=np.float64))
+
+    @property
+    def i_max(self) -> float:
+        """Largest current for which they are meant, A."""
+        return _FINEST * float(self.scales[0])
 
     @property
     def usual(self) -> int:

@@ -23,7 +23,7 @@ from drive_id.core.full.model import (
 )
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE
+from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
@@ -76,7 +76,7 @@ class FullMethod:
         Raises
         ------
         DataError
-            When there are fewer windows than unknowns.
+            When there are fewer windows than unknowns, or the delay of the voltages jumps within a recording.
         """
         assert evidence.windows is not None
         information = evidence.windows.finished()
@@ -93,12 +93,25 @@ class FullMethod:
             earlier,
             angle_variance=evidence.angle_variance,
         )
+        if fit.jump is not None:
+            direction = "later" if fit.jump.later else "earlier"
+            raise DataError(
+                f"The voltages act {direction} from {fit.jump.time:.2f} s of recording {fit.jump.recording + 1} on "
+                "(gaps not counted): the log lost or doubled samples of one signal there; fit what comes before and "
+                "after as separate recordings."
+            )
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
         frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
         psi = frame.flux(points).reshape(grid.shape)
         sigma = _sigma(frame, grid, inside)
+        warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
+        earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
+        if scaled.any():
+            fit = replace(fit, changes=np.column_stack([scaled, fit.changes]))
+            frame = replace(frame, fit=fit)
+            sigma = _sigma(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
@@ -128,7 +141,7 @@ class FullMethod:
             residual_rms=fit.solution.residual_rms,
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
             outlying_time=fit.outlying_time if outlying else None,
-            warnings=(*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found)),
+            warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
@@ -139,7 +152,7 @@ class FullMethod:
                 *_on_free_maps(fit, information),
                 *_on_fine_cells(fit, information),
             ),
-            fit=EarlierFit.of(fit),
+            fit=earlier,
             error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
 
@@ -301,7 +314,9 @@ def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray
     """Return warnings of the windows and of the standard errors of the flux map."""
     misfit = misfit_warning(fit)
     warnings = [misfit] if misfit else []
-    if fit.turn < _LEAST_TURN * (SHORT_ANGLE if fit.crossings > 1 else WINDOW_ANGLE):
+    share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
+    # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
+    if fit.turn < _LEAST_TURN * share * WINDOW_ANGLE and fit.duration > _LEAST_TURN * share * LONGEST_WINDOW:
         warnings.append(
             f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so the "
             "effect of voltage errors exceeds the stated standard errors: record at a higher speed."

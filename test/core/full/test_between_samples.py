@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import integrate
 
 from drive_id.bench.settings import SimulationSettings
+from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full import effects
+from drive_id.core.full import between_samples
+from drive_id.core.full.model import RESISTANCE, FullModel
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import machine_map, run_experiment
 
@@ -32,6 +37,61 @@ def test_the_current_between_samples_is_counted(fast, monkeypatch):
     assert error < 2e-4
     assert found.resistance == pytest.approx(fast.truth.resistance, rel=5e-3)
     assert not {c.name for c in found.calibrations if c.applied} & {"angle_latency", "current_latency", "flux_lag"}
-    monkeypatch.setattr(effects, "_LEAST_TURN", np.inf)
+    monkeypatch.setattr(between_samples, "_LEAST_BOW", np.inf)
     without, larger = fitted(fast)
     assert larger > 2 * error or abs(without.resistance / fast.truth.resistance - 1) > 2e-2
+
+
+class OneWindow(SimpleNamespace):
+    """What the integrals need of a window."""
+
+    def __len__(self):
+        return 1
+
+
+def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time():
+    """A linear machine, integrated by scipy over one sample of 15 degrees, with a drop that the current crosses."""
+    model = FullModel(np.array([-10.0, -10.0]), np.array([10.0, 10.0]), 10.0, ())
+    inductance, magnet, resistance, period, speed = np.diag([2e-3, 3e-3]), np.array([0.1, 0.0]), 0.4, 2e-4, 1300.0
+    estimate = np.zeros(model.size)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-10.0, 10.0, 41)]), axis=-1).reshape(-1, 2)
+    rows = model.flux.rows(grid).sparse(model.flux.parameters).toarray()
+    estimate[model.map] = np.linalg.lstsq(rows, (magnet + grid @ inductance).ravel())[0]
+    estimate[RESISTANCE] = resistance
+    estimate[model.phase_columns()[1]] = 3.0  # V, on a curve that bends at 25 mA
+
+    def current(angle, psi_s):
+        psi = np.exp(-1j * angle) * psi_s - magnet[0]
+        return np.exp(1j * angle) * (psi.real / inductance[0, 0] + 1j * psi.imag / inductance[1, 1])
+
+    def taken(i_s):
+        drop = model.shapes(frames.phases(np.array([i_s]))) @ estimate[model.phase_columns()][:, 0]
+        return resistance * i_s + frames.space_vector(drop)[0]
+
+    for start in np.linspace(0.0, 2 * np.pi, 12, endpoint=False):
+        i_dq = 0.7 * np.exp(1j * start)
+        psi_s = np.exp(1j * start) * (magnet[0] + i_dq.real * 2e-3 + 1j * i_dq.imag * 3e-3)
+        held = 1j * speed * np.exp(1j * (start + 0.5 * speed * period)) * magnet[0]
+
+        def derivative(t, y, start=start, held=held):
+            took = taken(current(start + speed * t, y[0] + 1j * y[1]))
+            return [(held - took).real, (held - took).imag, took.real, took.imag]
+
+        y = integrate.solve_ivp(derivative, (0, period), [psi_s.real, psi_s.imag, 0, 0], max_step=period / 400).y[:, -1]
+        last = current(start + speed * period, y[0] + 1j * y[1])
+        ends = np.array([i_dq, np.exp(-1j * (start + speed * period)) * last])
+        line = np.linspace(0.0, 1.0, 4001)
+        straight = np.mean(
+            [taken((1 - s) * i_dq * np.exp(1j * start) + s * last) for s in 0.5 * (line[1:] + line[:-1])]
+        )
+        windows = OneWindow(
+            angle=np.array([[start, start + speed * period]]),
+            period=np.array([period]),
+            duration=np.array([period]),
+            drop_scale=np.ones(1),
+            i_dq=np.stack([ends.real, ends.imag], axis=-1)[None],
+        )
+        psi = (magnet[0] + 2e-3 * ends.real + 3e-3j * ends.imag)[None]
+        found = between_samples.between_samples(model, estimate, windows, psi)[0]
+        expected = y[2] + 1j * y[3] - period * straight
+        assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of eight parts

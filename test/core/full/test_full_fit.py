@@ -140,6 +140,18 @@ def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     assert abs(plain.solution.resistance - 0.02) < 1e-3
 
 
+@pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])
+def test_voltages_that_slip_within_a_recording_are_refused(samples, late, word):
+    u_abc, half = samples.u_abc.copy(), len(samples) // 2
+    u_abc[half:] = np.roll(samples.u_abc, late, axis=0)[half:]
+    with pytest.raises(DataError, match=rf"act {word} from 2\.[02]\d s of recording 2 on"):
+        identify([samples, replace(samples, u_abc=u_abc)], FULL)
+
+
+def test_voltages_late_throughout_one_recording_are_no_slip(samples):
+    assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).jump is None
+
+
 def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     turned = identify([replace(samples, angle=samples.angle + 0.03)], FULL)
     found = {entry.name: entry for entry in turned.calibrations}["resolver_offset"]

@@ -181,6 +181,21 @@ def test_effects_beside_the_folds_are_as_good_as_within(model, samples):
     np.testing.assert_array_equal(sums.folds[:, :, model.effects], 0.0)
 
 
+def test_effects_of_all_windows_follow_from_the_kept_ones(free, samples, monkeypatch):
+    """A sixth of a short recording hardly visits some columns; what it says of all must stay of the right size."""
+    model = dataclasses.replace(free, reciprocal=True)
+
+    def squares(most):
+        monkeypatch.setattr(window_sums, "MOST_KEPT", most)
+        extended = gathered(model, samples).with_effects(
+            lambda windows: np.repeat(windows.voltage[:, None].conj(), EFFECT_COLUMNS, axis=1)
+        )
+        return np.diag(extended.folds.sum(axis=0))[model.effects]
+
+    whole = squares(100_000)
+    assert np.all(np.abs(np.log(squares(300) / whole)) < np.log(3))
+
+
 def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
     monkeypatch.setattr(window_sums, "MOST_KEPT", 700)
     monkeypatch.setattr(window_sums, "_DUE", 5)  # reached by three passes, as in any long recording

@@ -17,6 +17,7 @@ from drive_id.core.full.windows import (
     SHIFTS,
     STRIDE,
     WINDOW_ANGLE,
+    WINDOW_CURRENT,
     WindowCutter,
     Windows,
 )
@@ -143,6 +144,24 @@ def test_a_window_turns_the_rotor_by_a_sixth(speed):
     if abs(speed) * LONGEST_WINDOW > WINDOW_ANGLE:
         np.testing.assert_allclose(turn, WINDOW_ANGLE, atol=0.51 * abs(speed) * 1e-4)
     assert np.mean(np.diff(windows.time)) == pytest.approx(STRIDE, rel=0.05)
+
+
+def test_a_window_ends_where_the_current_has_gone_its_way():
+    """The speed that is recorded plays no part: that of the angle counts."""
+    period = 1e-4
+    t = period * np.arange(20_000)
+    i_q = 250.0 * np.sin(2 * np.pi * 30 * t)
+    angle = 20.0 * t
+    i_abc = frames.to_abc(np.stack([np.zeros_like(i_q), i_q], axis=-1), angle)
+    stamp = np.arange(len(t)) * 100_000
+    swung = Samples(
+        stamp=stamp, i_abc=i_abc, u_abc=0 * i_abc, angle=angle, speed=np.full(len(t), 1e3), sample_period=period
+    )
+    windows = cut(swung)
+    rate = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(i_q)))])
+    begin = np.rint(windows.time / period).astype(int)
+    end = begin + np.rint(windows.duration / period).astype(int)
+    np.testing.assert_allclose(rate[end] - rate[begin], WINDOW_CURRENT * 300.0, rtol=0.03)
 
 
 def test_starts_meet_every_rotor_position():

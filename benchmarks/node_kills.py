@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
 from node_processes import TOPICS, Graph, NodeProcess
 from rosbags.rosbag2 import Reader
-from std_srvs.srv import Trigger
 
 from drive_id.errors import DriveIdError, EmptyTopicError
 from drive_id.files.messages.block_codec import decode_block, read_head
@@ -138,12 +137,12 @@ class Rounds:
                 self._quiet_from = 0.0
                 reply = None
                 for _ in range(20):  # it refuses until the drive's messages have arrived, and after a trip
-                    self.graph.call(Trigger, "/trajectory_publisher/clear_fault")
-                    reply = self.graph.call(Trigger, "/trajectory_publisher/start")
+                    self.graph.call(Command, "/trajectory_publisher/clear_fault")
+                    reply = self.graph.call(StartExperiment, "/trajectory_publisher/start_experiment")
                     if reply is None or reply.success:
                         break
                     self.graph.spin(0.5)
-                self._expect("trajectory_publisher/start", reply is not None and reply.success, reply)
+                self._expect("trajectory_publisher/start_experiment", reply is not None and reply.success, reply)
 
     def _act(self, action: str, name: str) -> None:
         self.result.actions[action] += 1
@@ -191,8 +190,8 @@ class Rounds:
 
     def _check_services(self) -> None:
         """Check that every node answers, whatever happened to it."""
-        reply = self.graph.call(Trigger, "/trajectory_publisher/stop")
-        self._expect("trajectory_publisher/stop", reply is not None and reply.success, reply)
+        reply = self.graph.call(Command, "/trajectory_publisher/stop_experiment")
+        self._expect("trajectory_publisher/stop_experiment", reply is not None and reply.success, reply)
         self._quiet_from = time.monotonic() + 2 * LEAD
         reply = self.graph.call(StopRecording, "/recorder/stop")
         if self._recording is not None:

@@ -23,7 +23,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from drive_id.nodes.support.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import fast_dds
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -116,7 +116,7 @@ class Graph:
         self.folder = folder
         self.started: list[NodeProcess] = []
         os.environ["ROS_LOG_DIR"] = str(folder / "ros_log")
-        with without_type_lookup():
+        with fast_dds():
             self._context = Context()
             self._context.init(args=[])
             self.node = Node("endurance", context=self._context)

@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # The whole suite, live: a simulated bench, the trajectory publisher, the recorder and the identification node as separate
-# processes, driven through their services by "characterize". Everything is left in out/demo.
+# processes, driven through their services by "characterize". Everything is left in out/demo. With --free-shaft, there is no
+# load machine: a first start finds the angle, then the drive swings its own shaft.
 set -euom pipefail # m: processes in groups of their own, so that Ctrl-C reaches this script, which ends them in order
 output=$(realpath -m "${1:-out/demo}")
+free_shaft=${2:-}
 export PYTHONUNBUFFERED=1 ROS_LOG_DIR="$output/log/ros"
 
 rm -rf "$output"
@@ -36,14 +38,28 @@ client=
 trap end EXIT
 trap 'exit 130' INT TERM
 
-echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
-echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. Logs: $output/log."
-start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
-start recorder "data_directory:='$output'"
-start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
-start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0 watch_timeout:=3.0 # for busy computers; keep the defaults on a bench
+if [ "$free_shaft" = --free-shaft ]; then
+    echo "A simulated drive without load machine is identified: a first start finds the angle of its rotor, 2 rad off, then it"
+    echo "swings its own shaft up to 1340 rpm. This takes about two minutes. Logs: $output/log."
+    start bench_simulator machine:=spm free_shaft:=true current_noise:=0.001 resolver_offset:=-2.0 speed_observer:=100.0 \
+        "truth_file:='$output/truth.npz'"
+    start recorder "data_directory:='$output'"
+    start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=20.0 pole_pairs:=3 picture:=true
+    start trajectory_publisher i_max:=20.0 shaft_speed_max:=420.0 duration:=10.0 lead_time:=1.0 watch_timeout:=3.0
+    options=(--first-start --free-shaft)
+    result=recording
+else
+    echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
+    echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. Logs: $output/log."
+    start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
+    start recorder "data_directory:='$output'"
+    start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
+    start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0 watch_timeout:=3.0 # for busy computers; keep the defaults on a bench
+    options=(--compare)
+    result=recording_full
+fi
 
-python -m drive_id.ros.characterize --compare --recording bag --truth "$output/truth.npz" --output "$output" &
+python -m drive_id.ros.characterize "${options[@]}" --recording bag --truth "$output/truth.npz" --output "$output" &
 client=$!
 status=0
 wait -n || status=$? # whoever ends first; it must be the client
@@ -65,8 +81,12 @@ echo
 echo "4. The same recording, read without ROS by the command line:"
 drive-id info "$output/bag"
 echo
-drive-id report "$output/recording_full" --output "$output/recording_full/report.html"
+drive-id report "$output/$result" --output "$output/$result/report.html"
 echo
+if [ "$free_shaft" = --free-shaft ]; then
+    echo "Map, mechanics and pictures are in $output/$result: open report.html in a browser."
+    exit
+fi
 echo "Without a model of the inverter (psm) its voltage error ends up in the flux map. Maps and pictures are in"
 echo "$output/recording_psm, recording_full, live_full and live_joint: look at flux_map.png,"
 echo "and open recording_full/report.html in a browser."

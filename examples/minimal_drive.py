@@ -9,6 +9,7 @@ in comments are those of the rules in docs/safety.md.
 from __future__ import annotations
 
 import array
+import cmath
 import contextlib
 import math
 from collections import deque
@@ -53,10 +54,7 @@ class Machine:
 
 def phases(vector: complex, angle: float) -> list[float]:
     """Return the phase quantities of a vector in the rotor frame."""
-    return [
-        vector.real * math.cos(angle - shift) - vector.imag * math.sin(angle - shift)
-        for shift in (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
-    ]
+    return [(vector * cmath.exp(1j * (angle - shift * 2 * math.pi / 3))).real for shift in (0, 1, 2)]
 
 
 def set_points(message: CurrentReference) -> list[complex]:
@@ -81,7 +79,7 @@ class MinimalDrive(Node):
         self.machine = Machine()
         self.queue: deque[tuple[int, complex, int, int]] = deque()  # due, value, count, end of its validity
         self.session, self.expected, self.applied = 0, 0, 0
-        self.reference, self.fault, self.heard = 0j, "", 0
+        self.reference, self.stator_frame, self.fault, self.heard = 0j, False, "", 0
         self.next = self.get_clock().now().nanoseconds  # time of the next sample
         self.samples = self.statuses = 0
         self.create_timer(BLOCK * PERIOD, self.on_timer)
@@ -108,6 +106,7 @@ class MinimalDrive(Node):
             return
         stamp = Time.from_msg(message.header.stamp).nanoseconds
         self.session, self.expected = message.session, message.count + len(values)
+        self.stator_frame = message.stator_frame
         while self.queue and self.queue[-1][0] >= stamp:  # a block replaces what is due at or after its stamp
             self.queue.pop()
         for k, value in enumerate(values):
@@ -140,16 +139,14 @@ class MinimalDrive(Node):
         while self.next + round(BLOCK * PERIOD * NS) <= self.get_clock().now().nanoseconds:
             begin, rows = self.next, []
             for _ in range(BLOCK):
-                rows.append(self.machine.step(self.take(self.next)))
+                turn = cmath.exp(-1j * self.machine.angle) if self.stator_frame else 1.0  # 7: into the rotor frame
+                rows.append(self.machine.step(self.take(self.next) * turn))
                 self.next += round(PERIOD * NS)
             head = {"first_sample": self.samples, "sample_period": PERIOD}
             currents, voltages, angles = zip(*rows, strict=True)
-            self.publish(
-                self.currents, PhaseCurrents(**head), begin, dict(zip("abc", zip(*currents, strict=True), strict=True))
-            )
-            self.publish(
-                self.voltages, PhaseVoltages(**head), begin, dict(zip("abc", zip(*voltages, strict=True), strict=True))
-            )
+            i_abc, u_abc = (dict(zip("abc", zip(*phase, strict=True), strict=True)) for phase in (currents, voltages))
+            self.publish(self.currents, PhaseCurrents(**head), begin, i_abc)
+            self.publish(self.voltages, PhaseVoltages(**head), begin, u_abc)
             turning = {"angle": angles, "speed": [self.machine.speed] * BLOCK}
             self.publish(self.resolver, Resolver(**head), begin, turning)
             self.samples += BLOCK

@@ -157,8 +157,11 @@ class BenchSimulator(Node):
                 continue
             stamp = Time.from_msg(message.header.stamp).nanoseconds
             d, q = (np.frombuffer(field, np.float32) for field in (message.d, message.q))
-            session, count, safe = message.session, message.count, message.safe
-            self._bench.references.add(stamp, message.sample_period, d, q, session=session, count=count, safe=safe)
+            session, count, safe, stator = message.session, message.count, message.safe, message.stator_frame
+            references = self._bench.references
+            references.add(
+                stamp, message.sample_period, d, q, session=session, count=count, safe=safe, stator_frame=stator
+            )
 
     def _check(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:
@@ -177,7 +180,7 @@ class BenchSimulator(Node):
 
 def main() -> None:
     """Run the node ``bench_simulator``."""
-    run(BenchSimulator)
+    run(BenchSimulator, shared_memory=False)
 
 
 if __name__ == "__main__":

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
-from drive_id_msgs.srv import Identify
+from drive_id_msgs.srv import Command, Identify
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
@@ -86,7 +85,7 @@ class Identification(ManagedNode):
         )
         self._services_kept = [
             DeferredService(self, Identify, "~/identify", self._on_identify),
-            self.create_service(Trigger, "~/reset", self._on_reset, qos_profile=SERVICE),
+            self.create_service(Command, "~/reset", self._on_reset, qos_profile=SERVICE),
         ]
         self._action = IdentifyAction(self, "~/identify", self._requests, self._job, self._said)
         self._request_timer = self.create_timer(
@@ -199,9 +198,11 @@ class Identification(ManagedNode):
         def finish(reply: Reply) -> None:
             answer(self._said(Identify.Response(), reply))
 
-        self._requests.submit(Request(partial(self._job, request.bags, request.method), finish), may_wait=False)
+        self._requests.submit(
+            Request(partial(self._job, request.bags, request.method, request.signals), finish), may_wait=False
+        )
 
-    def _job(self, bags: Sequence[str], method: str) -> Job:
+    def _job(self, bags: Sequence[str], method: str, signals: str) -> Job:
         """Return the job of a request whose turn has come."""
         if not self.active:
             raise InactiveError(self.inactive())
@@ -209,7 +210,7 @@ class Identification(ManagedNode):
         if not bags:
             self._inbox.empty()
             dropped = self._inbox.warning
-        job, life = self._identifier.job(bags, method), self._life
+        job, life = self._identifier.job(bags, method, signals), self._life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:
@@ -255,9 +256,10 @@ class Identification(ManagedNode):
             self._publish(flux_map_message(reply, self._frame_id))
             self.get_logger().info(reply.message)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self, _: Any, response: Any) -> Any:
         self._forget()
-        response.success, response.message = True, "The live samples were discarded."
+        response.success, response.code = True, response.CODE_OK
+        response.message = "The live samples were discarded."
         return response
 
     def _forget(self) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
-from drive_id_msgs.srv import StartRecording, StopRecording
+from drive_id_msgs.srv import Command, StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
-from std_srvs.srv import Trigger
 
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import type_hash
@@ -68,9 +68,9 @@ class Recorder(ManagedNode):
         self._services_kept = [
             self.create_service(StartRecording, "~/start", self._on_start, qos_profile=SERVICE),
             self.create_service(StopRecording, "~/stop", self._on_stop, qos_profile=SERVICE),
-            self.create_service(Trigger, "~/pause", self._on_pause, qos_profile=SERVICE),  # as rosbag2 names them
-            self.create_service(Trigger, "~/resume", self._on_resume, qos_profile=SERVICE),
-            self.create_service(Trigger, "~/split_bagfile", self._on_split, qos_profile=SERVICE),
+            self.create_service(Command, "~/pause", self._on_pause, qos_profile=SERVICE),  # as rosbag2 names them
+            self.create_service(Command, "~/resume", self._on_resume, qos_profile=SERVICE),
+            self.create_service(Command, "~/split_bagfile", self._on_split, qos_profile=SERVICE),
         ]
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -236,36 +236,26 @@ class Recorder(ManagedNode):
         self.get_logger().warning(f"start: {message}")
         return response
 
-    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        session = self._running(response)
-        if session is not None:
-            self._drain()
-            session.pause()
-            response.success, response.message = True, "Paused: what comes until ~/resume is not recorded."
-        return response
+    def _on_pause(self, _: Any, response: Any) -> Any:
+        message = "Paused: what comes until ~/resume is not recorded."
+        return self._commanded(response, RecordingSession.pause, message)
 
-    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        session = self._running(response)
-        if session is not None:
-            self._drain()
-            session.resume()
-            response.success, response.message = True, f"Recording {session.path}."
-        return response
+    def _on_resume(self, _: Any, response: Any) -> Any:
+        return self._commanded(response, RecordingSession.resume, "Recording {path}.")
 
-    def _on_split(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        session = self._running(response)
-        if session is not None:
-            self._drain()
-            session.split()
-            response.success, response.message = True, f"{session.path} goes on in a new file."
-        return response
+    def _on_split(self, _: Any, response: Any) -> Any:
+        return self._commanded(response, RecordingSession.split, "{path} goes on in a new file.")
 
-    def _running(self, response: Trigger.Response) -> RecordingSession | None:
-        """Return the recording under way; if there is none, say so in the response."""
-        if self._session is None or self._session.error or self._stopping:
-            response.message = _NOTHING
-            return None
-        return self._session
+    def _commanded(self, response: Any, command: Callable[[RecordingSession], None], message: str) -> Any:
+        """Give the recording under way a command at this place among its messages, or say that there is none."""
+        session = self._session
+        if session is None or session.error or self._stopping:
+            response.code, response.message = response.CODE_NOT_RECORDING, _NOTHING
+            return response
+        self._drain()
+        command(session)
+        response.success, response.code, response.message = True, response.CODE_OK, message.format(path=session.path)
+        return response
 
     def _on_stop(self, _request: Any, response: Any) -> Any:
         session = self._session

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
+from drive_id_msgs.srv import Command, StartExperiment
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -20,14 +21,14 @@ from std_srvs.srv import Trigger
 from drive_id.core.experiment import feedback
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import NANOSECONDS, ExperimentState, ReferenceBlock
-from drive_id.core.experiment.supervision import SupervisedExperiment
+from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
 from drive_id.core.experiment.watchdog import CURRENTS, ESTOP, RESOLVER, STATUS
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.managed import guard_transitions
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -62,9 +63,14 @@ class TrajectoryPublisher(LifecycleNode):
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
         self._services_kept = [
-            self.create_service(Trigger, "~/start", self._on_start),
-            self.create_service(Trigger, "~/stop", self._on_stop),
-            self.create_service(Trigger, "~/clear_fault", self._on_clear_fault),
+            self.create_service(kind, name, handle, qos_profile=SERVICE)
+            for kind, name, handle in (
+                (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
+                (Trigger, "~/stop", self._on_stop),
+                (StartExperiment, "~/start_experiment", self._on_start_experiment),
+                (Command, "~/stop_experiment", self._on_stop_experiment),
+                (Command, "~/clear_fault", self._on_clear_fault),
+            )
         ]
         self._state_publisher = self.create_publisher(PublisherState, "~/state", LATCHED)
         self._heartbeats = self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
@@ -101,10 +107,11 @@ class TrajectoryPublisher(LifecycleNode):
                 (DriveStatus, STATUS, self._on_status),
                 (Bool, ESTOP, self._on_emergency_stop),
             )
-        ]  # and the last message of an emergency stop that was pressed before, if its publisher keeps it
-        self._subscriptions_kept.append(
-            self.create_subscription(Bool, ESTOP, self._on_emergency_stop, LATCHED, **options)
-        )
+        ]
+        self._subscriptions_kept += [  # a single press is not lost, nor one of before that its publisher keeps
+            self.create_subscription(Bool, ESTOP, self._on_emergency_stop, profile, **options)
+            for profile in (STREAM, LATCHED)
+        ]
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -203,17 +210,19 @@ class TrajectoryPublisher(LifecycleNode):
         now, steady = self._now(), time.monotonic()
         report = self._experiment.report(now, steady)
         reason = report.reason if self._active else self._inactive()
-        shown = (report.state, reason.partition(":")[0], self._active)  # not for each figure that grows
+        shown = (report.state, reason.partition(":")[0], report.dry_run, self._active)  # not for each figure that grows
         runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
         if shown == self._published_state and not (runs and steady >= self._state_due):
             return
         self._published_state, self._state_due = shown, steady + _STATE_PERIOD
         message = PublisherState(state=report.state.value, reason=reason, session=report.session)
-        message.dry_run = bool(self.get_parameter("dry_run").value)
+        message.dry_run = report.dry_run
         message.header.stamp = Time(nanoseconds=now).to_msg()
         message.header.frame_id = self._frame_id
         message.elapsed, message.duration, message.coverage = report.elapsed, report.duration, report.coverage
         message.i_d, message.i_q = report.i_dq.tolist()
+        message.mean_speed, message.mean_speed_reference = report.mean_speed, report.mean_speed_reference
+        message.bias = report.bias
         self._state_publisher.publish(message)
 
     def _on_currents(self, message: PhaseCurrents) -> None:
@@ -241,28 +250,50 @@ class TrajectoryPublisher(LifecycleNode):
         self._experiment.change(self._now(), settings)
         self._on_timer()
 
+    # Requests
+
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._plain(self._start(), response)
+
+    def _on_start_experiment(self, request: Any, response: Any) -> Any:
+        answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease)
+        response.session = self._experiment.session if answer.success else 0
+        return self._coded(answer, response)
+
+    def _start(self, **options: bool) -> Answer:
         if not self._active:
-            response.message = f"Not started. {self._inactive()}"
-            return response
+            return self._said("start", Answer("inactive", f"Not started. {self._inactive()}"))
         publishers = self.count_publishers(_REFERENCES)
-        response.success, response.message = self._experiment.start(self._now(), time.monotonic(), publishers)
-        return self._answer("start", response)
+        return self._said("start", self._experiment.start(self._now(), time.monotonic(), publishers, **options))
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._experiment.stop(self._now())  # inactive: nothing is running
-        return self._answer("stop", response)
+        return self._plain(self._stop(), response)
 
-    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._experiment.clear_fault(self._now(), time.monotonic())
-        return self._answer("clear_fault", response)
+    def _on_stop_experiment(self, _: Any, response: Any) -> Any:
+        return self._coded(self._stop(), response)
 
-    def _answer(self, request: str, response: Trigger.Response) -> Trigger.Response:
+    def _stop(self) -> Answer:
+        return self._said("stop", self._experiment.stop(self._now()))  # inactive: nothing is running
+
+    def _on_clear_fault(self, _: Any, response: Any) -> Any:
+        cleared = self._experiment.clear_fault(self._now(), time.monotonic())
+        return self._coded(self._said("clear_fault", cleared), response)
+
+    def _said(self, request: str, answer: Answer) -> Answer:
+        """Act on a request at once, and log the answer: a calling script may ignore it."""
         self._on_timer()
-        if response.success:  # rclpy permits only one severity per call site
-            self.get_logger().info(f"{request}: {response.message}")
+        if answer.success:  # rclpy permits only one severity per call site
+            self.get_logger().info(f"{request}: {answer.message}")
         else:
-            self.get_logger().warning(f"{request}: {response.message}")
+            self.get_logger().warning(f"{request}: {answer.message}")
+        return answer
+
+    def _plain(self, answer: Answer, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = answer.success, answer.message
+        return response
+
+    def _coded(self, answer: Answer, response: Any) -> Any:
+        response.success, response.code, response.message = answer.success, answer.code, answer.message
         return response
 
     def _publish(self, blocks: Iterable[ReferenceBlock]) -> None:
@@ -271,7 +302,12 @@ class TrajectoryPublisher(LifecycleNode):
             message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
             message.header.frame_id = self._frame_id
             message.session, message.count, message.safe = block.session, block.count, block.safe
+            message.stator_frame = block.stator_frame
             message.d, message.q = (array.array("f", column.tobytes()) for column in block.i_dq.T)
+            now = self._now()
+            if self._experiment.withhold(now, block):  # and all that follow, but for the way to zero
+                self._publish(self._experiment.advance(now, time.monotonic(), self.count_publishers(_REFERENCES)))
+                return
             self._publisher.publish(message)
 
 
@@ -288,7 +324,7 @@ def _block(message: PhaseCurrents | Resolver, *fields: array.array[float]) -> fe
 
 def main() -> None:
     """Run the node ``trajectory_publisher``."""
-    run(TrajectoryPublisher)
+    run(TrajectoryPublisher, shared_memory=False)
 
 
 if __name__ == "__main__":

@@ -11,30 +11,31 @@ from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
-from std_srvs.srv import Trigger
 
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
 from drive_id.nodes.support.arguments import ros_arguments
-from drive_id.nodes.support.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import fast_dds
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
 MEASURED = ("phase_currents", "phase_voltages", "resolver")
 SERVICES = {
     f"{RECORDER}/start": StartRecording,
     f"{RECORDER}/stop": StopRecording,
-    f"{PUBLISHER}/start": Trigger,
-    f"{PUBLISHER}/stop": Trigger,
-    f"{PUBLISHER}/clear_fault": Trigger,
-    f"{IDENTIFICATION}/reset": Trigger,
+    f"{PUBLISHER}/start_experiment": StartExperiment,
+    f"{PUBLISHER}/stop_experiment": Command,
+    f"{PUBLISHER}/clear_fault": Command,
+    f"{PUBLISHER}/set_parameters_atomically": SetParametersAtomically,
+    f"{IDENTIFICATION}/reset": Command,
     f"{IDENTIFICATION}/identify": Identify,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
 }
@@ -165,7 +166,7 @@ class Bench:
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._states: list[str] = []
         self._context = Context()
-        with without_type_lookup(), ros_arguments():
+        with fast_dds(), ros_arguments():
             self._context.init(args=list(arguments))
             self._node = Node("bench_client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -213,6 +214,7 @@ class Bench:
         def waiting() -> str:
             missing = {name.partition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
             missing |= set(NODES) - set(self._statuses)
+            missing |= set() if self._heartbeats.get_subscription_count() else {PUBLISHER}
             if missing:
                 names = " and ".join(sorted(missing))
                 return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
@@ -249,7 +251,24 @@ class Bench:
         self._begun = False
         return Recording(started.uri, stopped.samples, stopped.dropped, stopped.duration, stopped.message)
 
-    def identify(self, bags: Sequence[str] = (), method: str = "") -> Identified:
+    def configure_publisher(self, **values: Any) -> None:
+        """Set parameters of the trajectory publisher, all or none.
+
+        Raises
+        ------
+        ExperimentError
+            When the publisher refuses them.
+        """
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        result = self._called(f"{PUBLISHER}/set_parameters_atomically", parameters=parameters).result
+        if not result.successful:
+            raise ExperimentError(f"{PUBLISHER}: {result.reason}")
+
+    def publisher_value(self, name: str) -> float:
+        """Return a parameter of the trajectory publisher that is a number, NaN where it is the default."""
+        return self._parameter(PUBLISHER, name)
+
+    def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "") -> Identified:
         """Identify the drive.
 
         Parameters
@@ -258,13 +277,15 @@ class Bench:
             Recordings, on the machine of the identification node; none: its live samples.
         method : str
             ``psm``, ``joint`` or ``full``; default: as the node is configured.
+        signals : str
+            Signals file for the recordings, on the machine of the node; default: as the node is configured.
 
         Raises
         ------
         ExperimentError
             When the node refuses or does not answer; its sentence tells why.
         """
-        reply = self._required(f"{IDENTIFICATION}/identify", bags=list(bags), method=method)
+        reply = self._required(f"{IDENTIFICATION}/identify", bags=list(bags), method=method, signals=signals)
         return Identified(reply.flux_map, reply.report, reply.output, reply.message)
 
     def stop(self) -> list[str]:
@@ -274,7 +295,7 @@ class Bench:
         self._begun = False
         self._tell = None  # what shows progress may be what failed
         self.timeout = min(self.timeout, _STOPPING)
-        return [self._stopped(node) for node in (PUBLISHER, RECORDER)]
+        return [self._stopped(name) for name in (f"{PUBLISHER}/stop_experiment", f"{RECORDER}/stop")]
 
     def clear_fault(self) -> str:
         """Permit a start again after a trip or an emergency stop; return the publisher's sentence.
@@ -286,15 +307,15 @@ class Bench:
         """
         return str(self._required(f"{PUBLISHER}/clear_fault").message)
 
-    def _stopped(self, node: str) -> str:
+    def _stopped(self, name: str) -> str:
         try:
-            return f"{node}/stop: {self._called(f'{node}/stop').message}"
+            return f"{name}: {self._called(name).message}"
         except ExperimentError as error:
             return str(error)
 
     def _run_trajectory(self) -> None:
         self._states.clear()
-        self._required(f"{PUBLISHER}/start")
+        self._required(f"{PUBLISHER}/start_experiment", require_lease=True)
         started = time.monotonic()
 
         def ended() -> bool:

@@ -4,6 +4,7 @@ Requires the nodes ``trajectory_publisher``, ``recorder`` and ``identification``
 that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows ``current_reference``::
 
     wait until all nodes are ready and the drive publishes; check that they fit together
+    with --first-start: find angle and acceleration of a drive without load machine, and write files that say so
     recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
     identification/identify from the recording
 
@@ -34,6 +35,7 @@ from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.ros.bench import Bench, Identified, Progress
 from drive_id.ros.comparison import comparison
+from drive_id.ros.first_start import PARAMETERS, commission, swing_up
 from drive_id.types import GroundTruth
 
 REQUESTS = {"recording": (True, "")}
@@ -146,6 +148,17 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
     say("1. The nodes are started.")
     bench.wait_until_ready(options.start_up)
     truth = read_truth(options.truth) if options.truth else None
+    signals = ""
+    if options.first_start:
+        say("   All nodes are ready: first start.")
+        commissioned = commission(bench, options.output, options.recording or time.strftime("%Y%m%d_%H%M%S"), say)
+        say(f"   {commissioned.sentence()}")
+        signals = str(commissioned.signals.resolve())
+        if not options.free_shaft:
+            say(f"Results: {options.output / PARAMETERS}, {commissioned.signals}")
+            return 0
+    elif options.free_shaft:
+        swing_up(bench)
     say("2. All nodes are ready: the recording is started, then the trajectory.")
     recording = bench.run_experiment(options.recording)
     say(f"   {recording.message}")
@@ -153,7 +166,8 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
     results = {}
     for title, (recorded, method) in requests.items():
         begin = time.monotonic()
-        results[title] = bench.identify([recording.uri] if recorded else [], method or options.method)
+        bags = [recording.uri] if recorded else []
+        results[title] = bench.identify(bags, method or options.method, signals)
         say(f"   {title}: {time.monotonic() - begin:.1f} s")
     Console(width=_WIDTH).print(comparison(results, truth))
     warned: dict[str, list[str]] = {}
@@ -177,13 +191,22 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--recording", default="", help="name of the recording; default: date and time")
     parser.add_argument("--method", default="", help="full, joint or psm; default: as the node is configured")
     parser.add_argument("--compare", action="store_true", help="identify live and recorded, by all methods")
+    parser.add_argument(
+        "--first-start", action="store_true", help="find angle and acceleration of a drive without load machine first"
+    )
+    parser.add_argument("--free-shaft", action="store_true", help="trajectory free_shaft: without load machine")
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
     parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
     parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s")
     parser.add_argument("--start-up", type=float, default=300.0, help="time for all nodes to become ready, s")
     with ros_arguments():
         own = remove_ros_args(sys.argv)[1:]
-    return parser.parse_args(own)
+    options = parser.parse_args(own)
+    if options.first_start and not options.output:
+        parser.error("--first-start needs --output, the folder for its files")
+    if options.first_start and options.compare:
+        parser.error("--compare identifies live samples as well, which do not know the angle of a --first-start")
+    return options
 
 
 def main() -> None:

@@ -91,9 +91,9 @@ class Player:
 @pytest.fixture
 def player(ros, node):
     assert node.popen.poll() is None, node.output
-    from std_srvs.srv import Trigger
+    from drive_id_msgs.srv import Command
 
-    assert ros.call(Trigger, "/identification/reset").success
+    assert ros.call(Command, "/identification/reset").code == "ok"
     player = Player(ros)
     player.wait_for_listeners()
     yield player
@@ -267,14 +267,14 @@ def test_bad_requests_are_answered_and_the_node_goes_on(ros, node):
 
 
 def test_live_samples_that_make_no_map_get_the_errors_of_a_bag(ros, player, simulation, tmp_path):
-    from std_srvs.srv import Trigger
+    from drive_id_msgs.srv import Command
 
     held = simulation.samples
     still = replace(held, angle=np.zeros(len(held)), speed=np.zeros(len(held)))
     wrong = replace(held, speed=held.speed / 4)
     few = replace(held, i_abc=np.random.default_rng(0).normal(size=held.i_abc.shape))
     for samples, code in ((still, "standstill"), (wrong, "data"), (few, "coverage")):
-        assert ros.call(Trigger, "/identification/reset").success
+        assert ros.call(Command, "/identification/reset").success
         path = tmp_path / code
         write_recording(path, samples)
         player.play(messages_of(path))
@@ -535,16 +535,16 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
 @pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")  # rclpy of Kilted in itself
 @pytest.mark.usefixtures("node")
 def test_best_effort_publishers_are_heard(ros, bag):
-    from std_srvs.srv import Trigger
+    from drive_id_msgs.srv import Command
 
-    ros.call(Trigger, "/identification/reset")
+    ros.call(Command, "/identification/reset")
     player = Player(ros, reliable=False)
     try:
         player.wait_for_listeners()
         messages = messages_of(bag)
 
         def arrived():
-            ros.call(Trigger, "/identification/reset")
+            ros.call(Command, "/identification/reset")
             for at in range(0, len(messages), 15):
                 player.play(messages[at : at + 15])
                 ros.executor.spin_once(timeout_sec=0.002)

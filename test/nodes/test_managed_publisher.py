@@ -57,6 +57,16 @@ class Managed:
 
         return self.ros.call(Trigger, f"{NAME}/{name}")
 
+    def ask(self, name, **fields):
+        """Return code and sentence of a typed service, and the session of a start."""
+        from drive_id_msgs.srv import Command, StartExperiment
+
+        kind = StartExperiment if name == "start_experiment" else Command
+        reply = self.ros.call(kind, f"{NAME}/{name}", **fields)
+        assert reply.success == (reply.code == kind.Response.CODE_OK), reply
+        assert reply.message
+        return reply
+
     def health(self, condition=lambda _: True):
         """Return the values of the next diagnostics for which the condition holds, with the message."""
         from diagnostic_msgs.msg import DiagnosticArray
@@ -140,6 +150,76 @@ def test_without_autostart_each_state_permits_what_it_should(ros):
     refusal = managed.call("start")
     assert not refusal.success
     assert refusal.message == "Not started. The node was shut down and stays so: start its process again."
+    managed.close()
+
+
+def test_every_reply_has_a_code(ros):
+    """What the drive alone can bring about, the tests of the supervision do."""
+    from std_msgs.msg import Bool, Empty
+
+    managed = Managed(ros, autostart=False)
+    stop = ros.node.create_publisher(Bool, "/emergency_stop", 1)
+    beat = ros.node.create_publisher(Empty, f"{NAME}/heartbeat", 1)
+    assert managed.ask("start_experiment").code == "inactive"
+    assert managed.ask("stop_experiment").code == "ok"
+    assert managed.change("configure")
+    assert managed.ask("start_experiment").code == "inactive"
+    assert managed.change("activate")
+    ros.wait(lambda: managed.ask("start_experiment", require_lease=True).code == "no_heartbeat", "the drive")
+    ros.wait(lambda: managed.ask("start_experiment", dry_run=True).success, "a dry run")
+    assert managed.ask("stop_experiment").message == "Stopping: the current ramps down to zero."
+    ros.wait(lambda: managed.health()["state"] == "idle", "its end")
+    assert not any(np.any(block.d) or np.any(block.q) for block in managed.blocks)
+
+    def begun():
+        beat.publish(Empty())
+        return (reply := managed.ask("start_experiment", require_lease=True)).success and reply
+
+    session = ros.wait(begun, "a start").session
+    ros.wait(lambda: managed.blocks and managed.blocks[-1].session == session != 0, "references of the session")
+    reply = managed.ask("start_experiment")
+    assert (reply.code, reply.session) == ("busy", 0)
+    assert managed.ask("clear_fault").code == "busy"
+
+    def pressed():
+        stop.publish(Bool(data=True))
+        return managed.health()["state"] == "tripped"
+
+    ros.wait(pressed, "the emergency stop")
+    ros.wait(lambda: managed.ask("clear_fault").code == "fault", "the end of the trip")
+    assert managed.ask("start_experiment").code == "tripped"
+
+    def released():
+        stop.publish(Bool(data=False))
+        return managed.ask("clear_fault").code == "ok"
+
+    ros.wait(released, "the release")
+    assert managed.ask("stop_experiment").message == "Nothing is running."
+    for publisher in (stop, beat):
+        ros.node.destroy_publisher(publisher)
+    managed.close()
+
+
+def test_a_single_press_and_a_single_release_of_the_emergency_stop_are_heard(ros):
+    """As ``ros2 topic pub --once`` sends them: it ends 0.1 s after the only message."""
+    from std_msgs.msg import Bool
+
+    managed = Managed(ros)
+
+    def publish_once(pressed):
+        publisher = ros.node.create_publisher(Bool, "/emergency_stop", 10)
+        ros.wait(lambda: publisher.get_subscription_count() >= 2, "the subscriptions")
+        publisher.publish(Bool(data=pressed))
+        until = time.monotonic() + 0.1
+        ros.wait(lambda: time.monotonic() > until, "the end")
+        ros.node.destroy_publisher(publisher)
+
+    for _ in range(10):
+        publish_once(True)
+        reply = managed.ask("clear_fault")
+        assert (reply.code, reply.message) == ("fault", "Not cleared: The emergency stop (/emergency_stop) is pressed.")
+        publish_once(False)
+        ros.wait(lambda: "emergency" not in managed.ask("clear_fault").message, "the release")
     managed.close()
 
 

@@ -87,6 +87,27 @@ def test_references_of_somebody_else(ready):
     ready.clear()
 
 
+def test_references_in_the_stator_frame(ready):
+    """As in the first start of a drive whose angle is not known: the phases stand still while the angle turns."""
+    from drive_id_msgs.msg import CurrentReference
+
+    publisher = ready.ros.node.create_publisher(CurrentReference, "/current_reference", 10)
+    ready.ros.wait(lambda: publisher.get_subscription_count() >= 2, "the drive and the test as listeners")
+    block = CurrentReference(session=4712, sample_period=1e-3, d=[30.0] * 6000, q=[0.0] * 6000, stator_frame=True)
+    block.header.stamp = ready.ros.node.get_clock().now().to_msg()
+    publisher.publish(block)
+    ready.ros.wait(lambda: ready.is_driven(20.0), "current")
+    count = len(ready.messages["phase_currents"])
+    ready.ros.wait(lambda: len(ready.messages["phase_currents"]) > count + 20, "more than a revolution")
+    last = ready.messages["phase_currents"][count + 5 :]
+    phases = np.array([np.concatenate([getattr(block, name) for block in last]) for name in "abc"])
+    assert np.ptp(phases, axis=1).max() < 0.1
+    assert 25.0 < phases[0].mean() < 30.0  # the machine lags behind by 1 ms
+    assert "does not go to zero current" in ready.trigger("stop").message  # it does not know yet what this sends
+    ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
+    ready.ros.node.destroy_publisher(publisher)
+
+
 def test_a_killed_publisher_leaves_no_current_behind(ready):
     ready.run_without_end(10.0)
     ready.publisher.popen.kill()

@@ -408,26 +408,28 @@ def test_further_topics_of_any_type_with_their_definitions(ros):
 
 
 def test_pause_resume_and_split(ros):
-    from std_srvs.srv import Trigger
+    from drive_id_msgs.srv import Command
 
     def ask(name):
-        return ros.call(Trigger, f"/recorder/{name}")
+        return ros.call(Command, f"/recorder/{name}")
 
     recorder, bench = Recorder(ros), Bench(ros)
     bench.wait_for_listeners()
     for name in ("pause", "resume", "split_bagfile"):
-        assert not ask(name).success
+        reply = ask(name)
+        assert (reply.success, reply.code) == (False, "not_recording")
+        assert "start a recording first" in reply.message
     assert recorder.start("bag").success
     for paused in (False, True, False):
         if paused:
-            assert ask("pause").success
+            assert ask("pause").code == "ok"
             assert ask("pause").success
         bench.publish(10)
         bench.wait_until_delivered()
         if paused:
             recorder.wait_for_status("Paused", 0)
-            assert ask("resume").success
-            assert ask("split_bagfile").success
+            assert ask("resume").code == "ok"
+            assert ask("split_bagfile").code == "ok"
     recorder.wait_for_samples(phase_currents=2000)
     assert ask("split_bagfile").success  # nothing follows
     reply = recorder.stop()

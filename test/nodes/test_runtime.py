@@ -13,7 +13,7 @@ import pytest
 from live_drive import BENCH, PUBLISHER
 from ros_bench import DEADLINE, ros_bench
 
-from drive_id.nodes.support.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import fast_dds
 
 CLIENT = "drive_id.ros.characterize"
 VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"
@@ -43,7 +43,7 @@ def test_nodes_have_no_type_lookup_service(ros):
 def test_the_profile_is_there_while_a_node_is_made(monkeypatch, tmp_path):
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.chdir(tmp_path)
-    with without_type_lookup():
+    with fast_dds():
         path = Path(os.environ[VARIABLE])
         assert "fastdds.type_propagation" in path.read_text(encoding="utf-8")
     assert VARIABLE not in os.environ
@@ -53,12 +53,12 @@ def test_the_profile_is_there_while_a_node_is_made(monkeypatch, tmp_path):
 def test_profiles_of_the_users_own_are_kept(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(VARIABLE, "own.xml")
-    with without_type_lookup():
+    with fast_dds():
         assert os.environ[VARIABLE] == "own.xml"
     assert os.environ[VARIABLE] == "own.xml"
     monkeypatch.delenv(VARIABLE)
     (tmp_path / "DEFAULT_FASTDDS_PROFILES.xml").touch()
-    with without_type_lookup():
+    with fast_dds():
         assert VARIABLE not in os.environ
 
 
@@ -156,3 +156,51 @@ def test_a_signal_while_the_node_is_made(ros):
         pytest.fail(f"It has not ended:\n{process.output}")
     assert process.popen.returncode == 0, process.output
     assert "Traceback" not in process.output
+
+
+def port(process):
+    """Return the file of the port in shared memory at which a process hears its topics."""
+    numbers = {name.rpartition(".")[2] for name in threads(process) if name.startswith("dds.shm.")}
+    files = [path for path in Path("/dev/shm").glob("*_port*") if path.name.rpartition("_port")[2] in numbers]
+    return max(files, key=lambda path: int(path.name.rpartition("_port")[2]))
+
+
+def require_fast_dds():
+    if os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") != "rmw_fastrtps_cpp":
+        pytest.skip("only Fast DDS")
+
+
+def test_a_node_whose_port_was_replaced_ends_with_a_sentence(ros):
+    """Fast DDS does so with a process that was held up, which would go on without hearing anybody."""
+    require_fast_dds()
+    process = ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
+    ros.wait(lambda: "Ready" in process.output, "the recorder")
+    time.sleep(1.5)
+    assert process.popen.poll() is None
+    replaced = port(process)
+    twin = replaced.with_name(replaced.name + "_twin")
+    twin.write_bytes(replaced.read_bytes())
+    twin.rename(replaced)
+    process.expected_to_fail = True
+    ros.wait(lambda: process.popen.poll() is not None, "its end")
+    assert process.popen.returncode == 1
+    assert process.output.splitlines()[-1] == (
+        f"Recorder: Fast DDS has replaced the port {replaced} while the process was held up, so that it hears nobody "
+        "any more: start it again."
+    )
+    assert "Traceback" not in process.output
+    replaced.unlink()
+
+
+@pytest.mark.parametrize("alone", [False, True], ids=["LOCALHOST", "OFF"])
+@pytest.mark.parametrize("module", [PUBLISHER, BENCH])
+def test_publisher_and_drive_share_no_memory(ros, module, alone):
+    """Whoever is stopped or killed while it holds a lock in shared memory blocks the other one."""
+    require_fast_dds()
+    process = ros.start(module, alone=alone)
+    ros.wait(lambda: "Ready" in process.output, module)
+    names = threads(process)
+    if any("libfastrtps.so" in line for line in Path(f"/proc/{process.popen.pid}/maps").read_text().splitlines()):
+        assert any(name.startswith("dds.udp.") for name in names), names
+        assert not any(name.startswith("dds.shm.") for name in names), names
+    assert process.interrupt()[0] == 0

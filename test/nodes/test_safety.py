@@ -5,14 +5,18 @@ from __future__ import annotations
 import importlib
 import random
 import re
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ros_bench import own_domain, require_ros
+from simulated_time import stamp_of
 
 ROOT = Path(__file__).parent.parent.parent
 ALLOWANCE = 1.5
 """Added to all stated times, s: other tests keep this machine busy."""
+HELD_UP = 3.0  # s
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +60,35 @@ def test_the_table_states_the_times_that_are_checked(safety):
 @pytest.mark.parametrize("name", rows())
 def test_a_hazard_ends_at_zero_current(safety, sound, name):
     safety.react(sound, name, ALLOWANCE)
+
+
+def test_a_publisher_held_up_for_3_s_sends_no_current_when_it_goes_on(safety, sound):
+    """The drive has run out of set-points long before; what the process had in hand must not begin anew."""
+    heard = []
+    listener = sound.graph.node.create_subscription(safety.CurrentReference, "/current_reference", heard.append, 1000)
+    assert sound.begin() == ""
+    sound.graph.wait(lambda: any(any(block.d) for block in heard))
+    sound.suspend()
+    sound.graph.spin(HELD_UP)
+    heard.clear()
+    since, clock = time.monotonic(), time.time()
+    sound.un_suspend()
+    assert sound.graph.wait(lambda: sound.state == "tripped")
+    sound.graph.spin(1.0)
+    assert heard[-1].safe
+    for block in heard:  # one may have been with the middleware when the process was stopped: it is long over
+        over = stamp_of(block) * 1e-9 + len(block.d) * block.sample_period < clock - HELD_UP / 2
+        assert over or (block.safe and not np.any(block.d) and not np.any(block.q))
+    assert max(peak for when, peak in sound.peaks if when > since) < safety.REST
+    assert sound.state == "tripped"
+    assert re.search("too late|Nothing has arrived|no heartbeat", sound.reason)
+    sound.graph.node.destroy_subscription(listener)
+    process = sound.nodes[safety.PUBLISHER]
+    if process.alive:
+        assert "It tripped" in sound.call("stop_experiment").message
+        assert sound.call("start_experiment").code == "tripped"
+    else:  # Fast DDS has made it deaf
+        assert "hears nobody any more: start it again" in process.text
 
 
 def test_random_scripts(safety, sound):

@@ -21,19 +21,18 @@ class Nodes:
 
     def __init__(self, domain):
         from diagnostic_msgs.msg import DiagnosticArray
-        from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+        from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from rclpy.parameter import Parameter
         from std_msgs.msg import Empty
-        from std_srvs.srv import Trigger
 
-        from drive_id.nodes.support.middleware import without_type_lookup
+        from drive_id.nodes.support.middleware import fast_dds
 
         self.begin()
         self.context = Context()
-        with without_type_lookup():
+        with fast_dds():
             self.context.init(args=[], domain_id=domain)
             made = {name: Node(name, namespace="/drive", context=self.context) for name in NODES}
         self.nodes = made
@@ -41,14 +40,15 @@ class Nodes:
             made[name].declare_parameter("i_max", value)
         publisher, recorder, identification = made.values()
         self.parameter = Parameter
-        publisher.create_service(Trigger, "~/start", self.answer("trajectory_publisher/start"))
-        publisher.create_service(Trigger, "~/stop", self.answer("trajectory_publisher/stop"))
-        publisher.create_service(Trigger, "~/clear_fault", self.answer("trajectory_publisher/clear_fault"))
+        for kind, name in (
+            (StartExperiment, "start_experiment"), (Command, "stop_experiment"), (Command, "clear_fault"),
+        ):  # fmt: skip
+            publisher.create_service(kind, f"~/{name}", self.answer(f"trajectory_publisher/{name}"))
         recorder.create_service(StartRecording, "~/start", self.answer("recorder/start", uri="/data/bag"))
         recorder.create_service(
             StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=0.5)
         )
-        identification.create_service(Trigger, "~/reset", self.answer("identification/reset"))
+        identification.create_service(Command, "~/reset", self.answer("identification/reset"))
         identification.create_service(Identify, "~/identify", self.answer("identification/identify", output="/out"))
         publisher.create_subscription(Empty, "~/heartbeat", lambda _: self.beats.append(time.monotonic()), 10)
         self.diagnostics = publisher.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -72,7 +72,7 @@ class Nodes:
             response.success, response.message = name not in self.refused, f"{name} says so."
             for field, value in fields.items():
                 setattr(response, field, value)
-            if name == "trajectory_publisher/start" and response.success:
+            if name == "trajectory_publisher/start_experiment" and response.success:
                 self.playing = iter(self.script)
             return response
 
@@ -147,7 +147,7 @@ def test_an_experiment_calls_the_services_in_order(nodes):
         result = bench.identify([recording.uri], "joint")
         assert bench.stop() == []  # nothing of it is under way any more
     assert nodes.calls == [
-        "recorder/start", "identification/reset", "trajectory_publisher/start", "recorder/stop",
+        "recorder/start", "identification/reset", "trajectory_publisher/start_experiment", "recorder/stop",
         "identification/identify",
     ]  # fmt: skip
     assert (recording.uri, recording.samples, recording.dropped, recording.duration) == ("/data/bag", 7, 2, 0.5)
@@ -172,7 +172,7 @@ def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):
     nodes.script = ["running", "tripped"]
     with pytest.raises(ExperimentError, match=r"The trajectory was stopped: trajectory_publisher reports\."):
         run_all()
-    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop_experiment", "recorder/stop"]
 
 
 def test_a_fault_is_cleared_or_it_is_told_why_not(nodes):
@@ -186,8 +186,8 @@ def test_a_fault_is_cleared_or_it_is_told_why_not(nodes):
 
 
 def test_a_refusal_is_passed_on_and_the_recording_is_closed(nodes):
-    nodes.refused = {"trajectory_publisher/start"}
-    with pytest.raises(ExperimentError, match=r"trajectory_publisher/start: trajectory_publisher/start says so\."):
+    nodes.refused = {"trajectory_publisher/start_experiment"}
+    with pytest.raises(ExperimentError, match=r"^trajectory_publisher/start_experiment: .* says so\."):
         run_all()
     assert nodes.calls[-1] == "recorder/stop"
 
@@ -205,20 +205,20 @@ def test_an_error_that_the_block_catches_leaves_the_drive_at_rest_too(nodes):
         bench.wait_until_ready(30.0)
         with contextlib.suppress(ExperimentError):
             bench.run_experiment()
-    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop_experiment", "recorder/stop"]
 
 
 def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
     nodes.script = ["running"] * 400
-    nodes.slow = {"trajectory_publisher/stop": 1.5}
+    nodes.slow = {"trajectory_publisher/stop_experiment": 1.5}
 
     def tell(_):
-        if "trajectory_publisher/start" in nodes.calls:
+        if "trajectory_publisher/start_experiment" in nodes.calls:
             raise BrokenPipeError("the terminal is gone")
 
     with pytest.raises(BrokenPipeError):
         run_all(tell=tell)
-    assert nodes.calls[-2:] == ["trajectory_publisher/stop", "recorder/stop"]
+    assert nodes.calls[-2:] == ["trajectory_publisher/stop_experiment", "recorder/stop"]
 
 
 def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):

@@ -69,9 +69,11 @@ class LiveDrive:
         self.ros.wait(lambda: self.state() == state, f"{self.namespace} becomes {state}")
 
     def trigger(self, what):
+        from drive_id_msgs.srv import Command
         from std_srvs.srv import Trigger
 
-        return self.ros.call(Trigger, f"{self.namespace}/trajectory_publisher/{what}")
+        kind = Command if what == "clear_fault" else Trigger
+        return self.ros.call(kind, f"{self.namespace}/trajectory_publisher/{what}")
 
     def ask(self, what, answered, description):
         """Call a service again and again until the answer is the wanted one; return it."""

@@ -31,7 +31,7 @@ def block(type_name, first, size=100, seed=0):
     if type_name == RESOLVER:
         angle = SPEED * PERIOD * (first + np.arange(size))
         values = [((angle + np.pi) % (2 * np.pi) - np.pi).astype(np.float32), np.full(size, SPEED, np.float32)]
-    session = (1, first, False) if type_name == CURRENT_REFERENCE else None
+    session = (1, first, False, False) if type_name == CURRENT_REFERENCE else None
     data = encode_block(START + round(first * PERIOD * 1e9), first, PERIOD, values, "drive", session)
     return data + bytes(-len(data) % 4)
 

@@ -105,7 +105,7 @@ class RosBench:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        from drive_id.nodes.support.middleware import without_type_lookup
+        from drive_id.nodes.support.middleware import fast_dds
 
         self.folder = Path(folder)
         self.environment = dict(os.environ)
@@ -120,7 +120,7 @@ class RosBench:
         profiles.write_text(HEARTBEATS)
         with (
             _environment(self.environment),
-            without_type_lookup(),
+            fast_dds(),
             _environment({"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles)}),
         ):
             self.context = Context()

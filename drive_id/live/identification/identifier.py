@@ -13,11 +13,12 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.core.result.mechanics import with_mechanics
 from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
-from drive_id.errors import DriveIdError
+from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
-from drive_id.files.messages.signals_file import SignalMap, our_scalar
+from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_signals
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
@@ -173,7 +174,7 @@ class Identifier:
         self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
-    def job(self, bags: Sequence[str], method: str) -> Job:
+    def job(self, bags: Sequence[str], method: str, signals: str = "") -> Job:
         """Make a job of a request, to be run in another thread.
 
         Parameters
@@ -182,16 +183,21 @@ class Identifier:
             Names of recordings; empty: the live samples so far.
         method : str
             Empty: that of the settings.
+        signals : str
+            Signals file for the bags; empty: our messages under the names of this drive.
 
         Raises
         ------
         DriveIdError
-            When the request makes no sense.
+            When the request makes no sense, or the signals file cannot be read.
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
         if bags:
-            work = partial(_fit_bags, tuple(bags), self._signals(), fit, self.settings)
+            own = read_signals(Path(signals).expanduser()) if signals else self._signals()
+            work = partial(_fit_bags, tuple(bags), own, bool(signals), fit, self.settings)
             return partial(_guarded, partial(_kept, self.folders, work))
+        if signals:
+            raise ConfigurationError("The request names a signals file, but no bags: it is for bags only.")
         snapshot = self.live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples)
@@ -320,13 +326,19 @@ def _kept(folders: ResultFolders, work: Job, tell: Progress) -> Reply:
 
 
 def _fit_bags(
-    names: Sequence[str], own: SignalMap, fit: FitSettings, settings: IdentificationSettings, tell: Progress
+    names: Sequence[str],
+    own: SignalMap,
+    wanted: bool,
+    fit: FitSettings,
+    settings: IdentificationSettings,
+    tell: Progress,
 ) -> Reply:
+    """Fit recordings by the signals of this drive where they have its topics, or by those ``wanted``."""
     paths = [existing_recording(Path(settings.data_directory), name) for name in names]
     output = new_folder(settings, fit.method)
     tell("Reading", 0.0)
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
-    signals = own if all(_holds(path, topics) for path in paths) else None
+    signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
     result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
     return _reply(result, output)
@@ -359,7 +371,8 @@ def _fit_live(
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
     tell("Writing", None)
     excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
-    identification = with_torque(refit.drive, excerpts, known_pole_pairs(fit))
+    pole_pairs = known_pole_pairs(fit)
+    identification = with_mechanics(with_torque(refit.drive, excerpts, pole_pairs), excerpts, pole_pairs, fit)
     stamp = snapshot.join.last_stamp or 0
     provenance = provenance_of(
         identification,

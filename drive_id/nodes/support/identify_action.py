@@ -54,7 +54,7 @@ class IdentifyAction:
         node: Node,
         name: str,
         requests: Requests,
-        make: Callable[[Sequence[str], str], Job],
+        make: Callable[[Sequence[str], str, str], Job],
         fill: Callable[[Any, Reply], Any],
     ) -> None:
         self._node = node
@@ -92,7 +92,7 @@ class IdentifyAction:
     def _accept(self, goal: Any) -> None:
         def make() -> Job:
             goal.execute()
-            return self._make(goal.request.bags, goal.request.method)
+            return self._make(goal.request.bags, goal.request.method, goal.request.signals)
 
         request = Request(make, partial(self._finish, goal), partial(self._tell, goal))
         self._goals[_key(goal)] = request

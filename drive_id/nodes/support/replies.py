@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,14 @@ from rclpy.time import Time
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.live.identification.identifier import Reply
+
+_OF_MECHANICS = {
+    name: name
+    for name in (
+        "inertia", "sigma_inertia", "friction", "sigma_friction", "viscous_friction", "sigma_viscous_friction",
+    )
+} | {"torque_gain": "gain", "sigma_torque_gain": "sigma_gain"}  # fmt: skip
+"""Fields of the message, and of :class:`~drive_id.core.result.identification.Mechanics`."""
 
 
 def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
@@ -48,10 +57,14 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
 def fit_report_message(reply: Reply) -> FitReport:
     """Return the report of the fit, or of the samples only if the request failed."""
     message = FitReport(warnings=list(reply.warnings))
+    mechanics = reply.identification.mechanics if reply.identification is not None else None
+    for field, name in _OF_MECHANICS.items():
+        value = getattr(mechanics, name, None)  # without mechanics, nothing is known
+        setattr(message, field, math.nan if value is None else value)
     if reply.identification is not None:
         report = reply.identification.report
         for name in message.get_fields_and_field_types():
-            if name != "warnings" and not name.startswith("calibration_"):
+            if name != "warnings" and hasattr(report, name):
                 setattr(message, name, getattr(report, name))
         _fill_calibrations(message, reply.identification)
     elif reply.samples is not None:

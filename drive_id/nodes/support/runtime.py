@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import NoReturn
@@ -21,11 +22,13 @@ from rclpy.task import Future
 
 from drive_id.errors import DriveIdError
 from drive_id.nodes.support.arguments import ros_arguments, warn_of_unknown_parameters
-from drive_id.nodes.support.middleware import without_type_lookup
+from drive_id.nodes.support.middleware import fast_dds
+from drive_id.nodes.support.shared_memory import SharedMemoryPorts
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _POINT = ". A DOUBLE is written with a decimal point, as in 300.0."
 _WAKE_UP = 0.1  # s after which an idle node notices a signal at the latest
+_LISTEN = 0.5  # s between looks at whether the process still hears others
 
 
 class Stop:
@@ -36,14 +39,35 @@ class Stop:
 
     def __init__(self) -> None:
         self.asked = False
+        self.reason = ""
+        """Why the process ends although nobody told it to; empty otherwise."""
         self._read_end, self._write_end = os.pipe()
         for number in SIGNALS:
             signal.signal(number, self._handle)
 
     def _handle(self, _number: int, _frame: FrameType | None) -> None:
+        self._ask()
+
+    def _ask(self) -> None:
         first, self.asked = not self.asked, True
         if first:
             os.write(self._write_end, b"!")  # takes no lock: the interrupted code may hold it
+
+    def listen(self) -> None:
+        """End the process when it does not hear others any more: nobody could end or stop it by a message."""
+
+        def watch() -> None:
+            ports = SharedMemoryPorts()
+            while not self.asked:
+                time.sleep(_LISTEN)
+                if port := ports.deaf():
+                    self.reason = (
+                        f"Fast DDS has replaced the port {port} while the process was held up, so that it hears nobody "
+                        "any more: start it again."
+                    )
+                    self._ask()
+
+        threading.Thread(target=watch, name="listen", daemon=True).start()
 
     def complete(self, future: Future[None]) -> None:
         """Complete a future when the process is told to stop."""
@@ -55,10 +79,10 @@ class Stop:
         threading.Thread(target=wait, name="stop", daemon=True).start()
 
 
-def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
+def run(make: Callable[[], Node], args: Sequence[str] | None = None, *, shared_memory: bool = True) -> None:
     """Create a node, spin it until the process is told to stop, close it, and end the process.
 
-    The exit code is 0, or 1 with one sentence when the node cannot be created.
+    The exit code is 0, or 1 with one sentence when the node cannot be created or does not hear others any more.
 
     Parameters
     ----------
@@ -66,17 +90,22 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
         The node's class. Its ``close()``, if any, is called while the node can still publish.
     args : sequence of str, optional
         Command line; default: that of the process.
+    shared_memory : bool
+        As in :func:`~.middleware.fast_dds`.
     """
     stop = Stop()
     node: Node | None = None
     code = 0
     try:
-        with without_type_lookup():
+        with fast_dds(shared_memory=shared_memory):
             with ros_arguments():
                 rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = make()
             warn_of_unknown_parameters(node)
+        stop.listen()
         spin(node, stop)
+        if stop.reason:
+            raise DriveIdError(stop.reason)
     except (DriveIdError, ParameterException) as error:
         remedy = _POINT if isinstance(error, InvalidParameterTypeException) and "DOUBLE" in str(error) else ""
         sys.stderr.write(f"{make.__name__}: {error}{remedy}\n")

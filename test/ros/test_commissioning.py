@@ -1,0 +1,88 @@
+"""A drive without load machine at process level: from wired to a map by one command, and trips."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from ros_bench import DEADLINE, ros_bench
+
+from drive_id.core.validation.metrics import nrmse, true_flux
+from drive_id.files.machines.ground_truth import decode_truth
+from drive_id.fitting.result import load
+from drive_id.fitting.sources import read_bag
+
+NODES = "drive_id.nodes."
+I_MAX = 20.0
+OFFSET = -2.0
+SPEED_MAX = 420.0  # electrical, rad/s: 1340 rpm
+DRIVE = {"machine": "spm", "free_shaft": True, "current_noise": 0.001, "resolver_offset": OFFSET}
+PUBLISHER = {
+    "i_max": I_MAX, "shaft_speed_max": SPEED_MAX, "duration": 6.0, "lead_time": 1.0, "watch_timeout": 30.0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+def test_a_new_drive_is_characterized_by_one_command(ros):
+    output, data = ros.folder / "out", {"data_directory": str(ros.folder)}
+    truth = ros.folder / "truth.npz"
+    ros.start(NODES + "recorder", parameters=data)
+    fit = {"output_directory": str(ros.folder / "results"), "i_max": I_MAX, "pole_pairs": 3}
+    ros.start(NODES + "identification", parameters=data | fit)
+    ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER)
+    ros.start(NODES + "bench_simulator", parameters=DRIVE | {"truth_file": str(truth)})
+    command = [sys.executable, "-m", "drive_id.ros.characterize", "--first-start", "--free-shaft"]
+    done = subprocess.run(
+        [*command, "--recording", "bag", "--output", str(output)],
+        env=ros.environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = yaml.safe_load((output / "trajectory_publisher.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    assert found["angle_offset"] == pytest.approx(OFFSET, abs=0.006)
+    for name in ("bag_first_start", "bag_shake_1", "bag_shake_2", "bag"):
+        samples = read_bag(ros.folder / name)
+        assert np.abs(samples.i_abc).max() < 1.2 * I_MAX
+        assert np.abs(samples.speed).max() < 1.2 * SPEED_MAX
+    known, identified = decode_truth(truth.read_bytes(), ""), load(output / "recording")
+    flux_map = identified.drive.flux_map
+    i_d, i_q = np.meshgrid(flux_map.i_d, flux_map.i_q, indexing="ij")
+    inside = flux_map.inside & (np.hypot(i_d, i_q) <= known.i_max)
+    psi = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1)[inside]
+    assert max(nrmse(psi, true_flux(known, np.stack([i_d, i_q], axis=-1)[inside]))) < 1e-3
+    assert identified.drive.resistance == pytest.approx(known.resistance, rel=0.01)
+    mechanics = identified.mechanics
+    assert mechanics is not None
+    assert abs(mechanics.inertia / known.details["inertia"] - 1) < 0.005
+
+
+def test_a_swing_beyond_its_band_trips_and_ends_at_zero_current(ros):
+    from drive_id_msgs.msg import PhaseCurrents, PublisherState, Resolver
+    from std_srvs.srv import Trigger
+
+    states, speeds, currents = [], [], []
+    ros.node.create_subscription(PublisherState, "/trajectory_publisher/state", states.append, 1000)
+    ros.node.create_subscription(Resolver, "resolver", lambda m: speeds.append(np.abs(m.speed).max()), 1000)
+    ros.node.create_subscription(PhaseCurrents, "phase_currents", lambda m: currents.append(np.abs(m.a).max()), 1000)
+    too_heavy = {"trajectory": "free_shaft", "shaft_acceleration": 800.0, "slew_rate": 1e5}
+    ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER | too_heavy | {"lead_time": 0.3})
+    ros.start(NODES + "bench_simulator", parameters=DRIVE | {"resolver_offset": 0.0})
+
+    def started():
+        return ros.call(Trigger, "/trajectory_publisher/start").success
+
+    ros.wait(started, "the start")
+    ros.wait(lambda: bool(states) and states[-1].state == "tripped", "the trip")
+    assert "above 1.2 times shaft_speed_max" in states[-1].reason
+    running = [state for state in states if state.state == "running"]
+    assert all(np.isfinite(state.bias) for state in running)
+    ros.wait(lambda: currents[-1] < 0.05 * I_MAX, "zero current")
+    # 11 000 rad/s^2 for the 60 ms that message, answer and ramp may take on a busy computer
+    assert max(speeds) < 1.2 * SPEED_MAX + 11_000.0 * 0.06

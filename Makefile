@@ -43,8 +43,8 @@ setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, depend
 	Python 3.10 or newer: install one, or name it (make PYTHON=/path/to/python3 ...)." >&2; exit 1; }
 	@$(PYTHON) tools/setup_environment.py --venv $(VENV) --distro $(DISTRO)
 
-demo: setup ## simulate a drive, identify it, and leave the results in out/demo
-	@$(RUN) bash examples/demo.sh out/demo
+demo: setup ## simulate a drive, identify it, and leave the results in out/demo: make demo ARGS=--free-shaft
+	@$(RUN) bash examples/demo.sh out/demo $(ARGS)
 
 test: setup ## run the tests on all cores (JOBS=0: in one process); options for pytest: make test ARGS="-k bag"
 	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest -n $(JOBS) --dist loadscope $(ARGS)

@@ -73,7 +73,14 @@ setup(
     ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "files/messages/signals.schema.json", "report/page/templates/*"]},
+    package_data={
+        NAME: [
+            "py.typed",
+            "exchange/exports/writers/flux_map.h",
+            "files/messages/signals.schema.json",
+            "report/page/templates/*",
+        ]
+    },
     data_files=shared_files(),
     # rclpy and the message packages come from ROS 2, not from here: everything but the nodes works without them.
     install_requires=[

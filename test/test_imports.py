@@ -54,7 +54,7 @@ CORE = {  # each with the rooms of core that it may import
         "checks", "accumulation", "methods", "validation", "paper", "full", "maps", "numerics", "frames",
         "fit_settings", "steady",
     },
-    "experiment": {"maps", "signals", "numerics"},
+    "experiment": {"maps", "signals", "numerics", "frames"},
     "planning": {"experiment", "full", "maps", "numerics", "frames"},
 }  # fmt: skip
 FILES = {
@@ -125,10 +125,10 @@ ROOMS = {
     "drive_id.nodes.support": Room.of(NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.fitting"} | LIVE, {"numpy", *ROS}),
     "drive_id.ros": Room.of(
         NOUNS
-        | below("core", "validation")
+        | below("core", "experiment", "validation")
         | below("files", "machines")
         | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
-        {"numpy", "rich", *ROS},
+        {"numpy", "rich", "yaml", *ROS},
     ),
     "drive_id.cli": Room.of(
         NOUNS
@@ -291,7 +291,7 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.files.storage.bag", "from drive_id.bench.drive import simulate"),
         ("drive_id.fitting.fit", "from drive_id.cli.app import app"),
         ("drive_id.fitting.fit", "from drive_id.nodes.recorder import main"),
-        ("drive_id.report.reproduction", "import typer"),
+        ("drive_id.report.plots", "import typer"),
         ("drive_id.nodes.recorder", "import drive_id.cli.app"),
         ("drive_id.nodes.recorder", "from drive_id import cli"),
         ("drive_id.nodes.support.qos", "from drive_id.nodes.recorder import main"),
@@ -312,7 +312,7 @@ def test_the_checker_sees_what_is_forbidden(module, source):
         ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.write.writer import write_recording"),
         ("drive_id.nodes.recorder", "from drive_id.fitting.fit import fit_bags"),
         ("drive_id.cli.app", "from drive_id.version import VERSION\nfrom drive_id.fitting.fit import fit_bags"),
-        ("drive_id.report.reproduction", "def f():\n    from drive_id.fitting.fit import fit_bags"),
+        ("drive_id.report.plots", "def f():\n    from drive_id.fitting.fit import fit_bags"),
         ("drive_id.core.checks.prescan", "from drive_id.core.accumulation.evidence import Evidence"),
     ],
 )

@@ -26,7 +26,8 @@ CONTRACT = {
     "msg/PhaseCurrents": BLOCK + "float32[] a; float32[] b; float32[] c",
     "msg/PhaseVoltages": BLOCK + "float32[] a; float32[] b; float32[] c",
     "msg/Resolver": BLOCK + "float32[] angle; float32[] speed",
-    "msg/CurrentReference": BLOCK + "float32[] d; float32[] q; uint64 session; uint64 count; bool safe",
+    "msg/CurrentReference": BLOCK
+    + "float32[] d; float32[] q; uint64 session; uint64 count; bool safe; bool stator_frame",
     "msg/DriveStatus": (
         "std_msgs/Header header; uint64 count; bool enabled; string fault; uint64 session; uint64 applied; "
         "float32 i_d; float32 i_q; float32 speed; float32 dc_link_voltage; float32 winding_temperature; "
@@ -35,7 +36,8 @@ CONTRACT = {
     ),
     "msg/PublisherState": (
         "std_msgs/Header header; string state; string reason; bool dry_run; uint64 session; float64 elapsed; "
-        "float64 duration; float64 i_d; float64 i_q; float64 coverage"
+        "float64 duration; float64 i_d; float64 i_q; float64 coverage; "
+        "float64 mean_speed; float64 mean_speed_reference; float64 bias"
     ),
     "msg/ScalarSamples": BLOCK + "float32[] value",
     "msg/FluxMap": (
@@ -52,15 +54,21 @@ CONTRACT = {
     "msg/FitReport": (
         "uint64 samples_read; uint64 samples_used; uint64 rows; uint32 gaps; uint32 parameters; uint32 rank; "
         "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings; "
+        "float64 inertia; float64 sigma_inertia; float64 friction; float64 sigma_friction; float64 viscous_friction; "
+        "float64 sigma_viscous_friction; float64 torque_gain; float64 sigma_torque_gain; "
         "string[] calibration_names; float64[] calibration_values; float64[] calibration_sigmas; "
         "string[] calibration_units; bool[] calibration_applied"
     ),
+    "srv/Command": "---; bool success; string code; string message",
+    "srv/StartExperiment": (
+        "bool dry_run; bool require_lease; ---; bool success; string code; string message; uint64 session"
+    ),
     "srv/Identify": (
-        "string[] bags; string method; ---; bool success; string code; string message; "
+        "string[] bags; string method; string signals; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output"
     ),
     "action/Identify": (
-        "string[] bags; string method; ---; bool success; string code; string message; "
+        "string[] bags; string method; string signals; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
     ),
     "srv/StartRecording": "string name; ---; bool success; string code; string message; string uri",
@@ -230,7 +238,7 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
     from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from drive_id.nodes.support.middleware import without_type_lookup
+    from drive_id.nodes.support.middleware import fast_dds
 
     domain = 1 + os.getpid() % 101
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
@@ -246,7 +254,7 @@ def test_a_block_of_currents_goes_to_another_process_and_back(monkeypatch, tmp_p
     sent.c = array.array("f", [float(k) for k in range(100)])
 
     context = Context()
-    with without_type_lookup(), contextlib.ExitStack() as ending:
+    with fast_dds(), contextlib.ExitStack() as ending:
         context.init(args=[], domain_id=domain)
         ending.callback(context.try_shutdown)
         node = Node("here", context=context)

@@ -186,6 +186,21 @@ def test_colcon_can_read_the_package(metadata, manifest):
     assert scripts.count("=$base/lib/drive_id\n") == len(["script_dir", "install_scripts"])
 
 
+def test_colcon_lists_both_packages_of_a_workspace(tmp_path):
+    """It looks no further once it has found a package: as the docs say, the messages are linked beside it."""
+    colcon = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    assert colcon, "colcon is missing: make setup installs it, or source a ROS 2"
+    source = tmp_path / "src"
+    source.mkdir()
+    (source / "drive_id").symlink_to(ROOT)
+    docs = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
+    (link,) = re.findall(r"^ +(ln -s .*)$", docs, re.MULTILINE)
+    subprocess.run(link.split(), cwd=tmp_path, check=True)
+    listed = subprocess.run([colcon, "list"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    found = {tuple(line.split("\t")[:2]) for line in listed.splitlines()}
+    assert found == {("drive_id", "src/drive_id"), ("drive_id_msgs", "src/drive_id_msgs")}
+
+
 def test_whatever_a_node_reads_is_installed(metadata):
     installed = {name: folder for folder, names in metadata["data_files"] for name in names}
     assert installed.pop("resource/drive_id") == "share/ament_index/resource_index/packages"
@@ -220,7 +235,8 @@ def test_a_wheel_is_complete_and_its_command_goes_to_bin(tmp_path):
         commands = archive.read(f"{information}/entry_points.txt").decode()
         fields = HeaderParser().parsestr(archive.read(f"{information}/METADATA").decode())
     assert {str(file.relative_to(ROOT)) for file in SOURCES} <= names
-    assert {"drive_id/py.typed", "drive_id/files/messages/signals.schema.json"} <= names
+    files = {"drive_id/py.typed", "drive_id/files/messages/signals.schema.json"}
+    assert files | {"drive_id/exchange/exports/writers/flux_map.h"} <= names
     templates = (ROOT / "drive_id/report/page/templates").iterdir()
     assert {str(file.relative_to(ROOT)) for file in templates} <= names
     assert any(name.startswith(information) and name.endswith("/LICENSE") for name in names)

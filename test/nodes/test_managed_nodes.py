@@ -56,7 +56,8 @@ def test_the_lifecycle_of_identification(ros):
     assert change("activate")
     assert "No sample" in identify(ros).message
     assert change("shutdown")
-    assert identify(ros).code == "inactive"
+    assert (reply := identify(ros)).code == "inactive"
+    assert "The node was shut down and stays so: start its process again." in reply.message
     assert process.interrupt()[0] == 0
     assert "Traceback" not in process.output
 

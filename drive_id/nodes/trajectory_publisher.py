@@ -24,7 +24,7 @@ from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -55,16 +55,14 @@ class TrajectoryPublisher(ManagedNode):
         self._state_due = 0.0
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
-        self._services_kept = [
-            self.create_service(kind, name, handle, qos_profile=SERVICE)
-            for kind, name, handle in (
-                (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
-                (Trigger, "~/stop", self._on_stop),
-                (StartExperiment, "~/start_experiment", self._on_start_experiment),
-                (Command, "~/stop_experiment", self._on_stop_experiment),
-                (Command, "~/clear_fault", self._on_clear_fault),
-            )
-        ]
+        for kind, name, handle in (
+            (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
+            (Trigger, "~/stop", self._on_stop),
+            (StartExperiment, "~/start_experiment", self._on_start_experiment),
+            (Command, "~/stop_experiment", self._on_stop_experiment),
+            (Command, "~/clear_fault", self._on_clear_fault),
+        ):
+            self.paced.create(kind, name, handle)
         self._state_publisher = self.create_publisher(PublisherState, "~/state", LATCHED)
         self._heartbeats = self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
         on_change(self, ExperimentSettings, lambda _: None, self._on_settings)

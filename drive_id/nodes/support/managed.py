@@ -9,6 +9,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
+from drive_id.nodes.support.deferred_service import PacedServices
 from drive_id.nodes.support.parameters import declare_settings
 
 
@@ -50,6 +51,7 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         guard_transitions(self)
+        self.paced = PacedServices(self)
         self.active = self._connected = self._finalized = False
         self._autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
 

@@ -34,7 +34,7 @@ class LiveFeed(Node):
     """Subscribes, and prints while somebody reads."""
 
     def __init__(self) -> None:
-        super().__init__(f"live_feed_{os.getpid()}")
+        super().__init__("live_feed")
         self._view = LiveView()
         self._said = time.monotonic()
         topics: dict[str, tuple[type, Any, Any]] = {

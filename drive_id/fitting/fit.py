@@ -38,7 +38,6 @@ Draw = Callable[[Identification], Mapping[str, bytes]]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
-"""Stamps before it are not times of day, ns."""
 
 
 def fit(
@@ -174,7 +173,6 @@ def fit_bags(
     *,
     force: bool = False,
     draw: Draw | None = None,
-    resumable: bool = True,
     tell: Progress = silent,
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results.
@@ -189,8 +187,6 @@ def fit_bags(
         Write into a folder that holds other files.
     draw : callable, optional
         Makes the pictures beside the result files, see :data:`Draw`.
-    resumable : bool
-        Keep a checkpoint beside the output while long bags are read; the same call resumes from it after an interrupt.
     tell : callable, optional
 
     Returns
@@ -208,11 +204,8 @@ def fit_bags(
         check_output(output, force=force)
     if not sources.information:  # these know their own
         settings.check_recordings(len(sources.paths))
-    checkpoint = None
-    if output is not None and resumable:
-        checkpoint = output.absolute().with_name(f".{output.absolute().name}.checkpoint")
     with one_blas_thread(with_scipy=method_named(settings.method).windows):
-        recording = _accumulator(sources, checkpoint=checkpoint)(settings, tell=tell)
+        recording = _accumulator(sources)(settings, tell=tell)
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
     evidence, truth = recording.evidence, recording.truth
@@ -312,12 +305,8 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
     return accumulated
 
 
-def _accumulator(
-    sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
-) -> Callable[..., Accumulated]:
+def _accumulator(sources: Sources, *, apart: bool = False) -> Callable[..., Accumulated]:
     """Return what accumulates the sources: together, or each on its own."""
     if apart or sources.skip_bad or sources.information or sources.workers > 1:
         return partial(accumulate_sources, sources)
-    return partial(
-        accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint
-    )
+    return partial(accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace)

@@ -27,13 +27,11 @@ from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
 from drive_id.files.read.reader import read_recordings
-from drive_id.files.results import checkpoint
-from drive_id.files.results.checkpoint import Checkpoint
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.sources import Sources
-from drive_id.fitting.streaming import Interrupted, accumulate
+from drive_id.fitting.streaming import accumulate
 
 SETTINGS = FitSettings(method="joint")
 
@@ -89,9 +87,7 @@ def test_a_long_recording_is_accumulated_as_in_memory(bag, method, i_max):
 
 
 @pytest.mark.usefixtures("long")
-def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypatch):
-    """After an interrupt, too, but for the few windows that were open."""
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+def test_the_windows_of_method_full_are_those_in_memory(bag):
     settings = FitSettings(method="full")
     found, recording = assert_same_as_in_memory([bag], settings)
     expected = gather([recording.samples], settings).windows.finished()
@@ -99,10 +95,6 @@ def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypat
     assert mine.windows == expected.windows
     for one, other in zip(mine.folds, expected.folds, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
-    with pytest.raises(Interrupted):
-        accumulate([bag], settings, checkpoint=tmp_path / "kept", tell=Stop(7))
-    resumed = accumulate([bag], settings, checkpoint=tmp_path / "kept").evidence.windows.finished()
-    assert 0.98 * expected.windows < resumed.windows <= expected.windows
 
 
 def test_a_short_recording_is_fitted_from_exactly_the_same_numbers(bag):
@@ -213,7 +205,7 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("long")
 def test_the_radius_may_come_from_the_caller(bag):
-    assert accumulate([bag], SETTINGS, i_max=320.0).evidence.settings.i_max == 320.0
+    assert accumulate([bag], replace(SETTINGS, i_max=320.0)).evidence.settings.i_max == 320.0
 
 
 @pytest.mark.usefixtures("long")
@@ -231,7 +223,7 @@ def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
             gather([read_recordings([path]).samples], SETTINGS)
         for i_max in (None, 310.0):
             with pytest.raises(kind) as found:
-                accumulate([path], SETTINGS, i_max=i_max)
+                accumulate([path], replace(SETTINGS, i_max=i_max))
             assert str(found.value) == str(expected.value)
     with pytest.raises(NotABagError, match="does not exist"):
         accumulate([tmp_path / "none"], SETTINGS)
@@ -268,101 +260,9 @@ class Stop:
             raise KeyboardInterrupt
 
 
-def added(monkeypatch):
-    """Count the calls that accumulate."""
-    calls = []
-    add = Evidence.add
-    monkeypatch.setattr(Evidence, "add", lambda self, *args, **named: (calls.append(1), add(self, *args, **named))[1])
-    return calls
-
-
-@pytest.mark.parametrize("i_max", [None, 310.0])
-@pytest.mark.usefixtures("long")
-def test_a_second_call_goes_on_where_the_first_was_interrupted(bag, tmp_path, monkeypatch, i_max):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    settings, kept = FitSettings("joint", i_max=i_max), tmp_path / "kept"
-    expected = accumulate([bag], settings)
-    with pytest.raises(Interrupted, match="run the same command again"):
-        accumulate([bag], settings, checkpoint=kept, tell=Stop(7))
-    assert kept.stat().st_size < 2e7
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-    calls = added(monkeypatch)
-    told = []
-    found = accumulate([bag], settings, checkpoint=kept, tell=lambda what, _: told.append(what))
-    assert 0 < len(calls) < 0.8 * sum(what.startswith("Accumulating") for what in told)
-    assert "Reading" not in told
-    np.testing.assert_array_equal(found.evidence.information.blocks, expected.evidence.information.blocks)
-    np.testing.assert_array_equal(found.evidence.visits.count, expected.evidence.visits.count)
-    assert found.evidence.noise_share == expected.evidence.noise_share
-    assert [part.stamp.tolist() for part in found.validation] == [part.stamp.tolist() for part in expected.validation]
-    assert (found.samples, found.last_stamp, found.warnings) == (
-        expected.samples, expected.last_stamp, expected.warnings
-    )  # fmt: skip
-    assert not kept.exists()
-
-
-@pytest.mark.usefixtures("long")
-def test_a_checkpoint_of_something_else_is_none(bag, simulation, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    kept = tmp_path / "kept"
-    with pytest.raises(Interrupted):
-        accumulate([bag], SETTINGS, checkpoint=kept, tell=Stop(7))
-    data = kept.read_bytes()
-    expected = accumulate([bag], SETTINGS).evidence.information.blocks
-    write_recording(tmp_path / "other", replace(simulation.samples, u_abc=1.01 * simulation.samples.u_abc))
-    other = accumulate([tmp_path / "other"], SETTINGS).evidence.information.blocks
-    found = accumulate([tmp_path / "other"], SETTINGS, checkpoint=kept)
-    np.testing.assert_array_equal(found.evidence.information.blocks, other)
-    for damaged in (data[:1000], data[:-10], b"", b"PK\3\4", np.random.default_rng(0).bytes(500)):
-        kept.write_bytes(damaged)
-        found = accumulate([bag], SETTINGS, checkpoint=kept)
-        np.testing.assert_array_equal(found.evidence.information.blocks, expected)
-
-
-@pytest.mark.usefixtures("long")
-def test_without_room_for_a_checkpoint_the_work_goes_on(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    found = accumulate([bag], SETTINGS, checkpoint=tmp_path / "no folder" / "kept")
-    assert found.samples == 20_000
-    (tmp_path / "folder").mkdir()
-    accumulate([bag], SETTINGS, checkpoint=tmp_path / "folder")
-    assert list((tmp_path / "folder").iterdir()) == []
-    np.savez(tmp_path / "mine.npz", header=np.asarray(json.dumps({"format": "mine"})))
-    before = (tmp_path / "mine.npz").read_bytes()
-    accumulate([bag], SETTINGS, checkpoint=tmp_path / "mine.npz")
-    assert (tmp_path / "mine.npz").read_bytes() == before
-
-
-def test_a_checkpoint_is_written_without_a_copy_in_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    evidence = Evidence.within(SETTINGS, 300.0)
-    monkeypatch.setattr(evidence, "state", lambda: {f"sums_{k}": np.ones(1 << 18) for k in range(16)})  # 2 MB each
-    kept = Checkpoint(tmp_path / "kept", [], SETTINGS, SignalMap(), "")
-    tracemalloc.start()
-    kept.save(evidence, 1)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert kept.saved
-    assert peak < 1.5 * 16 * 2**21
-
-
-@pytest.mark.usefixtures("long")
-def test_an_interrupted_fit_leaves_its_checkpoint_beside_the_output_only(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    output = tmp_path / "out"
-    with pytest.raises(Interrupted):
-        fit_bags(Sources([bag]), output, SETTINGS, tell=Stop(7))
-    assert [path.name for path in tmp_path.iterdir()] == [".out.checkpoint"]
-    fit = fit_bags(Sources([bag]), output, SETTINGS)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    again = fit_bags(Sources([bag]), None, SETTINGS)
-    assert fit.resistance == again.resistance
-
-
-def test_a_short_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
-    with pytest.raises(KeyboardInterrupt) as caught:
+def test_a_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
         fit_bags(Sources([bag]), tmp_path / "out", SETTINGS, tell=Stop(1))
-    assert not isinstance(caught.value, Interrupted)
     assert list(tmp_path.iterdir()) == []
 
 

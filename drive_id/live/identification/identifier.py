@@ -340,7 +340,7 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
+    result = fit_bags(sources, output, fit, draw=_draw(settings), tell=tell)
     return _reply(result, output)
 
 

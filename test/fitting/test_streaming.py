@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
-import tracemalloc
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,10 +21,10 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
-from drive_id.files.messages.signals_file import SignalMap, parse_signals
+from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
-from drive_id.files.read.reader import read_recordings
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import accumulate_bags, fit_bags
@@ -58,7 +56,7 @@ def assert_same(found: Evidence, expected: Evidence, accuracy: float = 1e-12) ->
 
 def assert_same_as_in_memory(bags, settings=SETTINGS, signals=None, **options):
     found = accumulate(bags, settings, signals=signals, **options)
-    recording = read_recordings(bags, signals)
+    recording = read_recording(bags, signals)
     assert_same(found.evidence, gather([recording.samples], settings))
     assert found.warnings == recording.warnings
     assert found.digests == recording.digests
@@ -154,12 +152,12 @@ def test_one_recording_without_references_gives_one_radius_on_every_way_in(
     if parts == "long":
         request.getfixturevalue("long")
     bags = one_without_references[order]
-    samples = [read_recordings([bag]).samples for bag in bags]
+    samples = [read_recording([bag]).samples for bag in bags]
     further = samples[bags[0].name == "known"]
     reached = np.quantile(np.hypot(*frames.to_dq(further.i_abc, further.angle).T), 0.999)
     found = [
         gather(samples, SETTINGS).i_max,
-        gather([read_recordings(bags).samples], SETTINGS).i_max,
+        gather([read_recording(bags).samples], SETTINGS).i_max,
         fit_bags(Sources(bags), None, SETTINGS).drive.i_max,
     ]
     assert found == pytest.approx([found[0]] * 3, rel=1e-14)
@@ -173,7 +171,7 @@ def test_one_radius_that_is_set_is_that_of_every_way_in(one_without_references, 
         accumulate_bags(Sources([known, without]), tmp_path / "both.info", SETTINGS)
     settings = replace(SETTINGS, i_max=311.0)
     accumulate_bags(Sources([without]), tmp_path / "one.info", settings)
-    samples = [read_recordings([bag]).samples for bag in (known, without)]
+    samples = [read_recording([bag]).samples for bag in (known, without)]
     found = [
         identify(samples, settings),
         fit_bags(Sources([known, without]), None, settings).drive,
@@ -193,7 +191,7 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
     ).replace("}", ", sample_period: 0.0001}")
     assert_same_as_in_memory([bag], signals=parse_signals(text, "test"))
     monkeypatch.setattr(bag_pieces, "CAPACITY", 3000)
-    blocks = dict(reversed(blocks_of(read_recordings([bag]).samples).items()))
+    blocks = dict(reversed(blocks_of(read_recording([bag]).samples).items()))
     for number, parts in enumerate(blocks.values()):
         for block in parts:
             block["first"] += 10**6 * number
@@ -220,7 +218,7 @@ def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
         path = tmp_path / kind.__name__
         write_recording(path, wrong)
         with pytest.raises(kind) as expected:
-            gather([read_recordings([path]).samples], SETTINGS)
+            gather([read_recording([path]).samples], SETTINGS)
         for i_max in (None, 310.0):
             with pytest.raises(kind) as found:
                 accumulate([path], replace(SETTINGS, i_max=i_max))

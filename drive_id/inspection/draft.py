@@ -18,13 +18,12 @@ from drive_id.inspection.choice import (
     Choice,
     NoAngleError,
     choose,
-    is_named_link,
     regular_stamps,
     time_column,
 )
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
-from drive_id.inspection.points import PhaseGroup, dc_link
+from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import static_draft
 from drive_id.inspection.wording import listed, printable, quoted
 

@@ -129,6 +129,11 @@ def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
     return (table, name) if table is not None and points > 0 else None
 
 
+def is_named_link(table: Table, name: str) -> bool:
+    """Tell whether the names suggest that a column is the DC-link voltage."""
+    return suggests(name, "dc") or suggests(table.name, "dc")
+
+
 def _link_points(table: Table, name: str) -> float:
     x = table.columns[name]
     if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < _STEADY * x.mean()):

@@ -27,7 +27,7 @@ from drive_id.errors import CoverageError
 from drive_id.fitting.result import Identification
 from drive_id.settings import check, setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
-from drive_id.types import FloatArray, IntArray, Samples
+from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 _ACROSS = 8
 """Cells across the current disc."""
@@ -131,7 +131,15 @@ class Verification:
             for name, value, limit, unit in figures
         ]
         if gain is None and limits.torque is not None:
-            out.append(Judgement("Torque", np.nan, limits.torque, "% (not recorded)", passed=False))
+            out.append(
+                Judgement(
+                    "Torque",
+                    np.nan,
+                    limits.torque,
+                    "% (no torque was recorded, or the pole pairs are unknown)",
+                    passed=False,
+                )
+            )
         covered = 100 * self.coverage
         return (*out, Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage))
 
@@ -155,42 +163,28 @@ def verify(result: Identification, samples: Samples) -> Verification:
         When hardly any of the recording lies within the data of the map.
     """
     found, shapes = result.flux_map, CapacitiveShapes.up_to(result.i_max)
-    cutter = WindowCutter(shapes)
-    known = corrected(samples, result.calibrations)
-    windows = Windows.joined([*cutter.cut(known), *cutter.finish()])
-    psi, kept = _stator_flux(result, windows)
-    cells = np.floor((windows.i_dq / result.i_max + 1) * (_ACROSS / 2)).astype(np.int64)
-    number = np.where(kept[:, None], cells[..., 0] * _ACROSS + cells[..., 1], -1)
-    places, counts = np.unique(number[kept], return_counts=True)
-    places, counts = places[counts >= _FEWEST], counts[counts >= _FEWEST]
-    kept &= np.isin(number, places).all(axis=1)
-    if len(places) == 0 or not kept.any():
-        raise CoverageError(
-            "Hardly any of the recording lies within the data of the map: record currents of the same disc, for at "
-            "least some seconds while the rotor turns."
-        )
-    windows, psi, column = windows.part(kept), psi[kept], np.searchsorted(places, number[kept])
-    by_drop = _drop(result, shapes, windows)
-    factor = np.ones(len(windows))
+    cutter, known = WindowCutter(shapes), corrected(samples, result.calibrations)
+    windows, psi, column, counts = _cells(result, Windows.joined([*cutter.cut(known), *cutter.finish()]))
+    by_drop, factor = _drop(result, shapes, windows), np.ones(len(windows))
     if samples.winding_temperature is not None and result.provenance.temperature is not None:
         factor += COPPER * (windows.heating + REFERENCE_TEMPERATURE - result.provenance.temperature)
     by_resistance = result.resistance * factor * windows.current
     response = windows.voltage - by_resistance - by_drop - np.diff(psi, axis=1)[:, 0]
-    columns = np.zeros((len(windows), 2 * len(places) + 2), np.complex128)
+    columns = np.zeros((len(windows), 2 * len(counts) + 2), np.complex128)
     for end, sign in enumerate((-1.0, 1.0)):
         turned = sign * np.exp(1j * windows.angle[:, end])
         for axis, part in enumerate((turned, 1j * turned)):
             np.add.at(columns, (np.arange(len(windows)), 2 * column[:, end] + axis), part)
     columns[:, -2], columns[:, -1] = by_resistance, by_drop
-    largest = float(np.nanmax(np.where(found.inside, np.hypot(found.psi_d, found.psi_q), np.nan)))
-    sure = samples.winding_temperature is not None or not result.resistance
-    spread = max(result.sigma_resistance / result.resistance, 0.0 if sure else _WARM, 1e-3)
-    prior = np.append(np.full(2 * len(places), _FLUX * largest), [spread, _LINK])
+    largest = float(np.hypot(found.psi_d, found.psi_q)[found.inside].max())
+    spread = 1e-3 if samples.winding_temperature is not None else _WARM
+    spread = max(result.sigma_resistance / result.resistance, spread) if result.resistance > 0 else spread
+    prior = np.append(np.full(2 * len(counts), _FLUX * largest), [spread, _LINK])
     value, own = _solved(columns, response, windows.time, prior)
     ends, cell = windows.i_dq.reshape(-1, 2), column.ravel()
-    i_dq = np.stack([np.bincount(cell, x, len(places)) for x in ends.T], axis=-1) / np.bincount(cell)[:, None]
+    i_dq = np.stack([np.bincount(cell, x) for x in ends.T], axis=-1) / np.bincount(cell)[:, None]
     sigmas = np.stack([found.sampled(np.nan_to_num(x), *i_dq.T) for x in (found.sigma_d, found.sigma_q)], axis=-1)
-    radius = np.hypot(*((np.stack(np.indices((_ACROSS, _ACROSS)), -1) + 0.5) * 2 / _ACROSS - 1).reshape(-1, 2).T)
+    centre = (np.arange(_ACROSS) + 0.5) * 2 / _ACROSS - 1
     torque = None
     if samples.shaft_torque is not None and result.pole_pairs is not None:
         torque = fit_torque(found, [known], result.pole_pairs)
@@ -200,14 +194,36 @@ def verify(result: Identification, samples: Samples) -> Verification:
         sigma=np.hypot(own[:-2].reshape(-1, 2), sigmas),
         windows=counts,
         largest=largest,
-        coverage=min(1.0, len(places) / int((radius <= 1).sum())),
+        coverage=min(1.0, len(counts) / int((np.hypot(centre[:, None], centre) <= 1).sum())),
         resistance=(float(value[-2]), float(own[-2])),
         drop=(float(value[-1]), float(own[-1])),
         torque=torque,
     )
 
 
-def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray, np.ndarray]:
+def _cells(result: Identification, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:
+    """Return the windows (N) within the data of the map, the map's flux and the cell at both ends (N, 2), and counts.
+
+    Raises
+    ------
+    CoverageError
+        When there are hardly any.
+    """
+    psi, kept = _stator_flux(result, windows)
+    place = np.floor((windows.i_dq / result.i_max + 1) * (_ACROSS / 2)).astype(np.int64)
+    number = place[..., 0] * _ACROSS + place[..., 1]
+    places, counts = np.unique(number[kept], return_counts=True)
+    kept &= np.isin(number, places[counts >= _FEWEST]).all(axis=1)
+    if not kept.any():
+        raise CoverageError(
+            "Hardly any of the recording lies within the data of the map: record currents of the same disc, for at "
+            "least some seconds while the rotor turns."
+        )
+    _, column, counts = np.unique(number[kept], return_inverse=True, return_counts=True)
+    return windows.part(kept), psi[kept], column.reshape(-1, 2), counts
+
+
+def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray, BoolArray]:
     """Return the flux of the map at both ends of windows (N, 2), Wb, stator frame, and which windows (N,) have it."""
     found, iron, i_dq = result.flux_map, IronLoss.of(result), windows.i_dq
     if iron.known:
@@ -222,7 +238,7 @@ def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray
         parts = ((h.psi_d_cos, h.psi_d_sin), (h.psi_q_cos, h.psi_q_sin))
         d_part, q_part = (sum(found.sampled(x, d, q) * w for x, w in zip(p, waves, strict=True)) for p in parts)
         psi = psi + d_part + 1j * q_part
-    return psi * np.exp(1j * windows.angle), np.isfinite(psi).all(axis=1)
+    return psi * np.exp(1j * windows.angle), np.asarray(np.isfinite(psi).all(axis=1))
 
 
 def _drop(result: Identification, shapes: CapacitiveShapes, windows: Windows) -> ComplexArray:

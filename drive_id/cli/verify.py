@@ -35,7 +35,8 @@ def verify_result(
     golden: Annotated[
         Path | None,
         typer.Option(
-            metavar="LIMITS", help="End of line: the map is of a golden sample; YAML file of limits, no standard errors."
+            metavar="LIMITS",
+            help="End of line: the map is of a golden sample; YAML file of limits, no standard errors.",
         ),
     ] = None,
     signals: SignalsOption = None,

@@ -72,7 +72,9 @@ def impossible_sentence(
             "check the signs of currents and voltages and their alignment in time, and record at a second speed",
         )
     told = any(finding.code == "angle_offset" for finding in evidence.findings)
-    at_limit = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
+    at_limit = (
+        c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations
+    )
     if told and any(at_limit):
         return _condemned(
             evidence, "No angle near the one given makes the map mirror-symmetric", "check the offset of the angle"

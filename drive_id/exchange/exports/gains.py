@@ -35,7 +35,7 @@ class ControlGains:
     delay, phase_margin : float
         T_d, s, and the margin that is left, rad; NaN where no sample period is given.
     l_dd, l_qq : (D, Q) float
-        Incremental inductances, H, of the nearest monotone map, nowhere below the smallest one within the data.
+        Incremental inductances, H, of the nearest monotone map; without data, at least the smallest within i_max.
     resistance : float
         Ohm; NaN when unknown.
     """
@@ -57,14 +57,14 @@ class ControlGains:
             When the map gives no positive inductances.
         """
         machine = table.machine
-        found = machine.control_inductances(*table.grid)
-        l_dd, l_qq = (np.maximum(found[..., axis, axis], machine.least_inductance) for axis in (0, 1))
+        found = np.diagonal(machine.control_inductances(*table.grid), axis1=-2, axis2=-1)
+        safe = np.where(table.inside[..., None], found, np.maximum(found, machine.least_inductance))
         bandwidth, delay, margin = options.bandwidth, math.nan, math.nan
         if options.sample_period is not None:
             delay = _DELAY * options.sample_period
             bandwidth = min(bandwidth, (math.pi / 2 - math.radians(options.phase_margin)) / delay)
             margin = math.pi / 2 - bandwidth * delay
-        return cls(bandwidth, delay, margin, l_dd, l_qq, machine.resistance)
+        return cls(bandwidth, delay, margin, safe[..., 0], safe[..., 1], machine.resistance)
 
     @property
     def pll(self) -> tuple[float, float]:

@@ -20,10 +20,9 @@ _WIDEST = 5.0
 """End of the colour scale, standard errors."""
 _METHOD = (
     "The voltage balance is integrated over windows of the recording in the stator frame, as in the fit; what the map "
-    "does not explain is attributed to the cells of the current plane, to the resistance and to the drop by least "
-    "squares.",
+    "does not explain is attributed to cells of the current plane, to resistance and drop by least squares. "
     "Standard errors are those of the recording (scatter between blocks of time) and of the map together. A gain error "
-    "that both recordings share is not seen, except by a measured torque.",
+    "that both recordings share is not seen, except by a measured torque."
 )
 
 
@@ -64,24 +63,27 @@ def certificate(
     if found.torque is not None:
         facts["Torque over that of the map"] = measured(found.torque.gain, found.torque.sigma_gain)
         facts["Torque, rms difference"] = measured(found.torque.rms_map, unit="Nm")
-    return environment().get_template("certificate.html").render(
-        generator=f"{GENERATOR} {VERSION}",
-        title=f"Verification of the flux map: {result.name or 'unknown machine'}",
-        verdict=verdict(judged),
-        facts=facts,
-        rows=[row(entry) for entry in judged],
-        picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
-        notes=_METHOD,
+    return (
+        environment()
+        .get_template("certificate.html")
+        .render(
+            generator=f"{GENERATOR} {VERSION}",
+            title=f"Verification of the flux map: {result.name or 'unknown machine'}",
+            verdict=verdict(judged),
+            facts=facts,
+            rows=[row(entry) for entry in judged],
+            picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
+            note=_METHOD,
+        )
     )
 
 
 def _picture(found: Verification) -> Figure:
     figure = Figure(figsize=(8.6, 3.5))
     for column, axis in enumerate("dq"):
-        panel = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6)
-        drawn = panel.scatter(
-            *found.i_dq.T, c=found.in_sigma[:, column], s=90, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST
-        )
+        panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), found.in_sigma[:, column]
+        i_d, i_q = found.i_dq.T
+        drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
         name(panel, f"{PSI[axis]}, standard errors", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
         add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8))
     return figure

@@ -29,13 +29,17 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
     pictures : mapping of str to bytes
         PNG by name, for print and for browsers without scripts.
     """
-    return environment().get_template("report.html").render(
-        generator=f"{GENERATOR} {VERSION}",
-        sections=SECTIONS,
-        content=content,
-        charts=charts,
-        pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
-        plotly=_plotly(),
+    return (
+        environment()
+        .get_template("report.html")
+        .render(
+            generator=f"{GENERATOR} {VERSION}",
+            sections=SECTIONS,
+            content=content,
+            charts=charts,
+            pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
+            plotly=_plotly(),
+        )
     )
 
 

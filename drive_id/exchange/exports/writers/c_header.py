@@ -15,7 +15,9 @@ from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray
 
 _TEMPLATE = Path(__file__).with_name("flux_map.h")
-_PER_LINE, _DROP_POINTS = 8, 33
+_PER_LINE = 8
+_DROP_POINTS, _DROP_ERROR = 129, 5e-4
+"""Most points of the drop's table, and its largest error relative to the largest drop."""
 _SIZE = "[DRIVE_ID_ND * DRIVE_ID_NQ]"
 
 
@@ -69,11 +71,16 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
 
 
 def _drop(table: MapTable) -> tuple[FloatArray, FloatArray]:
-    """Return phase currents (C,), A, and the identified drop (C,), V, denser near zero, where the curve bends."""
-    machine = table.machine
-    share = np.linspace(-1.0, 1.0, _DROP_POINTS)
-    current = np.sign(share) * share**2 * min(machine.i_max, float(machine.inverter_current[-1]))
-    return current, np.interp(current, machine.inverter_current, machine.inverter_voltage)
+    """Return phase currents (C,), A, and the identified drop (C,), V: as few points as straight lines need."""
+    current, voltage = table.machine.inverter_current, table.machine.inverter_voltage
+    kept = [0, len(current) - 1]
+    enough = _DROP_ERROR * float(np.abs(voltage).max())
+    while len(kept) < min(_DROP_POINTS, len(current)):
+        off = np.abs(np.interp(current, current[kept], voltage[kept]) - voltage)
+        if off.max() <= enough:
+            break
+        kept = sorted([*kept, int(off.argmax())])
+    return current[kept], voltage[kept]
 
 
 def _per_unit(table: MapTable, gains: ControlGains, options: ExportOptions) -> list[str]:

@@ -164,7 +164,7 @@ static inline drive_id_real drive_id_psi_q_bicubic(drive_id_real i_d, drive_id_r
     return drive_id_bicubic(drive_id_psi_q_table, i_d, i_q);
 }
 
-/* Inductances (H) of the nearest monotone map, at least the smallest within the data: finite and positive everywhere. */
+/* Gains, V/A, from the inductances of the nearest monotone map: finite and positive everywhere, also without data. */
 static inline drive_id_real drive_id_kp_d(drive_id_real i_d, drive_id_real i_q)
 {
     return DRIVE_ID_BANDWIDTH * drive_id_bilinear(drive_id_l_dd_table, i_d, i_q);

@@ -214,9 +214,7 @@ def _description_3(table: MapTable, variables: list[_Variable], guid: str) -> ET
     _units(root)
     listed = ET.SubElement(root, "ModelVariables")
     for number, variable in enumerate(variables):
-        entry = ET.SubElement(
-            listed, "Float64", _attributes(number, variable, "valueReference") | _value(variable)
-        )
+        entry = ET.SubElement(listed, "Float64", _attributes(number, variable, "valueReference") | _value(variable))
         if variable.name.startswith("der_"):
             entry.set("derivative", str(_place(variables, variable.name[4:])))
     structure = ET.SubElement(root, "ModelStructure")
@@ -243,7 +241,7 @@ def _attributes(number: int, variable: _Variable, reference: str) -> dict[str, s
     out = {"name": variable.name, reference: str(number), "description": variable.description}
     out["causality"] = variable.causality
     out["variability"] = "tunable" if variable.causality == "parameter" else "continuous"
-    if variable.causality == "output" and variable.start is not None or variable.causality == "parameter":
+    if (variable.causality == "output" and variable.start is not None) or variable.causality == "parameter":
         out["initial"] = "exact"
     return out
 

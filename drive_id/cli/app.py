@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from drive_id.cli.analyze import analyze
+from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
 from drive_id.cli.convert import convert_log
@@ -400,6 +401,8 @@ app.command(
     epilog="Example: drive-id verify result --bag friday --output certificate.html; "
     "drive-id verify golden --bag unit17 --golden limits.yaml",
 )(verify_result)
+app.command(name="index", epilog="Example: drive-id index results && xdg-open results/index.html")(index_results)
+app.command(name="serve", epilog="Example: drive-id serve results, then open http://127.0.0.1:8080")(serve_results)
 
 
 if __name__ == "__main__":

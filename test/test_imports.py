@@ -127,7 +127,8 @@ ROOMS = {
         NOUNS
         | below("core", "experiment", "validation")
         | below("files", "machines")
-        | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
+        | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"}
+        | LIVE,
         {"numpy", "rich", "yaml", *ROS},
     ),
     "drive_id.web": Room.of(

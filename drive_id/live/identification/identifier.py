@@ -90,7 +90,7 @@ class Reply:
 
 
 Job = Callable[[Progress], Reply]
-BUSY = Reply("busy", "A fit is under way: ask again when it is done.")
+BUSY = Reply("busy", "A request is under way: ask again when it is done.")
 CANCELLED = Reply("cancelled", "The request was cancelled; nothing was written.")
 DEACTIVATED = Reply("inactive", "The node was deactivated, so the request was ended; nothing was written.")
 VANISHED = Reply("cancelled", "The client of the request is gone, so the request was cancelled.")

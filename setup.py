@@ -15,7 +15,7 @@ CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>
 # For "drive-id serve".
 WEB = ["starlette>=0.36", "uvicorn>=0.27"]
 # Programs that the tests read exported maps with.
-READERS = ['motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
+READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -23,6 +23,7 @@ EXECUTABLES = [
     "trajectory_publisher = drive_id.nodes.trajectory_publisher:main",
     "recorder = drive_id.nodes.recorder:main",
     "identification = drive_id.nodes.identification:main",
+    "commissioning = drive_id.ros.commissioning:main",
     "characterize = drive_id.ros.characterize:main",
     "signal_bridge = drive_id.nodes.signal_bridge:main",
     "bench_simulator = drive_id.nodes.bench_simulator:main",
@@ -80,6 +81,7 @@ setup(
         NAME: [
             "py.typed",
             "exchange/exports/writers/flux_map.h",
+            "exchange/exports/writers/fmu/*",
             "files/messages/signals.schema.json",
             "report/page/templates/*",
             "web/templates/*",

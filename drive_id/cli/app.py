@@ -44,6 +44,7 @@ from drive_id.cli.options import (
 )
 from drive_id.cli.plan import plan_experiment
 from drive_id.cli.report import report_result
+from drive_id.cli.verify import verify_result
 from drive_id.errors import DriveIdError
 from drive_id.version import VERSION
 
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="drive-id",
     help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
-    epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage.",
+    epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage, 3 verification not passed.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -87,11 +88,9 @@ def main() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"The system refuses a file or the output ({error.strerror or error}): make room, or raise the limit.")
     except (KeyboardInterrupt, SystemExit) as end:
-        interrupt = _interrupt_behind(end)
-        if interrupt is None:
+        if not _is_interrupt(end):
             raise
-        said = str(interrupt) or "no output was left behind."
-        say(f"drive-id: interrupted; {said}", to=err)
+        say("drive-id: interrupted; no output was left behind.", to=err)
         raise SystemExit(130) from None
 
 
@@ -105,11 +104,11 @@ def _fail(sentence: str) -> NoReturn:
     raise SystemExit(1) from None
 
 
-def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that typer turned into a silent exit."""
+def _is_interrupt(end: BaseException | None) -> bool:
+    """Tell whether an interrupt ended the work, which typer turns into a silent exit."""
     while end is not None and not isinstance(end, KeyboardInterrupt):
         end = end.__cause__ or end.__context__
-    return end
+    return end is not None
 
 
 def _print_version(wanted: bool) -> None:
@@ -395,6 +394,11 @@ app.command(
 
 
 app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
+app.command(
+    name="verify",
+    epilog="Example: drive-id verify result --bag friday --output certificate.html; "
+    "drive-id verify golden --bag unit17 --golden limits.yaml",
+)(verify_result)
 app.command(name="index", epilog="Example: drive-id index results && xdg-open results/index.html")(index_results)
 app.command(name="serve", epilog="Example: drive-id serve results, then open http://127.0.0.1:8080")(serve_results)
 

@@ -18,7 +18,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.spatial import cKDTree
 
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline, bent_edges
 from drive_id.core.maps.convexity import HessianForms, barrier_minimum
@@ -49,7 +48,6 @@ _SITES = 2
 _STEP = 0.05
 _ROUNDING = 1e-13
 _FOLDS = 5
-_NEIGHBOURS = 4
 _SEED = 20
 
 
@@ -65,18 +63,12 @@ class Convexity:
         No eigenvalue of the incremental inductance matrix is smaller anywhere in the rectangle, H (a proven bound).
     residual_rms, free_residual_rms : float
         Rms distance of the points from the map, and from the map without the constraints, Wb.
-    largest_move : float
-        Largest distance at the points between the map and that without the constraints, Wb.
-    falling_pairs : float
-        Share of neighbouring points, 0 to 1, between which the raw flux falls: ``(psi_m - psi_n).(i_m - i_n) < 0``.
     """
 
     active: bool
     least_inductance: float
     residual_rms: float
     free_residual_rms: float
-    largest_move: float
-    falling_pairs: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +209,6 @@ def fit_monotone(
         least_inductance=forms.least_eigenvalue(w) * weber / ampere,
         residual_rms=weber * _rms(problem.at_points(w) - points.psi),
         free_residual_rms=weber * _rms(problem.at_points(free) - points.psi),
-        largest_move=weber * float(np.linalg.norm(problem.at_points(w) - problem.at_points(free), axis=1).max()),
-        falling_pairs=_falling(points),
     )
     space = GradientSpline(ampere * problem.space.d, ampere * problem.space.q, DEGREE)
     return MonotoneMap(space, weber * ampere * w, support, weight, convexity)
@@ -431,11 +421,3 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def _rms(distances: FloatArray) -> float:
     """Return the rms length of vectors (N, 2)."""
     return float(np.sqrt(np.mean(np.sum(distances**2, axis=1))))
-
-
-def _falling(points: _Points) -> float:
-    """Return the share of pairs of neighbours between which the flux falls, see :class:`Convexity`."""
-    _, near = cKDTree(points.i).query(points.i, _NEIGHBOURS + 1)
-    pairs = np.column_stack([np.repeat(np.arange(len(near)), _NEIGHBOURS), near[:, 1:].ravel()])
-    steps = [values[pairs[:, 1]] - values[pairs[:, 0]] for values in (points.i, points.psi)]
-    return float(np.mean(np.sum(steps[0] * steps[1], axis=1) < 0))

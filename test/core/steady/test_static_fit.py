@@ -134,6 +134,15 @@ def test_iron_loss_and_a_delay_of_the_voltages_are_found():
     assert found.resistance == pytest.approx(drive.resistance, rel=0.03)
 
 
+def test_two_speeds_tell_a_delay_from_the_fluxes_and_one_does_not():
+    drive, rng = machine("spm"), np.random.default_rng(6)
+    i_dq = disc_points(rng, drive.i_max, 50)
+    for speed, told in ((np.resize([250.0, 700.0], 50), True), (np.full(50, 700.0), False)):
+        data = telemetry(drive, i_dq, speed, rng=rng)
+        found = identified(replace(data, u_dq=data.u_dq + 60e-6 * data.speed[:, None] * (data.u_dq @ J.T)))
+        assert any("frame of the voltages is behind" in warning for warning in found.report.warnings) == told
+
+
 def test_an_angle_that_is_off_is_said():
     drive, rng = machine("ipm"), np.random.default_rng(9)
     data = telemetry(drive, disc_points(rng, drive.i_max, 40), some_speeds(rng, 40), rng=rng)

@@ -135,6 +135,37 @@ def test_the_mixture_is_that_of_the_densities_of_the_data(least_scale):
     np.testing.assert_allclose(found.drop_square, squares, rtol=1e-6)
 
 
+def test_a_rough_map_is_as_likely_as_its_prior_makes_the_data():
+    """With roughness: the coefficients are Gaussian beforehand; the weighed penalty inverts their covariance."""
+    rng = np.random.default_rng(9)
+    n, width = 30, 0.7
+    columns, drop = rng.standard_normal((n, 3)), rng.standard_normal(n)
+    root = rng.standard_normal((3, 3)) + 2 * np.eye(3)
+    penalty = root @ root.T
+    y = columns @ [0.6, -0.4, 0.5] + 0.3 * drop + 0.8 * rng.standard_normal(n)
+    found = solved(Equations(y, columns, drop[:, None], penalty, 3, np.zeros((0, 3)), 1 / width, 0.0, 1.0))
+    unit = np.sum(columns**2) / np.trace(penalty)
+    logs, means, effective = [], [], []
+    weights = np.geomspace(1e-9, 1e3, 25)
+    for weight in unit * weights:
+        before = np.linalg.inv(weight * penalty)
+        V = np.eye(n) + width**2 * np.outer(drop, drop) + columns @ before @ columns.T
+        W = np.linalg.inv(V)
+        scale = max(1.0, y @ W @ y / (n - 1))  # the drop counts
+        logs.append(np.linalg.slogdet(V)[1] + y @ W @ y / scale + (n - 1) * np.log(scale))
+        means.append([*(before @ columns.T @ W @ y), width**2 * drop @ W @ y])
+        after = before - before @ columns.T @ W @ columns @ before
+        effective.append(4 - np.trace(after @ np.linalg.inv(before)))  # less what the roughness settles
+    share = np.exp(-(np.array(logs) - min(logs)) / 2)
+    share /= share.sum()
+    best = int(np.argmin(logs))
+    assert 0 < best < len(weights) - 1, "the data choose"
+    assert share.max() < 0.9, "several weights count"
+    np.testing.assert_allclose(found.mean, share @ np.array(means), rtol=1e-5)
+    assert found.weight == pytest.approx(weights[best])
+    assert found.effective == pytest.approx(effective[best], rel=1e-6)
+
+
 def test_the_errors_are_those_of_the_mixture_widened_by_students_law(log):
     points = operating_points(log)
     fit = fit_points(points, 90.0)

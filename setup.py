@@ -80,6 +80,7 @@ setup(
     package_data={
         NAME: [
             "py.typed",
+            "messages.yaml",
             "exchange/exports/writers/flux_map.h",
             "exchange/exports/writers/fmu/*",
             "files/messages/signals.schema.json",

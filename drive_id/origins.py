@@ -45,7 +45,7 @@ class Origin:
     pole_pairs : str
         How to give their number, in the imperative.
     advice : str
-        What another method would add; empty where there is none.
+        Code of the message on what another method would add; empty where there is none.
     reference : str
         To cite; empty without.
     ignores : tuple of str
@@ -80,7 +80,6 @@ _OF_THE_DATA = (
 )
 _LINEAR_PART = "The linear part of the inverter's voltage drop is included in R."
 _TRANSIENTS = "At one constant speed, R is determined by the transients alone."
-_BY_FULL = "The same recording by method full: it separates rotor harmonics and sensor faults from the map."
 _PAPER = (
     "Methods psm and joint are those of Montecchio et al., Joint identification of permanent magnet synchronous "
     "machine and inverter, IET 2025, doi:10.1049/icp.2025.2025."
@@ -106,7 +105,7 @@ PSM: Final = Origin(
     no_inverter="Method psm does not model the inverter: its drop is in the flux map and in R.",
     limits=("The inverter's voltage drop is not separated from R and the flux map.", *_OF_THE_DATA, _TRANSIENTS),
     one_speed=_TRANSIENTS,
-    advice=_BY_FULL,
+    advice="use_full",
     reference=_PAPER,
     ignores=(*_OF_FULL, *_OF_CONDITIONS, *_OF_POINTS),
 )
@@ -121,7 +120,7 @@ JOINT: Final = Origin(
     ),
     limits=(_LINEAR_PART, *_OF_THE_DATA, _TRANSIENTS),
     one_speed=_TRANSIENTS,
-    advice=_BY_FULL,
+    advice="use_full",
     reference=_PAPER,
     ignores=PSM.ignores,
 )
@@ -163,10 +162,7 @@ STATIC: Final = Origin(
     ),
     limits=(_LINEAR_PART, *_OF_THE_DATA, "Rotor-position harmonics average out at operating points.", _SYMMETRIC),
     one_speed=_SYMMETRIC,
-    advice=(
-        "A recording of phase currents, voltages and rotor angle at some kilohertz, for method full: it separates "
-        "rotor harmonics and sensor faults from the map."
-    ),
+    advice="record_fast",
     ignores=(*_OF_FULL, *_OF_PAPER, "monotone", "longest_rest"),
 )
 IMPORTED: Final = Origin(

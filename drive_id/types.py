@@ -7,7 +7,7 @@ a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -360,28 +360,6 @@ class GroundTruth:
         arrays = (self.psi_d, self.psi_q, self.inverter_voltage)
         if not all(np.isfinite(values).all() for values in arrays) or not self.i_max > 0:
             raise ConfigurationError(f"The truth of '{self.machine}' is not finite or its disc empty: simulate again.")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What a check found in a recording; all of them are listed in ``docs/checks.md``.
-
-    Parameters
-    ----------
-    code : str
-        Stable name for programs.
-    message : str
-        One sentence: what is wrong, with numbers, and what to do.
-    values : mapping of str to float
-        The numbers of the sentence, by name, SI units.
-    severity : {"error", "warning"}
-        An error refuses the recording.
-    """
-
-    code: str
-    message: str
-    values: Mapping[str, float] = field(default_factory=dict)
-    severity: str = "warning"
 
 
 Progress = Callable[[str, float | None], None]

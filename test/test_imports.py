@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {
     f"drive_id.{name}"
-    for name in ("errors", "health", "origins", "quantity", "settings", "temperature", "types", "version")
+    for name in ("errors", "health", "messages", "origins", "quantity", "settings", "temperature", "types", "version")
 }
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
@@ -85,6 +85,7 @@ ROOMS = {
     "drive_id.health": Room.of(set(), set()),
     "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
     "drive_id.origins": Room.of({"drive_id.errors"}, set()),
+    "drive_id.messages": Room.of({"drive_id.quantity"}, {"yaml"}),
     "drive_id.quantity": Room.of(set(), set()),
     "drive_id.temperature": Room.of(set(), set()),
     "drive_id.version": Room.of(set(), set()),

@@ -45,6 +45,7 @@ CONTRACT = {
         "float64[] psi_d; float64[] psi_q; float64[] sigma_d; float64[] sigma_q; bool[] inside; "
         "float64 resistance; float64 sigma_resistance; float64 voltage_error; float64 sigma_voltage_error; "
         "float64[] inverter_current; float64[] inverter_voltage; float64 i_max; float64 coverage; string[] warnings; "
+        "string[] warning_codes; string[] warning_values; "
         "uint32[] harmonic_orders; float64[] harmonic_psi_d_cos; float64[] harmonic_psi_d_sin; "
         "float64[] harmonic_psi_q_cos; float64[] harmonic_psi_q_sin; string[] calibration_names; "
         "float64[] calibration_values; float64[] calibration_sigmas; string[] calibration_units; "
@@ -54,6 +55,7 @@ CONTRACT = {
     "msg/FitReport": (
         "uint64 samples_read; uint64 samples_used; uint64 rows; uint32 gaps; uint32 parameters; uint32 rank; "
         "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings; "
+        "string[] warning_codes; string[] warning_values; "
         "float64 inertia; float64 sigma_inertia; float64 friction; float64 sigma_friction; float64 viscous_friction; "
         "float64 sigma_viscous_friction; float64 torque_gain; float64 sigma_torque_gain; "
         "string[] calibration_names; float64[] calibration_values; float64[] calibration_sigmas; "

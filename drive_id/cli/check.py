@@ -55,7 +55,7 @@ def check_log(
             say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} {how}")
 
     if draft is not None and found.draft is None:
-        why = next(finding.message for finding in found.findings if finding.code == "no_draft")
+        why = next(str(finding) for finding in found.findings if finding.code == "no_draft")
         raise ConfigurationError(f"{draft} was not written: {why}")
 
 
@@ -74,7 +74,7 @@ def _comment(found: "Inspection", *, asked: bool) -> None:
     for finding in found.findings:
         if finding.code == "no_draft" and asked:
             continue  # reported as the error at the end
-        say(f"{finding.code}: {finding.message}", style="red" if finding.severity == "error" else "yellow")
+        say(f"{finding.code}: {finding}", style="red" if finding.kind == "error" else "yellow")
     for warning in found.warnings:
         warn(warning)
     if not found.findings:

@@ -6,35 +6,31 @@ from collections.abc import Sequence
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.files.results.identification import Provenance
+from drive_id.messages import Message
 
-_NEXT = "What would help most: "
-_NONE = "No "
 _ONE_SPEED = 0.1
 """Relative range of the speeds below which they count as one."""
 _COVERED = 0.95
 """Share of the disc from which more data are not asked for."""
 
 
-def advice(drive: IdentifiedDrive, known: Provenance) -> tuple[str, ...]:
+def advice(drive: IdentifiedDrive, known: Provenance) -> tuple[Message, ...]:
     """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
-    found = [_capital(text.removeprefix(_NEXT)) for text in drive.statements if text.startswith(_NEXT)]
+    found = [message for message in drive.statements if message.kind == "advice"]
     coverage = drive.report.coverage
     if coverage < _COVERED:
-        missing = f"{100 * (1 - coverage):.3g} %"
-        found.append(f"Data over the whole disc of {drive.i_max:.4g} A: {missing} of it has none.")
+        found.append(Message("cover_disc.share", i_max=drive.i_max, missing=1 - coverage))
     if single_speed(known) and not found:
-        found.append(f"A second recording at another speed, ideally in the other direction. {drive.origin.one_speed}")
+        found.append(Message("second_speed", why=drive.origin.one_speed or None))
     if known.pole_pairs is None:
-        found.append(f"The number of pole pairs, without which there is no torque: {drive.origin.pole_pairs}.")
-    return tuple(filter(None, (*found, drive.origin.advice)))
+        found.append(Message("pole_pairs_unknown", how=drive.origin.pole_pairs))
+    return (*found, *([Message(drive.origin.advice)] if drive.origin.advice else []))
 
 
-def sorted_statements(drive: IdentifiedDrive) -> tuple[Sequence[str], Sequence[str]]:
+def sorted_statements(drive: IdentifiedDrive) -> tuple[Sequence[Message], Sequence[Message]]:
     """Return the statements that tell of something, and those that nothing was found; advice is in neither."""
-    nothing = {entry.sentence for entry in drive.calibrations if not entry.applied and not entry.doubtful}
-    said = [text for text in drive.statements if not text.startswith(_NEXT)]
-    empty = [text for text in said if text in nothing or text.startswith(_NONE)]
-    return [text for text in said if text not in empty], empty
+    found = [message for message in drive.statements if message.kind not in ("nothing", "advice")]
+    return found, [message for message in drive.statements if message.kind == "nothing"]
 
 
 def single_speed(known: Provenance) -> bool:
@@ -43,7 +39,3 @@ def single_speed(known: Provenance) -> bool:
         return False
     low, high = known.speed_range
     return high - low <= _ONE_SPEED * max(abs(low), abs(high))
-
-
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"

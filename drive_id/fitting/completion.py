@@ -15,6 +15,7 @@ from drive_id.core.result.torque import with_torque
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
+from drive_id.messages import Message
 from drive_id.origins import METHODS, ORIGINS
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import GroundTruth, Samples
@@ -40,7 +41,7 @@ def completed(
     truth: GroundTruth | None = None,
     signals: SignalMap | None = None,
     inputs: Mapping[str, str] | None = None,
-    warnings: tuple[str, ...] = (),
+    warnings: tuple[Message, ...] = (),
 ) -> Identification:
     """Return the result of a fit: what torque and motion of the shaft tell, and what is known of the experiment.
 
@@ -60,7 +61,7 @@ def completed(
         Knows the pole pairs where the recorded angle is mechanical.
     inputs : mapping of str to str, optional
         File to its sha256.
-    warnings : tuple of str
+    warnings : tuple of Message
         About the recording.
 
     Returns
@@ -79,11 +80,11 @@ def completed(
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
     if idle := settings.idle():
         others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
-        remedy = f", or use method {' or '.join(', '.join(others).rsplit(', ', 1))}" if others else ""
-        them = "it" if len(idle) == 1 else "them"
-        warnings += (f"Method {settings.method} ignores {', '.join(idle)}: remove {them}{remedy}.",)
+        methods = " or ".join(", ".join(others).rsplit(", ", 1)) if others else None
+        several, names = len(idle) > 1, ", ".join(idle)
+        warnings += (Message("ignored", method=settings.method, settings=names, several=several, others=methods),)
     if nrmse and not np.isfinite(nrmse).all():
-        warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
+        warnings += (Message("not_scored"),)
     provenance = Provenance(
         inputs=inputs or {},
         settings=settings,

@@ -28,6 +28,7 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
+from drive_id.messages import Message
 from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
@@ -236,23 +237,14 @@ def written(
     return result
 
 
-def _on_checksums(recording: Accumulated) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _on_checksums(recording: Accumulated) -> tuple[tuple[Message, ...], tuple[Message, ...]]:
     """Return what to say of recordings without checksums: as a warning where samples stand out, or as a statement."""
     if not recording.unchecked:
         return (), ()
     first, *others = recording.unchecked
-    which = f"{first} and {len(others)} more have" if others else f"{first} has"
-    if any(finding.code in _ODD_SAMPLES for finding in recording.evidence.findings):
-        warning = (
-            f"{which} no checksums, so the samples that stand out may be flipped bits: copy the recording again from "
-            "its origin, and record MCAP with checksums."
-        )
-        return (warning,), ()
-    statement = (
-        f"{which} no checksums, so flipped bits are noticed only where samples stand out: to be sure, record MCAP with "
-        "checksums."
-    )
-    return (), (statement,)
+    odd = any(finding.code in _ODD_SAMPLES for finding in recording.evidence.findings)
+    said = Message("no_checksums.odd" if odd else "no_checksums", first=first, others=len(others) or None)
+    return ((said,), ()) if odd else ((), (said,))
 
 
 def _fit_static(

@@ -24,6 +24,7 @@ from drive_id.core.result.identification import (
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.advice import advice
+from drive_id.messages import Message
 from drive_id.origins import Origin
 from drive_id.pictures.caption import Caption
 from drive_id.quantity import Quantity, measured
@@ -125,8 +126,8 @@ class Identification:
         return headline(self.drive, pole_pairs=self.pole_pairs, temperature=self.provenance.temperature)
 
     @property
-    def advice(self) -> tuple[str, ...]:
-        """Sentences: what to record next, the most useful first."""
+    def advice(self) -> tuple[Message, ...]:
+        """What to record next, the most useful first."""
         return advice(self.drive, self.provenance)
 
     @property
@@ -218,13 +219,13 @@ class Identification:
         return self.provenance.date
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the recording and about the fit."""
+    def warnings(self) -> tuple[Message, ...]:
+        """Sentences with code and values, about the recording and about the fit."""
         return (*self.provenance.warnings, *self.drive.report.warnings)
 
     @property
-    def statements(self) -> tuple[str, ...]:
-        """Sentences: what fixed the unknowns that the data leave open, and what would help most."""
+    def statements(self) -> tuple[Message, ...]:
+        """What fixed the unknowns that the data leave open, and what would help most; with code and values."""
         return self.drive.statements
 
     @property

@@ -32,6 +32,7 @@ from drive_id.files.results.information_name import is_information
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.processes import in_processes
 from drive_id.fitting.streaming import accumulate
+from drive_id.messages import Message
 from drive_id.types import Progress, Samples, silent
 
 Item = TypeVar("Item")
@@ -182,7 +183,10 @@ class Part:
         """
         if self.accumulated is None:
             raise self.refused[0]
-        said = (*(f"Left out: {error}" for error in self.refused), *self.accumulated.warnings)
+        said = (
+            *(Message("left_out.recording", reason=str(error)) for error in self.refused),
+            *self.accumulated.warnings,
+        )
         return replace(self.accumulated, evidence=self.accumulated.evidence.copy(settings), warnings=said)
 
 
@@ -333,8 +337,7 @@ def part_of(path: Path, job: Job) -> Part:
                 f"{path} was accumulated differently ({difference}) and cannot be merged: accumulate it again with "
                 "these settings, or remove them."
             )
-    names = f"{path}: " if len(sources.paths) > 1 else ""
-    said = tuple(f"{names}{text}" for text in found.warnings)
+    said = tuple(message.of(path) for message in found.warnings) if len(sources.paths) > 1 else found.warnings
     return Part(replace(found, warnings=said, validation=bounded(found.validation)))
 
 

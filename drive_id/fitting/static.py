@@ -20,6 +20,7 @@ from drive_id.files.read.operating_log import OperatingLog, read_operating_log
 from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
+from drive_id.messages import Message
 from drive_id.types import GroundTruth, Progress, Samples, silent
 
 
@@ -37,7 +38,7 @@ class StaticSources:
     last_stamp : int
         ns, 0 when unknown.
     signals : SignalMap or None
-    warnings : tuple of str
+    warnings : tuple of Message
     """
 
     data: Sequence[OperatingData]
@@ -45,7 +46,7 @@ class StaticSources:
     digests: dict[str, str] = field(default_factory=dict)
     last_stamp: int = 0
     signals: SignalMap | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @classmethod
     def in_memory(cls, recordings: Sequence[OperatingData | Samples]) -> StaticSources:
@@ -87,7 +88,10 @@ class StaticSources:
             {file: digest for log in logs for file, digest in log.digests.items()},
             max(log.last_stamp for log in logs),
             sources.signals,
-            (*(f"Left out: {error}" for error in refused), *(text for log in logs for text in log.warnings)),
+            (
+                *(Message("left_out.recording", reason=str(error)) for error in refused),
+                *(text for log in logs for text in log.warnings),
+            ),
         )
 
 

@@ -30,7 +30,8 @@ from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
-from drive_id.types import Finding, Progress, silent
+from drive_id.messages import Message
+from drive_id.types import Progress, silent
 
 _MUCH_JITTER = 0.1
 _LOOKED = (ConfigurationError, DataError, EmptyTopicError, MessageTypeError, MissingTopicError)
@@ -44,20 +45,20 @@ class Inspection:
     Parameters
     ----------
     contents : Contents
-    findings : tuple of Finding
+    findings : tuple of Message
     overview : Overview or None
         None where no samples could be joined.
     draft : Draft or None
         Proposed if no signals file was given and the log does not hold our messages.
-    warnings : tuple of str
+    warnings : tuple of Message
         Of reading and joining.
     """
 
     contents: Contents
-    findings: tuple[Finding, ...]
+    findings: tuple[Message, ...]
     overview: Overview | None
     draft: Draft | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
     def tree(self) -> dict[str, Any]:
         """Return everything but the curves as plain values for JSON."""
@@ -101,17 +102,17 @@ def inspect_log(
     """
     tell("Reading", 0.0)
     contents = read_contents(path, signals)
-    findings: list[Finding] = []
+    findings: list[Message] = []
     proposal: Draft | None = None
     if draft or (signals is None and not _is_ours(path, namespace)):
         tell("Recognizing signals", None)
         try:
             proposal = propose(contents)
         except ConfigurationError as error:
-            found = (Finding("no_draft", str(error), {}, "error"), *_time_findings(contents, SignalMap()))
+            found = (Message("no_draft", reason=str(error)), *_time_findings(contents, SignalMap()))
             return Inspection(contents, found, None, None, ())
         signals = parse_signals(proposal.text, "the draft") if signals is None else signals
-        findings += [Finding("draft_unsure", sentence) for sentence in proposal.unsure]
+        findings += [Message("draft_unsure", reason=sentence) for sentence in proposal.unsure]
     signals = signals or SignalMap()
     look = _look if signals.resolver.angle else _look_at_points
     problems, overview, warnings = look(path, signals, namespace, tell)
@@ -122,12 +123,12 @@ def inspect_log(
 
 def _look(
     path: Path, signals: SignalMap, namespace: str, tell: Progress
-) -> tuple[list[Finding], Overview | None, tuple[str, ...]]:
+) -> tuple[list[Message], Overview | None, tuple[Message, ...]]:
     """Read the log as a fit does, and return findings, overview and warnings."""
     for whole in (False, True):
         prescan, overviewing = Prescan(), Overviewing()
         refused: DriveIdError | None = None
-        warnings: tuple[str, ...] = ()
+        warnings: tuple[Message, ...] = ()
         pieces = bag_pieces(
             path, signals, namespace, whole=whole, threads=False, tell=lambda share: tell("Reading", share)
         )
@@ -143,7 +144,7 @@ def _look(
         except _LOOKED as error:
             refused = error
         break
-    found = [] if refused is None else [Finding(refused.code, str(refused), {}, "error")]
+    found = [] if refused is None else [Message.told(str(refused), refused.code, kind="error")]
     if prescan.samples:
         found += prescan.findings()
     overview = overviewing.overview(prescan.radius) if prescan.samples else None
@@ -154,14 +155,14 @@ def _look(
 
 def _look_at_points(
     path: Path, signals: SignalMap, namespace: str, tell: Progress
-) -> tuple[list[Finding], None, tuple[str, ...]]:
+) -> tuple[list[Message], None, tuple[Message, ...]]:
     """Read a log without an angle as method ``static`` does, and return findings and warnings."""
     tell("Reading", None)
     try:
         log = read_operating_log(path, signals, namespace=namespace)
         operating_points(log.data)
     except _LOOKED as error:
-        return [Finding(error.code, str(error), {}, "error")], None, ()
+        return [Message.told(str(error), error.code, kind="error")], None, ()
     return [], None, log.warnings
 
 
@@ -179,7 +180,7 @@ def _is_ours(path: Path, namespace: str) -> bool:
     return {topics[section].type_name for section in REQUIRED} <= set(BLOCK_FIELDS)
 
 
-def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Finding]:
+def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Message]:
     """Yield topics whose stamps jitter, unless their samples are taken as equally spaced."""
     spaced = {source.topic or source.group for source in signals.sources().values() if source.equally_spaced}
     for table in (_stamped(table, signals) for table in contents.tables):
@@ -188,15 +189,10 @@ def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Finding]:
         period, jitter = table.period, table.jitter
         if not table.columns or period is None or jitter is None or jitter <= _MUCH_JITTER * period * table.block:
             continue
-        yield Finding(
-            "stamp_jitter",
-            f"The time between the {'messages' if contents.is_bag else 'rows'} of {table.name or 'the table'} varies "
-            f"by {jitter * 1e6:.3g} us rms around {period * table.block * 1e6:.5g} us: if the samples are equally "
-            "spaced, set equally_spaced: true in the signals file, with first_sample if there is a count.",
-            {"jitter": jitter, "period": period},
-        )
+        what = f"{'messages' if contents.is_bag else 'rows'} of {table.name or 'the table'}"
+        yield Message("stamp_jitter", jitter=jitter, period=period, block_period=period * table.block, what=what)
     if not contents.bounded:
-        yield Finding("memory", "A MATLAB 5 file is held in memory as a whole while it is read.")
+        yield Message("memory")
 
 
 def _stamped(table: Table, signals: SignalMap) -> Table:
@@ -211,15 +207,16 @@ def _stamped(table: Table, signals: SignalMap) -> Table:
     return table
 
 
-def finding_tree(finding: Finding) -> dict[str, Any]:
+def finding_tree(finding: Message) -> dict[str, Any]:
     """Return a finding as plain values: its first number is its value."""
-    values = {name: _plain(value) for name, value in finding.values.items()}
+    values = {name: x if isinstance(x, str) else _plain(x) for name, x in finding.values.items()}
+    numbers = (value for value in values.values() if not isinstance(value, str))
     return {
         "code": finding.code,
-        "message": finding.message,
-        "value": next(iter(values.values()), None),
+        "message": finding,
+        "value": next(numbers, None),
         "values": values,
-        "severity": finding.severity,
+        "severity": finding.kind,
     }
 
 

@@ -31,6 +31,7 @@ from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.memory import return_free_memory, share_arenas
 from drive_id.live.translator import Translator
 from drive_id.live.worker import Worker
+from drive_id.messages import Message
 from drive_id.nodes.support.deferred_service import DeferredService, in_executor
 from drive_id.nodes.support.deferred_service import Reply as Answer
 from drive_id.nodes.support.diagnostics import Diagnostics
@@ -203,16 +204,16 @@ class Identification(ManagedNode):
         """Return the job of a request whose turn has come."""
         if not self.active:
             raise InactiveError(self.inactive())
-        dropped = ""
+        dropped: list[Message] = []
         if not request.bags:
             self._inbox.empty()
-            dropped = self._inbox.warning
+            dropped = self._inbox.warnings()
         job, life = self._identifier.job(request.bags, request.method, request.signals), self._life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:
             reply = job(tell)
-            warnings = (*reply.warnings, dropped) if dropped else reply.warnings
+            warnings = (*reply.warnings, *dropped)
             return replace(reply, warnings=warnings, refit=reply.refit if life == self._life else None)
 
         return run

@@ -9,6 +9,7 @@ from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelop
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation
 from drive_id.core.full.calibration import Calibration
+from drive_id.messages import Message
 
 
 def drop(i):
@@ -96,7 +97,7 @@ def test_power_is_balanced_also_with_iron_loss():
         ("iron_loss_hysteresis", 20.0, "S rad/s"),
         ("iron_loss_current", 1.5, "A"),
     ]
-    found = tuple(Calibration(name, value, 0.01, unit, True, "") for name, value, unit in losses)
+    found = tuple(Calibration(name, value, 0.01, unit, True, Message.told("")) for name, value, unit in losses)
     model = MachineModel.of(exact_result(machine.to_map(), drop=drop, calibrations=found))
     limits = DriveLimits(machine.i_max, machine.u_dc / np.sqrt(3))
     i_dq = np.array([[-120.0, 180.0], [-200.0, -90.0], [-150.0, 0.0]])

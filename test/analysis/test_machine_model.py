@@ -10,6 +10,7 @@ from drive_id.analysis.machine import IronLoss, MachineModel
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.core.full.calibration import Calibration
 from drive_id.errors import ConfigurationError
+from drive_id.messages import Message
 from drive_id.types import MachineMap
 
 
@@ -138,7 +139,7 @@ def test_temperature_acts_on_resistance_and_magnet():
 
 
 def test_iron_loss_that_was_identified_is_taken_over():
-    found = Calibration("iron_loss_conductance", 0.2, 0.01, "S", True, "")
+    found = Calibration("iron_loss_conductance", 0.2, 0.01, "S", True, Message.told(""))
     result = exact_result(machine_map("ipm"), calibrations=(found,))
     iron = MachineModel.of(result).iron
     assert iron == IronLoss(conductance=0.2)

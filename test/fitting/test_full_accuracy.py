@@ -107,7 +107,7 @@ def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
     found, full_errors = errors(run_experiment(machine, replace(NOISY, current_noise=1e-3), seconds=3.0))
     angle = calibration(found, "resolver_offset")
     assert not angle.applied
-    assert angle.sentence in found.report.warnings
+    assert angle.message in found.report.warnings
     assert full_errors.max() < 0.1
 
 

@@ -89,7 +89,7 @@ def test_a_map_of_motoring_currents_alone_has_no_mirror():
     assert found.flux_map.i_q[-1] > 280
     (angle,) = (entry for entry in found.calibrations if entry.name == "resolver_offset")
     assert not angle.applied
-    assert "both signs of i_q" in angle.sentence
+    assert "both signs of i_q" in angle.message
     assert "No angle" not in said(found)
 
 

@@ -26,6 +26,7 @@ from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.processes import in_processes
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
+from drive_id.messages import Message
 
 JOINT = FitSettings(method="joint")
 RADIUS = replace(JOINT, i_max=300.0)
@@ -182,7 +183,7 @@ def test_bad_sources_are_left_out_on_request(bags, bad, together, tmp_path):
 
 def test_warnings_name_their_source_where_there_are_several(bags, infos, tmp_path):
     stored = read_information(infos[0]).accumulated
-    write_information(tmp_path / "x.info", replace(stored, warnings=("Something.",)))
+    write_information(tmp_path / "x.info", replace(stored, warnings=(Message.told("Something."),)))
     assert accumulate_sources(Sources([tmp_path / "x.info"]), RADIUS).warnings == ("Something.",)
     both = accumulate_sources(Sources([tmp_path / "x.info", bags[1]]), RADIUS)
     assert both.warnings == (f"{tmp_path / 'x.info'}: Something.",)

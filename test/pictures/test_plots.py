@@ -16,6 +16,7 @@ from matplotlib.text import Text
 
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.result.identification import HarmonicMap
+from drive_id.messages import Message
 from drive_id.pictures.caption import Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import Disc, levels
@@ -371,7 +372,7 @@ def test_the_residual_shows_the_harmonics_that_joint_lacks(diagnostics, drive, e
 
 
 def test_the_residual_is_that_of_corrected_signals(drive, excerpts, diagnostics):
-    offset = Calibration("voltage_offset_alpha", 2.0, 0.1, "V", True, "")
+    offset = Calibration("voltage_offset_alpha", 2.0, 0.1, "V", True, Message.told(""))
     angle, mean, _ = curves(draw_diagnostics(replace(drive, calibrations=(offset,)), excerpts))
     np.testing.assert_allclose((curves(diagnostics)[1] - mean)[:, 0], 2 * np.cos(angle), atol=0.02)
 

@@ -9,6 +9,7 @@ import pytest
 
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.result.identification import HarmonicMap
+from drive_id.messages import Message
 
 
 @pytest.fixture(scope="session")
@@ -22,10 +23,19 @@ def full_like(fitted):
         drive,
         method="full",
         harmonics=(HarmonicMap(6, *parts),),
-        calibrations=(Calibration("resolver_offset", 0.01, 0.001, "rad", applied=True, sentence="The angle is off."),),
+        calibrations=(
+            Calibration(
+                "resolver_offset",
+                0.01,
+                0.001,
+                "rad",
+                applied=True,
+                message=Message("resolver_offset", value=0.01, sigma=0.001),
+            ),
+        ),
         sigma_inverter_voltage=np.full(len(voltage), 0.05),
         phase_voltages=np.stack([voltage, 1.1 * voltage, 0.9 * voltage], axis=1),
-        statements=("A first statement.", "What would help most: a longer recording."),
+        statements=(Message("region.whole"), Message("record_longer")),
         magnet_coefficient=(-1e-4, 1e-5),
     )
     return replace(fitted, drive=more)

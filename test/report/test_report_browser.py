@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from browser import check_quiet, driven, wait_for
 
+from drive_id.messages import Message
 from drive_id.report.page.report import report_files
 
 WARNING = "A warning with <b>markup</b> & an ampersand."
@@ -31,7 +32,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def result(full_like):
-    provenance = replace(full_like.provenance, warnings=(WARNING,), machine="<ipm> & co")
+    provenance = replace(full_like.provenance, warnings=(Message.told(WARNING),), machine="<ipm> & co")
     return replace(full_like, provenance=provenance, stored=full_like.diagnostics)
 
 

@@ -20,6 +20,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
+from drive_id.messages import Message
 from drive_id.quantity import measured
 from drive_id.report.page import pdf, report
 from drive_id.report.page.charts import MOST_POINTS, charts_of
@@ -131,7 +132,11 @@ def test_the_twin_is_identification_json(fitted, page, tmp_path):
 
 def test_names_and_warnings_stay_text(fitted):
     provenance = replace(
-        fitted.provenance, machine=HOSTILE, warnings=(HOSTILE,), inputs={HOSTILE: "0" * 64}, date="<i>today</i>"
+        fitted.provenance,
+        machine=HOSTILE,
+        warnings=(Message.told(HOSTILE),),
+        inputs={HOSTILE: "0" * 64},
+        date="<i>today</i>",
     )
     page = page_of(replace(fitted, provenance=provenance))
     assert len(page.all("script")) == 4
@@ -201,8 +206,8 @@ def test_a_full_result_shows_bands_phases_and_faults(full_like):
     assert set(drawn["sigma"]) == {0.05}
     assert drawn["phases"][1][-1] == pytest.approx(1.1 * drawn["voltage"][-1], rel=1e-4)
     text = page.by_id("identifiable").text()
-    assert "A first statement." in text
-    assert "A longer recording." in text
+    assert "The data cover the whole current disc." in text
+    assert "Record longer: " in text
     assert "What would help most" not in text
     (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver_offset" in row.text())
     assert [cell.text() for cell in row.children] == ["resolver_offset", "10.0 ± 1.0 mrad", "corrected"]
@@ -321,7 +326,7 @@ def test_no_folder_of_this_computer_is_in_a_report(fitted):
     (file,) = fitted.provenance.inputs
     folder = str(Path(file).parent.parent)
     assert Path(file).is_absolute()
-    said = replace(fitted.provenance, warnings=(f"{file} breaks off: check it.",))
+    said = replace(fitted.provenance, warnings=(Message.told(f"{file} breaks off: check it."),))
     page = page_of(replace(fitted, provenance=said))
     assert folder not in page.source
     assert "bag/bag_0.mcap breaks off: check it." in page.by_id("warnings").text()
@@ -343,7 +348,7 @@ def test_the_levels_follow_the_figures(fitted):
     assert cards["Disc covered"].attributes["class"] == "weak"
     assert "50 %" in cards["Disc covered"].text()
     assert cards["Simulated current"].attributes["class"] == "weak"
-    assert "50 % of it has none" in page.by_id("identifiable").text()
+    assert "50 % of it has no data" in page.by_id("identifiable").text()
 
 
 def test_the_deviation_over_time_is_the_mad(fitted):
@@ -377,7 +382,7 @@ def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypat
 def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monkeypatch):
     pages = []
     monkeypatch.setattr(pdf.PdfPages, "savefig", lambda _self, figure, **_: pages.append(figure))
-    warnings = tuple(f"Warning {number} of a report, {'long ' * 40}$x$ <b>." for number in range(30))
+    warnings = tuple(Message.told(f"Warning {number} of a report, {'long ' * 40}$x$ <b>.") for number in range(30))
     provenance = replace(full_like.provenance, warnings=warnings, machine=HOSTILE, inputs={"/long" * 60: "0" * 64})
     path = tmp_path / "report.html"
     replace(full_like, provenance=provenance).report(path, pdf=True)
@@ -385,7 +390,13 @@ def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monk
     words = " ".join(text.get_text() for page in pages for text in page.texts)
     for heading in SECTIONS.values():
         assert heading in words
-    for wanted in ("Warning 0 of", "Warning 29 of", "0" * 64, "A first statement.", f"page 1 of {len(pages)}"):
+    for wanted in (
+        "Warning 0 of",
+        "Warning 29 of",
+        "0" * 64,
+        "The data cover the whole current disc.",
+        f"page 1 of {len(pages)}",
+    ):
         assert wanted in words, wanted
     assert sum(len(page.axes) for page in pages) == 6
     for page in pages:

@@ -10,6 +10,7 @@ from itertools import count
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.signals.pieces import common_truth
 from drive_id.errors import ConfigurationError
+from drive_id.messages import Message
 from drive_id.types import GroundTruth, Samples
 
 VALIDATION_SECONDS = 2.0
@@ -29,7 +30,7 @@ class Accumulated:
         Of all samples.
     validation : tuple of Samples
         A bounded part of the recording, for the MAD and for pictures.
-    warnings : tuple of str
+    warnings : tuple of Message
         Sentences about the recording.
     digests : mapping of str to str
         Storage file to its sha256.
@@ -45,7 +46,7 @@ class Accumulated:
 
     evidence: Evidence
     validation: tuple[Samples, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     digests: Mapping[str, str]
     truth: GroundTruth | None
     samples: int

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,9 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import difference_square, mark_rests
 from drive_id.errors import ConfigurationError
+from drive_id.messages import Message
 from drive_id.temperature import REFERENCE_TEMPERATURE
-from drive_id.types import BoolArray, Finding, FloatArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
@@ -60,7 +60,7 @@ class Evidence:
         self._recordings = 0
         self.reached = 0.0
         """Radius of the disc that the prescan found, whatever i_max is set to, A; 0 where it is not known."""
-        self.findings: tuple[Finding, ...] = ()
+        self.findings: tuple[Message, ...] = ()
         """What the checks found in the samples, errors aside."""
         self.samples = 0
         self.gaps = 0
@@ -195,7 +195,7 @@ class Evidence:
         for name in (*_COUNTS, *_SUMS):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.reached = max(self.reached, other.reached)
-        self.findings = tuple({finding.message: finding for finding in (*self.findings, *other.findings)}.values())
+        self.findings = tuple(dict.fromkeys((*self.findings, *other.findings)))
         self._quiet = 0
 
     def suits(self, settings: FitSettings) -> bool:
@@ -221,7 +221,7 @@ class Evidence:
     def state(self) -> SavedSums:
         """Return sums and counts, without settings, ranges and radius."""
         own: SavedSums = {name: np.array(getattr(self, name)) for name in (*_COUNTS, *_SUMS, "_quiet", "reached")}
-        own["findings"] = np.array(json.dumps([asdict(finding) for finding in self.findings]))
+        own["findings"] = np.array(json.dumps([finding.tree() for finding in self.findings]))
         for name, accumulator in self.accumulators().items():
             own |= prefixed(name, accumulator.state())
         return own
@@ -231,7 +231,7 @@ class Evidence:
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
             saved = state.get(name, np.array(0.0)) if name in _NEW_IN_FORMAT else state[name]
             setattr(self, name, exactly(saved, np.array(getattr(self, name))).item())
-        self.findings = tuple(Finding(**found) for found in json.loads(str(state.get("findings", "[]"))))
+        self.findings = tuple(map(_finding, json.loads(str(state.get("findings", "[]")))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 
@@ -288,3 +288,10 @@ class Evidence:
     def coverage(self) -> float:
         """Return the share of the current disc with data, 0 to 1."""
         return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
+
+
+def _finding(entry: dict[str, Any]) -> Message:
+    """Return a stored finding; earlier versions called its sentence message, and its kind severity."""
+    if "message" in entry:
+        return Message.told(entry["message"], entry["code"], entry["values"], entry["severity"])
+    return Message.stored(entry)

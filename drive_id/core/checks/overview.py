@@ -10,7 +10,8 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.signals.join import Piece
-from drive_id.types import Finding, FloatArray
+from drive_id.messages import Message
+from drive_id.types import FloatArray
 
 _POINTS = 4096
 _NODES = 33
@@ -83,22 +84,12 @@ class Overview:
             "coverage": self.coverage,
         }
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self) -> Iterator[Message]:
         """Yield gaps, and a disc that is hardly filled."""
         if self.runs > 1:
-            yield Finding(
-                "gaps",
-                f"The recording has {self.runs - 1} gaps, {self.time_lost:.4g} s in total: a fit leaves them out; if "
-                "nothing was lost, the stamps jitter (equally_spaced in the signals file).",
-                {"gaps": self.runs - 1, "time_lost": self.time_lost},
-            )
+            yield Message("gaps", gaps=self.runs - 1, time_lost=self.time_lost)
         if self.coverage < _LEAST_COVERAGE:
-            yield Finding(
-                "coverage",
-                f"The currents visit {100 * self.coverage:.0f} % of the disc of {self.i_max:.4g} A: the map will hold "
-                "only there; drive a trajectory that fills the disc, such as a Lissajous figure.",
-                {"coverage": self.coverage, "i_max": self.i_max},
-            )
+            yield Message("coverage", coverage=self.coverage, i_max=self.i_max)
 
 
 class Overviewing:

@@ -30,7 +30,8 @@ from drive_id.core.numerics.scans import all_finite
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import CoverageError, DataError, StandstillError
-from drive_id.types import Finding, FloatArray, Samples
+from drive_id.messages import Message
+from drive_id.types import FloatArray, Samples
 
 USUAL_QUANTILE = 0.999
 """Share of the samples below the usual amplitude."""
@@ -53,7 +54,6 @@ _ERRORS: dict[str, type[DataError]] = {
     "no_trajectory": CoverageError,
 }
 """Errors by the code of the finding; all others are DataError."""
-_REMEDY = "drive the machine along a trajectory that fills the current disc, such as a Lissajous figure."
 
 
 class Prescan:
@@ -86,7 +86,7 @@ class Prescan:
         self._periods: tuple[float, ...] = ()
         self._excerpt = Spans(_SPAN, _SPANS)
         self._single = SingleSamples()
-        self._found: tuple[int, tuple[Finding, ...]] = (-1, ())  # of so many samples
+        self._found: tuple[int, tuple[Message, ...]] = (-1, ())  # of so many samples
 
     def copy(self) -> Prescan:
         """Return an independent copy."""
@@ -151,13 +151,13 @@ class Prescan:
         other = top_quantile(without, self.samples - self._referenced, USUAL_QUANTILE) if len(without) else 0.0
         return min(max(wanted, other), usual)
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Message, ...]:
         """Return the findings so far, most basic first, without consequences of an error."""
         if self._found[0] != self.samples:
             self._found = self.samples, tuple(self._judge())
         return self._found[1]
 
-    def check(self) -> tuple[Finding, ...]:
+    def check(self) -> tuple[Message, ...]:
         """Raise the first error among the findings; return the warnings.
 
         Raises
@@ -171,14 +171,14 @@ class Prescan:
         """
         found = self.findings()
         for finding in found:
-            if finding.severity == "error":
-                raise _ERRORS.get(finding.code, DataError)(finding.message)
+            if finding.kind == "error":
+                raise _ERRORS.get(finding.code, DataError)(finding)
         return found
 
-    def _judge(self) -> Iterator[Finding]:
+    def _judge(self) -> Iterator[Message]:
         runs = sorted((run for run in self._excerpt.runs() if len(run) >= _SHORTEST_RUN), key=len, reverse=True)
         runs = sorted(runs[:_MOST_RUNS], key=lambda run: int(run.stamp[0]))
-        steps: tuple[Callable[[], Iterator[Finding]], ...] = (
+        steps: tuple[Callable[[], Iterator[Message]], ...] = (
             lambda: time_findings(self._periods),
             lambda: unit_findings(runs) if runs else iter(()),
             self._on_jumps,
@@ -193,7 +193,7 @@ class Prescan:
         for step in steps:
             refused = False
             for finding in step():
-                refused = refused or finding.severity == "error"
+                refused = refused or finding.kind == "error"
                 yield finding
             if refused:
                 return
@@ -235,22 +235,16 @@ class Prescan:
         self._reference_high = np.maximum(self._reference_high, [axis.max(initial=-np.inf) for axis in known.T])
         return rows.astype(np.float64)
 
-    def _on_jumps(self) -> Iterator[Finding]:
+    def _on_jumps(self) -> Iterator[Message]:
         if not self.samples:
             return
         jumps = self._jumps.rows()
         found = jumps[jumps[:, 0] > max(_JUMP, _JUMP_FACTOR * self._jumps.quantile(USUAL_QUANTILE))]
         if len(found):
             by, at = found[found[:, 1].argmin()]
-            yield Finding(
-                "angle_jump",
-                f"The resolver's angle or speed jumps in {len(found)} places, the first at {at:.6f} s by "
-                f"{by:.2f} rad within one sample: repair or cut out the faulty samples.",
-                {"jumps": len(found), "time": float(at), "jump": float(by)},
-                "error",
-            )
+            yield Message("angle_jump", jumps=len(found), time=at, jump=by)
 
-    def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Finding]:
+    def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
         with np.errstate(invalid="ignore"):
             turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
         if turned < _LEAST_TURN:
@@ -262,36 +256,19 @@ class Prescan:
         if not abs(ratio - 1) <= _RESOLVER_TOLERANCE and math.isnan(speed_lag(runs)):
             yield rotation_finding(ratio)
 
-    def _on_trajectory(self) -> Iterator[Finding]:
+    def _on_trajectory(self) -> Iterator[Message]:
         if self._referenced == self.samples and (self._reference_low == self._reference_high).all():
             d, q = self._reference_low
-            yield Finding(
-                "held_references",
-                f"The current references stay at i_d = {d:.4g} A, i_q = {q:.4g} A throughout: {_REMEDY}",
-                {"i_d": float(d), "i_q": float(q)},
-                "error",
-            )
+            yield Message("held_references", i_d=d, i_q=q)
         finite = bool(np.isfinite(self._step_square[0]).all())
         step = np.sqrt(self._step_square[0 if finite else 1] / max(self._steps, 1)) / (1.0 if finite else _TINY)
         low, high = self._extremes
         if np.any(step >= _NOISE_SHARE * (high - low)):
             worst = int(np.argmax(step / np.maximum(high - low, 1e-300)))
-            spread = float((high - low)[worst])
-            yield Finding(
-                "no_trajectory",
-                f"The current i_{'dq'[worst]} stays within {spread:.3g} A and shows only noise: {_REMEDY}",
-                {"range": spread},
-                "error",
-            )
+            yield Message("no_trajectory", range=(high - low)[worst], axis="dq"[worst])
         largest, usual = float(self._amplitudes.rows()[:, 0].max()), self._usual
         if largest > _FAULT_FACTOR * usual:
-            yield Finding(
-                "current_spike",
-                f"A current of {largest:.4g} A stands out where {100 * USUAL_QUANTILE:.1f} % of all samples stay below "
-                f"{usual:.4g} A: repair or cut out the faulty samples.",
-                {"largest": largest, "usual": usual},
-                "error",
-            )
+            yield Message("current_spike", largest=largest, usual=usual, share=USUAL_QUANTILE)
 
 
 @compiled("const f8[::1], const f8[::1], f8, f8[:, ::1], f8[::1], f8[:, ::1]")

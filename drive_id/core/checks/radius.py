@@ -6,6 +6,7 @@ import numpy as np
 
 from drive_id.core.accumulation.evidence import DOMAIN_MARGIN, Evidence
 from drive_id.errors import CoverageError
+from drive_id.messages import Message
 
 _LEAST_COVERAGE = 0.05
 _WEAK_COVERAGE = 0.45
@@ -29,64 +30,41 @@ def check_radius(evidence: Evidence, coverage: float) -> None:
     CoverageError
         When the currents reach more than twice i_max, or the data cover less than 5 % of the disc.
     """
-    i_max, reached = evidence.i_max, evidence.reached
-    if reached > _MUCH_TOO_SMALL * i_max:
-        raise CoverageError(
-            f"i_max is {i_max:.4g} A but the recording reaches {reached:.4g} A: what lies beyond "
-            f"{DOMAIN_MARGIN * i_max:.4g} A has no place in the map, so set i_max to {reached:.3g} A."
-        )
-    if coverage >= _LEAST_COVERAGE:
-        return
-    if _too_large(evidence):
-        raise CoverageError(_too_large_sentence(evidence, coverage))
-    raise CoverageError(
-        f"The trajectory covers {100 * coverage:.1f} % of the disc of {i_max:.4g} A, too little for a map: drive the "
-        "machine along a trajectory that fills the current disc, such as a Lissajous figure."
-    )
+    if evidence.reached > _MUCH_TOO_SMALL * evidence.i_max:
+        raise CoverageError(Message("disc_too_small", **_sizes(evidence, coverage)))
+    if coverage < _LEAST_COVERAGE:
+        code = "disc_too_large" if _too_large(evidence) else "little_coverage"
+        raise CoverageError(Message(code, "error", **_sizes(evidence, coverage)))
 
 
-def radius_warnings(evidence: Evidence, coverage: float) -> list[str]:
+def radius_warnings(evidence: Evidence, coverage: float) -> list[Message]:
     """Return warnings on the disc and on samples beyond the map; see :func:`check_radius`."""
-    warnings = []
-    i_max, reached, outside = evidence.i_max, evidence.reached, evidence.information.outside
+    warnings, sizes = [], _sizes(evidence, coverage)
     if _too_large(evidence):
-        warnings.append(_too_large_sentence(evidence, coverage))
+        warnings.append(Message("disc_too_large", **sizes))
     elif coverage < _WEAK_COVERAGE:
-        warnings.append(
-            f"The data cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A{_missing(evidence)}: the map is valid "
-            "only where 'inside' says so."
-        )
-    if outside and evidence.settings.i_max is not None and reached > DOMAIN_MARGIN * i_max:
-        warnings.append(
-            f"i_max is {i_max:.4g} A but the recording reaches {reached:.4g} A: {outside} pairs of samples beyond "
-            f"{DOMAIN_MARGIN * i_max:.4g} A were left out, so set i_max to {reached:.3g} A."
-        )
-    elif outside:
-        warnings.append(
-            f"{outside} pairs of samples lie beyond the map's range and were left out: they are faulty, or i_max is "
-            "set too low."
-        )
+        half, covered = _emptiest_half(evidence)
+        warnings.append(Message("little_coverage.data", half=half, covered=covered, **sizes))
+    if outside := evidence.information.outside:
+        beyond = evidence.settings.i_max is not None and evidence.reached > sizes["domain"]
+        warnings.append(Message(f"left_out.{'beyond' if beyond else 'outside'}", pairs=outside, **sizes))
     return warnings
 
 
-def _missing(evidence: Evidence) -> str:
-    """Return a clause naming the half of the disc with the least data; empty if no half stands out."""
+def _sizes(evidence: Evidence, coverage: float) -> dict[str, float]:
+    i_max = evidence.i_max
+    return {"coverage": coverage, "i_max": i_max, "reached": evidence.reached, "domain": DOMAIN_MARGIN * i_max}
+
+
+def _emptiest_half(evidence: Evidence) -> tuple[str | None, float]:
+    """Return the half of the disc with the least data, None if no half stands out, and its share with data."""
     i_d, i_q = np.meshgrid(evidence.visits.i_d, evidence.visits.i_q, indexing="ij")
     disc, inside = np.hypot(i_d, i_q) <= evidence.i_max, evidence.inside()
     halves = {"i_d > 0": i_d > 0, "i_d < 0": i_d < 0, "i_q > 0": i_q > 0, "i_q < 0": i_q < 0}
     filled = {name: float(inside[disc & half].mean()) for name, half in halves.items() if (disc & half).any()}
     least = min(filled, key=lambda name: filled[name])
-    if filled[least] > _EMPTY_HALF * max(filled.values()):
-        return ""
-    return f", and {100 * filled[least]:.0f} % of its half with {least}"
+    return (None if filled[least] > _EMPTY_HALF * max(filled.values()) else least), filled[least]
 
 
 def _too_large(evidence: Evidence) -> bool:
     return 0 < evidence.reached < _TOO_LARGE * evidence.i_max
-
-
-def _too_large_sentence(evidence: Evidence, coverage: float) -> str:
-    return (
-        f"i_max is {evidence.i_max:.4g} A but the currents reach only {evidence.reached:.4g} A: the map covers "
-        f"{100 * coverage:.2g} % of the disc, so set i_max to {evidence.reached:.3g} A or drive the machine further."
-    )

@@ -9,7 +9,8 @@ from math import gcd
 import numpy as np
 
 from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
-from drive_id.types import Finding, Samples
+from drive_id.messages import Message, Value
+from drive_id.types import Samples
 
 _BAD = 0.05
 """Unexplained share of the voltage above which other readings are tried."""
@@ -44,7 +45,7 @@ _SWAPPED = {0: "b and c", 2: "a and b", 4: "a and c"}
 _ORDER = {2: "c, a, b", 4: "b, c, a"}
 
 
-def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield findings on the meaning of the signals.
 
     Parameters
@@ -68,7 +69,7 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]
         yield shift if shift is not None and likelier else _misread(declared, better)
         return
     if declared.unexplained > _HOPELESS:
-        yield _time_shift(excerpts, declared) or _unexplained(declared)
+        yield _time_shift(excerpts, declared) or Message("unexplained", unexplained=declared.unexplained)
         return
     yield from _offset(excerpts, i_max, declared)
     yield from _decimation(declared, runs)
@@ -156,22 +157,14 @@ def _least(readings: Sequence[Reading], some: Sequence[Excerpt], every: Sequence
     return rough_fit(every, min(alike, key=lambda fit: abs(fit.reading.ratio[0])).reading)
 
 
-def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def degree_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield a finding if angle and speed are both in degrees, according to the voltages."""
     if max(float(np.abs(run.speed).max()) * run.sample_period for run in runs) < _LARGE_TURN:
         return
     declared = rough_fit([Excerpt.of(run, i_max) for run in runs])
     found = rough_fit([Excerpt.of(replace(run, angle=np.deg2rad(run.angle)), i_max) for run in runs])
     if declared and found and found.unexplained < _BETTER * declared.unexplained and declared.unexplained > _REFUSED:
-        yield Finding(
-            "angle_unit",
-            "Angle and speed seem to be in degrees and not in radians: a rough model leaves "
-            f"{percent(declared.unexplained)} % of the voltage unexplained as the signals are, but "
-            f"{percent(found.unexplained)} % in degrees, so set angle_unit: deg and speed_unit: deg/s in the signals "
-            "file.",
-            {"unexplained": declared.unexplained, "unexplained_corrected": found.unexplained},
-            "error",
-        )
+        yield Message("angle_unit.voltages", **_compared(declared, found))
 
 
 def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
@@ -185,7 +178,7 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
     return best if best is not None and best.unexplained < limit * declared.unexplained else None
 
 
-def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Finding | None:
+def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Message | None:
     """Return a finding if the currents explain far more as voltages, and the voltages as currents."""
     some = runs[:: -(-len(runs) // _FEW_RUNS)]
     largest = max(float(np.quantile(np.abs(run.u_abc), _USUAL)) for run in some)
@@ -194,14 +187,7 @@ def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | N
     limit = _BETTER_EXCHANGED * declared.unexplained if better is None else better.unexplained
     if fit is None or fit.unexplained > limit or declared.unexplained < _CERTAIN:
         return None
-    return Finding(
-        "exchanged",
-        f"Currents and voltages seem to be exchanged: a rough model leaves {percent(declared.unexplained)} % of the "
-        f"voltage unexplained as the signals are, but {percent(fit.unexplained)} % with this corrected, so exchange "
-        "their topics or fields.",
-        {"unexplained": declared.unexplained, "unexplained_corrected": fit.unexplained},
-        "error",
-    )
+    return Message("exchanged", **_compared(declared, fit))
 
 
 def _others() -> Iterator[Reading]:
@@ -223,118 +209,65 @@ def _others() -> Iterator[Reading]:
                     yield Reading((direction * multiple, divisor))
 
 
-def _misread(declared: RoughFit, better: RoughFit) -> Finding:
-    code, what, remedy = _meaning(better.reading)
+def _compared(declared: RoughFit, better: RoughFit) -> dict[str, float]:
+    return {"unexplained": declared.unexplained, "unexplained_corrected": better.unexplained}
+
+
+def _misread(declared: RoughFit, better: RoughFit) -> Message:
     certain = declared.unexplained > (_CERTAIN if better.reading in _BETWEEN_PHASES else _REFUSED)
-    severity = "error" if certain else "warning"
-    return Finding(
-        code,
-        f"{what}: a rough model leaves {percent(declared.unexplained)} % of the voltage unexplained as the signals "
-        f"are, but {percent(better.unexplained)} % with this corrected, so {remedy}.",
-        {
-            "unexplained": declared.unexplained,
-            "unexplained_corrected": better.unexplained,
-            "angle_factor": better.reading.ratio[0] / better.reading.ratio[1],
-        },
-        severity,
-    )
+    wording, values = _meaning(better.reading)
+    over, under = better.reading.ratio
+    compared = _compared(declared, better) | {"angle_factor": over / under}
+    return Message(wording, "error" if certain else "warning", **compared, **values)
 
 
-def _meaning(reading: Reading) -> tuple[str, str, str]:
-    """Return code, problem and remedy for a reading other than the declared one."""
+def _meaning(reading: Reading) -> tuple[str, dict[str, Value]]:
+    """Return code and values for a reading other than the declared one."""
     for phase, name in ((reading.reversed_current, "current"), (reading.reversed_voltage, "voltage")):
         if phase >= 0:
-            what = f"The {name} of phase {'abc'[phase]} seems to be reversed"
-            return "phase_reversed", what, "change its sign (scale in the signals file)"
+            return "phase_reversed", {"phase": phase, "signal": name}
     if reading in _BETWEEN_PHASES:
-        what = "The voltages seem to be those between two phases (u_ab, u_bc, u_ca)"
-        return "line_voltages", what, "give those of the phases, u_a = (u_ab - u_ca) / 3 and likewise u_b and u_c"
+        return "line_voltages", {}
     return _of_phases(reading) if reading.turned or reading.mirrored else _of_angle(*reading.ratio)
 
 
-def _of_phases(reading: Reading) -> tuple[str, str, str]:
+def _of_phases(reading: Reading) -> tuple[str, dict[str, Value]]:
     """Describe a wrong order or sign of the phases; half a turn is a sign."""
     negative = reading.turned % 2 == 1
     thirds = int((reading.turned + 3) % 6 if negative else reading.turned)
     against = reading.ratio[0] < 0
     if reading.mirrored:
-        name = "currents" if against else "voltages"
-        what = f"Phases {_SWAPPED[thirds]} of the {name} seem to be swapped" + (
-            ", and their sign wrong" if negative else ""
-        )
-        remedy = f"exchange them in the fields of the {name}" + (" and change the sign" if negative else "")
-        return "phases_swapped", what, remedy
+        signal = "currents" if against else "voltages"
+        return "phases_swapped", {"phases": _SWAPPED[thirds], "signal": signal, "negative": negative}
     remedies = ["make the scale of the currents negative, which are positive into the machine"] if negative else []
     remedies += ["change the sign of angle and speed"] if against else []
-    if not thirds:
-        return "current_sign", "The currents (or the voltages) seem to have the wrong sign", " and ".join(remedies)
-    remedies.insert(0, f"read the voltages' phases in the order {_ORDER[thirds]} (or shift the currents')")
-    what = "The phases of the voltages seem to be in another order than those of the currents"
-    return "phases_shifted", what, " and ".join(remedies)
+    remedy: dict[str, Value] = {"remedy": " and ".join(remedies)} if remedies else {}
+    return ("phases_shifted", {"order": _ORDER[thirds], **remedy}) if thirds else ("current_sign", remedy)
 
 
-def _of_angle(over: int, under: int) -> tuple[str, str, str]:
+def _of_angle(over: int, under: int) -> tuple[str, dict[str, Value]]:
     """Describe an angle that must be multiplied by a fraction."""
     if (over, under) == (-1, 1):
-        what = (
-            "The angle seems to run against the order of the phases (clockwise encoder, or two phases swapped in "
-            "currents and voltages alike)"
-        )
-        remedy = "change the sign of angle and speed (angle_scale and speed_scale of -1), or exchange the phases"
-        return "direction", what, remedy
-    against, sign = (" and against the order of the phases", ", with the opposite sign") if over < 0 else ("", "")
-    over = abs(over)
+        return "direction", {}
+    against, over = over < 0, abs(over)
     if under == 1:
-        what = f"The angle seems to be mechanical{against}, of a machine with {over} pole pairs"
-        remedy = f"set mechanical: true and pole_pairs: {over}, or multiply the pole pairs given by {over}{sign}"
-        return "pole_pairs", what, remedy
-    example = _example(under)
-    what = f"The pole pairs seem to be wrong{against}: the electrical angle runs {over}/{under} times as fast as given"
-    remedy = f"multiply them by {over}/{under} ({over * example} instead of {under * example}, say){sign}"
-    return "pole_pairs", what, remedy
+        return "pole_pairs", {"over": over, "against": against}
+    example = max(1, 8 // under)
+    examples = {"right": over * example, "wrong": under * example}
+    return "pole_pairs.ratio", {"over": over, "under": under, "against": against, **examples}
 
 
-def _example(divisor: int) -> int:
-    return max(1, 8 // divisor)
-
-
-def percent(share: float) -> str:
-    """Write a share in percent with two digits."""
-    return f"{100 * share:.2g}" if share < 0.095 else f"{100 * share:.0f}"
-
-
-def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Finding | None:
+def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
     """Return a finding if the voltages are many samples early or late; None if a shift explains no more."""
     delays = tuple(float(delay) for delay in range(-_LATE, _LATE + 1))
     shifted = rough_fit(runs, delays=delays)
     if shifted is None or shifted.unexplained > _SHIFTED * declared.unexplained or abs(shifted.delay) <= max(DELAYS):
         return None
     late = shifted.delay * float(np.median([run.period for run in runs]))
-    return Finding(
-        "time_shift",
-        f"The voltages seem to act {shifted.delay:+.0f} samples ({1e3 * late:+.3g} ms) later than logged: a rough "
-        f"model then leaves {percent(shifted.unexplained)} % of them unexplained instead of "
-        f"{percent(declared.unexplained)} %, so correct their stamps (stamp_offset in the signals file).",
-        {
-            "delay": shifted.delay,
-            "unexplained": declared.unexplained,
-            "unexplained_corrected": shifted.unexplained,
-        },
-    )
+    return Message("time_shift", delay=shifted.delay, late=late, **_compared(declared, shifted))
 
 
-def _unexplained(declared: RoughFit) -> Finding:
-    return Finding(
-        "unexplained",
-        f"A rough model leaves {percent(declared.unexplained)} % of the voltage unexplained, and no order of phases, "
-        "sign, direction or number of pole pairs explains more: check that currents, voltages and angle are of one "
-        "drive and of the same time, and their scales.",
-        {"unexplained": declared.unexplained},
-        "error",
-    )
-
-
-def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Finding]:
+def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Message]:
     """Yield an angle offset too large for method full to correct, unless a shift in time explains more."""
     offset = _offset_of(fit, i_max)
     reluctance = abs(fit.magnet) < _WEAK_MAGNET * fit.inductance * i_max
@@ -345,14 +278,7 @@ def _offset(runs: Sequence[Excerpt], i_max: float, fit: RoughFit) -> Iterator[Fi
             return
     if abs(offset) < _LEAST_OFFSET:
         return
-    yield Finding(
-        "angle_offset",
-        f"The machine's d axis lies {np.rad2deg(offset):+.0f} degrees electrical"
-        + (" (or so many and a multiple of 90)" if reluctance else "")
-        + f" from that of the angle given: add {offset:+.3f} rad to the angle (angle_offset in the signals file), "
-        "unless the axes were chosen so.",
-        {"angle_offset": offset, "unexplained": fit.unexplained},
-    )
+    yield Message("angle_offset", angle_offset=offset, unexplained=fit.unexplained, reluctance=reluctance)
 
 
 def _offset_of(fit: RoughFit, i_max: float) -> float:
@@ -375,25 +301,17 @@ def _offset_of(fit: RoughFit, i_max: float) -> float:
     return by_saliency
 
 
-def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Finding]:
+def _decimation(fit: RoughFit, runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield the sign of a decimated log (every n-th sample): voltages early by (n - 1)/(2 n) samples."""
     turn = float(np.sqrt(np.mean(np.concatenate([run.speed * run.sample_period for run in runs]) ** 2)))
     early = _DECIMATED[0] <= fit.delay <= _DECIMATED[1] and fit.without_delay > _DECIMATED_SHARE * fit.unexplained
     rate = 1 / max(run.sample_period for run in runs)
     if turn > _DECIMATED_TURN and (early or rate < _SLOW_RATE):
-        why = "inverters rarely switch that slowly"
-        if early:
-            why = f"the voltages seem to act {-fit.delay:.2g} samples early, as where only every n-th sample was logged"
-        yield Finding(
-            "decimated",
-            f"The log has {1e-3 * rate:.4g} kHz and the rotor turns by {np.rad2deg(turn):.3g} degrees electrical per "
-            f"sample, and {why}: log every PWM period, or set decimation: n for the voltages (signals file) if the log "
-            "holds every n-th sample.",
-            {"delay": fit.delay, "turn": turn, "rate": rate},
-        )
+        wording = "decimated.early" if early else "decimated"
+        yield Message(wording, delay=fit.delay, early=-fit.delay, turn=turn, rate=rate)
 
 
-def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield the part, not at rest, whose voltages are explained far worse than those of all others, at one speed."""
     count = [round(_PART / run.sample_period) for run in runs]
     parts = [run.part(at, at + n) for run, n in zip(runs, count, strict=True) for at in range(0, len(run) - n + 1, n)]
@@ -406,9 +324,4 @@ def _outliers(fit: RoughFit, runs: Sequence[Samples], i_max: float) -> Iterator[
     usual, share = float(np.median(left)), float(np.sqrt(left[worst] / max(square.mean(), 1e-300)))
     if left[worst] > _OUTLYING * usual and share > _LEAST_OUTLYING:
         at = 0.5e-9 * float(parts[worst].stamp[0] + parts[worst].stamp[-1] - 2 * runs[0].stamp[0])
-        yield Finding(
-            "outlier",
-            f"The samples around {at:.1f} s stand out from all others, with {np.sqrt(left[worst] / usual):.0f} times "
-            "their unexplained voltage: check angle, voltages and currents there.",
-            {"time": at, "share": share},
-        )
+        yield Message("outlier", time=at, share=share, times=np.sqrt(left[worst] / usual))

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.types import Finding, Samples
+from drive_id.messages import Message
+from drive_id.types import Samples
 
 _PERIODS = (5e-7, 0.02)
 """Shortest and longest plausible sample period, s."""
@@ -29,21 +30,15 @@ _FACTOR_TOLERANCE, _UNEXPLAINED_SPEED = 0.02, 0.01
 _RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
 
 
-def time_findings(periods: Sequence[float]) -> Iterator[Finding]:
+def time_findings(periods: Sequence[float]) -> Iterator[Message]:
     """Yield implausible sample periods, s."""
     for period in periods:
         if not _PERIODS[0] <= period <= _PERIODS[1]:
-            yield Finding(
-                "sample_period",
-                f"The samples are {period:.3g} s apart ({1e-3 / period:.3g} kHz), which no drive is: give "
-                "sample_period in seconds, and the unit of the stamps (stamp_unit in the signals file).",
-                {"sample_period": period},
-                "error",
-            )
+            yield Message("sample_period", sample_period=period, rate=1 / period)
             return
 
 
-def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
+def unit_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield an angle that is not in radians, detected from the step by which it wraps."""
     steps = [np.diff(run.angle) for run in runs]
     angles = np.concatenate([run.angle for run in runs])
@@ -66,19 +61,12 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
         yield _in_unit("degrees", 360.0, f"advances {moved / expected:.4g} times as fast as its speed says")
 
 
-def rotation_finding(ratio: float) -> Finding:
+def rotation_finding(ratio: float) -> Message:
     """Return the finding for an angle that advances at ``ratio`` times its speed."""
-    meaning = _ratio_meaning(ratio)
-    return Finding(
-        "angle_speed",
-        f"The resolver's angle advances {ratio:.3f} times as fast as its speed says{meaning}: give both in electrical "
-        "radians (set the pole pairs or the scale in the signals file) and with the same sign.",
-        {"ratio": ratio},
-        "error",
-    )
+    return Message("angle_speed", ratio=ratio, meaning=_ratio_meaning(ratio) or None)
 
 
-def standstill_finding(turned: float, travelled: float) -> Finding:
+def standstill_finding(turned: float, travelled: float) -> Message:
     """Return the finding for a rotor that stays within one revolution.
 
     Parameters
@@ -89,18 +77,9 @@ def standstill_finding(turned: float, travelled: float) -> Finding:
         Way there and back, electrical, rad.
     """
     revolutions = turned / (2 * np.pi)
-    if turned < _LEAST_SWING or travelled < _SWINGING * turned:
-        message = (
-            f"The machine turned by only {revolutions:.2f} electrical revolutions: without speed its flux induces no "
-            "voltage, so record while it turns."
-        )
-    else:
-        message = (
-            f"The shaft swings within {revolutions:.2f} electrical revolutions, where rotor-position harmonics cannot "
-            "be told from the mean map and a constant flux induces no voltage: let it creep (set mean_speed), so that "
-            "ten revolutions or more pass, or swing it more slowly, with more inertia."
-        )
-    return Finding("standstill", message, {"turned": turned, "travelled": travelled}, "error")
+    swings = turned >= _LEAST_SWING and travelled >= _SWINGING * turned
+    wording = "standstill.swing" if swings else "standstill"
+    return Message(wording, turned=turned, travelled=travelled, revolutions=revolutions)
 
 
 def speed_lag(runs: Sequence[Samples]) -> float:
@@ -140,29 +119,20 @@ def _slow_spectra(run: Samples) -> tuple[ComplexArray, ComplexArray, ComplexArra
     return np.asarray(2j * np.pi * frequency[slow]), both[0], both[1]
 
 
-def motion_findings(runs: Sequence[Samples]) -> Iterator[Finding]:
+def motion_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield coarse or held angles and a drifting speed."""
     turns = np.concatenate([run.speed * run.sample_period for run in runs])
     turn = float(np.sqrt(np.mean(turns**2)))
     if turn > _COARSE_TURN:
-        yield Finding(
-            "coarse_sampling",
-            f"The rotor turns by {np.rad2deg(turn):.0f} degrees electrical per sample: log more samples per second, or "
-            "record at a lower speed.",
-            {"turn": turn},
-        )
+        yield Message("coarse_sampling", turn=turn)
     steps = np.concatenate([np.diff(run.angle) for run in runs])
     held = steps == 0
     if held.mean() > _HELD_SHARE and not held.all() and float(np.median(np.abs(steps[~held]))) > _HELD_STEP:
-        yield Finding(
-            "held_angle",
-            f"The angle changes with every {1 / (1 - held.mean()):.2g}th sample only: log it as often as the currents.",
-            {"share": float(held.mean())},
-        )
+        yield Message("held_angle", share=held.mean(), every=1 / (1 - held.mean()))
     yield from _drift(runs)
 
 
-def _drift(runs: Sequence[Samples]) -> Iterator[Finding]:
+def _drift(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield a steady change of speed over the recording, larger than noise and smaller than an intended one."""
     speed = np.array([float(run.speed.mean()) for run in runs])
     if len(runs) < _DRIFT_PARTS or not speed.all():
@@ -177,31 +147,20 @@ def _drift(runs: Sequence[Samples]) -> Iterator[Finding]:
     )  # steps between runs are not drift
     steady = rest < (1 - _DRIFT_FIT) * float(np.sum((speed - middle) ** 2)) and 0.5 < expected / (drift or 1.0) < 2
     if steady and _DRIFT[0] < abs(drift / middle) < _DRIFT[1]:
-        yield Finding(
-            "speed_drift",
-            f"The speed drifts by {100 * drift / abs(middle):+.1f} % over the recording: hold it constant, or step it, "
-            "so that heat and speed do not change together.",
-            {"drift": drift / abs(middle)},
-        )
+        yield Message("speed_drift", drift=drift / abs(middle))
 
 
-def _in_unit(name: str, unit: float, why: str) -> Finding:
+def _in_unit(name: str, unit: float, why: str) -> Message:
     short = {"degrees": "deg", "revolutions": "rev"}.get(name)
-    scale = 2 * np.pi / unit
-    remedy = f"set angle_unit: {short} in the signals file" if short else f"set angle_scale to {scale:.6g}"
-    return Finding(
-        "angle_unit",
-        f"The angle {why}, so it is in {name} and not in radians: {remedy}, or multiply it by {scale:.6g}.",
-        {"factor": scale},
-        "error",
-    )
+    wording = "angle_unit" if short else "angle_unit.scale"
+    return Message(wording, factor=2 * np.pi / unit, unit=name, unit_short=short, why=why)
 
 
 def _ratio_meaning(ratio: float) -> str:
     """Return a clause with the likely cause of a ratio of both speeds; empty if there is none."""
     against = " counted the other way" if ratio < 0 else ""
     if abs(ratio + 1) < 0.02:
-        return ", as if one of them counted the other way"
+        return "one of them counted the other way"
     meanings = [(1 / _DEGREE, "the angle were in degrees"), (_DEGREE, "the speed were in degrees per second")]
     meanings += [(10.0**power, "the unit of the time were wrong") for power in (-9, -6, -3, 3, 6, 9)]
     for count in range(2, _MOST_POLE_PAIRS):
@@ -215,5 +174,5 @@ def _ratio_meaning(ratio: float) -> str:
     for number, (value, meaning) in enumerate(meanings):
         tolerance = _DEGREES_MEANT if number == 0 else _MEANT  # degrees may have been wrapped as if in radians
         if abs(abs(ratio) / value - 1) < tolerance:
-            return f", as if {meaning}{against}"
+            return f"{meaning}{against}"
     return ""

@@ -14,7 +14,8 @@ import numpy as np
 
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.largest import Largest
-from drive_id.types import Finding, FloatArray, Samples
+from drive_id.messages import Message
+from drive_id.types import FloatArray, Samples
 
 _KEPT = 1 << 14
 _USUAL, _FACTOR = 0.999, 4.0
@@ -64,7 +65,7 @@ class SingleSamples:
             self._scan(*parts)
             self._last = tuple(part[-_BEFORE:].copy() for part in parts)
 
-    def findings(self, usual: float) -> Iterator[Finding]:
+    def findings(self, usual: float) -> Iterator[Message]:
         """Yield a finding for the currents and one for the angle, if samples of theirs stand out.
 
         Parameters
@@ -76,22 +77,11 @@ class SingleSamples:
         found = self._standing_out(self._currents, _LEAST_CURRENT * usual)
         found = found[~np.isin(found[:, 2], of_angle[:, 2])]  # a wrong angle turns the currents of its sample
         if len(found):
-            worst = found[found[:, 0].argmax()]
-            yield Finding(
-                "single_sample",
-                f"{_count(len(found))} of the currents, in phase {'abc'[int(worst[3])]} at {worst[2]:.6f} s, is "
-                f"{worst[0]:.3g} A off its neighbours, as a flipped bit would be, and distorts the map: cut it out, or "
-                "record again.",
-                {"samples": len(found), "time": float(worst[2]), "size": float(worst[0])},
-            )
+            size, _, at, phase = found[found[:, 0].argmax()]
+            yield _standing_out("current", len(found), at, size, phase)
         if len(of_angle):
-            worst = of_angle[of_angle[:, 0].argmax()]
-            yield Finding(
-                "single_sample",
-                f"{_count(len(of_angle))} of the resolver's angle, at {worst[2]:.6f} s, is {worst[0]:.3g} rad off its "
-                "neighbours, as a flipped bit would be, and distorts the map: cut it out, or record again.",
-                {"samples": len(of_angle), "time": float(worst[2]), "size": float(worst[0])},
-            )
+            size, _, at, *_ = of_angle[of_angle[:, 0].argmax()]
+            yield _standing_out("angle", len(of_angle), at, size)
 
     def _scan(self, i_dq: FloatArray, i_abc: FloatArray, angle: FloatArray, time: FloatArray) -> None:
         count = len(angle) - _BEFORE
@@ -112,8 +102,9 @@ class SingleSamples:
         return found if len(found) < _MOST_SHARE * bends.count else rows[:0]
 
 
-def _count(samples: int) -> str:
-    return "A sample" if samples == 1 else f"{samples} single samples stand out: the one"
+def _standing_out(signal: str, samples: int, time: float, size: float, phase: float | None = None) -> Message:
+    several = samples > 1
+    return Message(f"single_sample.{signal}", samples=samples, several=several, time=time, size=size, phase=phase)
 
 
 @compiled("const f8[:, ::1], const f8[:, ::1], const f8[::1], f8[:, ::1], f8[:, ::1]")

@@ -8,7 +8,8 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.checks.balance import Excerpt, rough_fit
-from drive_id.types import Finding, FloatArray, Samples
+from drive_id.messages import Message
+from drive_id.types import FloatArray, Samples
 
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
 _LEAST_DROP = 0.15
@@ -31,7 +32,7 @@ _MOST_REVERSING = 2
 _HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))
 
 
-def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield findings on the phases.
 
     Parameters
@@ -43,12 +44,7 @@ def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding
     """
     i_abc, u_abc = (np.concatenate([getattr(run, name) for run in runs]) for name in ("i_abc", "u_abc"))
     if not np.abs(frames.space_vector(u_abc)).max() > 0:
-        yield Finding(
-            "no_voltage",
-            "The commanded voltages are zero or equal in all phases: check their fields and scales.",
-            {},
-            "error",
-        )
+        yield Message("no_voltage")
         return
     duty_cycles = [*_duty_cycles(runs, u_abc, i_max)]
     yield from duty_cycles or _voltage_scale(u_abc)
@@ -63,7 +59,7 @@ def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Finding
     yield from _offsets(runs, i_max)
 
 
-def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> Iterator[Finding]:
+def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> Iterator[Message]:
     low, high = float(u_abc.min()), float(u_abc.max())
     if max(-low, high) > _LARGEST_DUTY:
         return
@@ -71,17 +67,10 @@ def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> It
     drop = 0.0 if fit is None else fit.resistance * i_max
     if low >= 0 or drop < _LEAST_DROP:
         factor = "u_dc" if low >= 0 else "u_dc / 2"
-        yield Finding(
-            "duty_cycles",
-            f"The voltages lie between {low:.3g} and {high:.3g} V and drop {drop:.2g} V across the resistance at "
-            f"{i_max:.3g} A: they are duty cycles, so scale them by the DC-link voltage (scale: {factor} in the "
-            "signals file).",
-            {"low": low, "high": high, "resistive_voltage": drop},
-            "error",
-        )
+        yield Message("duty_cycles", low=low, high=high, resistive_voltage=drop, i_max=i_max, factor=factor)
 
 
-def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield currents far from their references, or of implausible size."""
     product = reference_square = current_square = 0.0
     for run in runs:
@@ -96,40 +85,28 @@ def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
         gain = product / reference_square
         correlation = product / np.sqrt(reference_square * current_square)
         if correlation > _LEAST_CORRELATION and not 1 / _SAME_SCALE < gain < _SAME_SCALE:
-            yield Finding(
-                "current_scale",
-                f"The currents are {gain:.4g} times their references: check the scale of both{_unit_of(gain)}.",
-                {"gain": gain},
-            )
+            yield Message("current_scale", gain=gain, unit=_unit_of(gain) or None)
             return
     if not _CURRENTS[0] < i_max < _CURRENTS[1]:
         unit = "mA" if i_max > 1 else "kA or per unit"
-        yield Finding(
-            "current_scale",
-            f"The currents reach {i_max:.3g} A: check whether they are in {unit}, and set their scale.",
-            {"i_max": i_max},
-        )
+        yield Message("current_scale.size", i_max=i_max, unit=unit)
 
 
-def _voltage_scale(u_abc: FloatArray) -> Iterator[Finding]:
+def _voltage_scale(u_abc: FloatArray) -> Iterator[Message]:
     """Yield voltages too large for volts; too small ones look like duty cycles."""
     largest = float(np.quantile(np.abs(u_abc), _USUAL))
     if largest > _LARGEST_VOLTAGE:
-        yield Finding(
-            "voltage_scale",
-            f"The voltages reach {largest:.3g} V: check whether they are in mV, and set their scale.",
-            {"largest": largest},
-        )
+        yield Message("voltage_scale", largest=largest)
 
 
 def _unit_of(gain: float) -> str:
-    for value, text in ((1e3, " (mA for A)"), (1e-3, " (kA for A)"), (np.sqrt(0.5), " (rms for peak)")):
+    for value, text in ((1e3, "mA for A"), (1e-3, "kA for A"), (np.sqrt(0.5), "rms for peak")):
         if abs(gain / value - 1) < 0.1:
             return text
-    return " (per unit for A)" if gain < 0.1 else ""
+    return "per unit for A" if gain < 0.1 else ""
 
 
-def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Finding]:
+def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Message]:
     """Yield phase currents whose sum is not zero, with the phase that does not match the others."""
     total = i_abc.sum(axis=1)
     rms = float(np.sqrt(np.mean(total**2)))
@@ -137,34 +114,22 @@ def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Finding]:
         return
     size, vectors = np.linalg.eigh(i_abc.T @ i_abc / len(i_abc))
     weight = vectors[:, 0]
-    said, values = "", {"zero_sequence": rms}
+    values: dict[str, float] = {"zero_sequence": rms}
     if size[0] < 0.1 * float(np.mean(total**2)) / 3:
         phase = int(np.abs(weight - np.median(weight)).argmax())
         one, other = np.delete(weight, phase)
         mean = 0.5 * (one + other)
         if abs(one - other) < _ODD_PHASE * abs(mean - weight[phase]) and weight[phase]:
-            values["gain"] = gain = float(mean / weight[phase])
-            if abs(gain + 1) < _REVERSED:
-                yield Finding(
-                    "phase_reversed",
-                    f"The current of phase {'abc'[phase]} is reversed, for the phase currents sum to {rms:.3g} A "
-                    "rms, and to zero with its sign changed: change its sign (scale in the signals file).",
-                    values,
-                    "error",
-                )
+            values |= {"gain": mean / weight[phase], "phase": phase}
+            if abs(values["gain"] + 1) < _REVERSED:
+                yield Message("phase_reversed.sum", **values)
                 return
-            said = f", as phase {'abc'[phase]} reads {gain:.3g} times too much"
     if abs(total.mean()) > 0.7 * rms:
-        said = f", {total.mean():.3g} A of it constant"
-    yield Finding(
-        "zero_sequence",
-        f"The phase currents sum to {rms:.3g} A rms instead of zero{said}: check gains and offsets of the current "
-        "sensors.",
-        values,
-    )
+        values = {"zero_sequence": rms, "constant": total.mean()}
+    yield Message("zero_sequence", **values)
 
 
-def _stuck(runs: Sequence[Samples]) -> Iterator[Finding]:
+def _stuck(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield a phase that holds one value while the others move; not at its limits, where it is clipped."""
     for name, unit, attribute in (("current", "A", "i_abc"), ("voltage", "V", "u_abc")):
         largest = max(float(np.abs(getattr(run, attribute)).max()) for run in runs)
@@ -174,13 +139,7 @@ def _stuck(runs: Sequence[Samples]) -> Iterator[Finding]:
                 continue
             phase, start, count, value = found
             at = float(run.stamp[start] - runs[0].stamp[0]) * 1e-9
-            yield Finding(
-                "phase_stuck",
-                f"The {name} of phase {'abc'[phase]} stays at {value:.4g} {unit} for {count} samples from {at:.4f} s "
-                "on while the others move: check its channel, or cut this part out.",
-                {"phase": phase, "samples": count, "time": at},
-                "error",
-            )
+            yield Message("phase_stuck", phase=phase, samples=count, time=at, value=value, signal=name, unit=unit)
             return
 
 
@@ -198,36 +157,27 @@ def _held_phase(x_abc: FloatArray, largest: float) -> tuple[int, int, int, float
     return None
 
 
-def _quantized(name: str, x_abc: FloatArray) -> Iterator[Finding]:
+def _quantized(name: str, x_abc: FloatArray) -> Iterator[Message]:
     """Yield a phase with few levels."""
     for phase, x in enumerate(x_abc[:: max(1, len(x_abc) // _LEVELS_OF)].T):
         levels = len(np.unique(x))
         if 1 < levels < _FEW_LEVELS and len(x) > 10 * _FEW_LEVELS:
             step = float(np.ptp(x)) / (levels - 1)
-            yield Finding(
-                "phase_quantized",
-                f"The {name} of phase {'abc'[phase]} takes only {levels} values, {step:.3g} {'AV'[name != 'current']} "
-                "apart: log it with more digits.",
-                {"phase": phase, "levels": levels, "step": step},
-            )
+            unit = "A" if name == "current" else "V"
+            yield Message("phase_quantized", phase=phase, levels=levels, step=step, signal=name, unit=unit)
             return
 
 
-def _clipped_currents(i_abc: FloatArray) -> Iterator[Finding]:
+def _clipped_currents(i_abc: FloatArray) -> Iterator[Message]:
     for phase, x in enumerate(i_abc.T):
         for limit in (float(x.max()), float(x.min())):
             share = float(np.mean(np.abs(x - limit) <= _AT_LIMIT * abs(limit)))
             if share > _CLIPPED:
-                yield Finding(
-                    "current_clipped",
-                    f"The current of phase {'abc'[phase]} stays at its limit of {limit:.4g} A in {100 * share:.1f} % "
-                    "of the samples: its sensor saturates, so record with less current or a larger range.",
-                    {"phase": phase, "limit": limit, "share": share},
-                )
+                yield Message("current_clipped", phase=phase, limit=limit, share=share)
                 return
 
 
-def _clipped_voltages(u_abc: FloatArray) -> Iterator[Finding]:
+def _clipped_voltages(u_abc: FloatArray) -> Iterator[Message]:
     u_s = frames.space_vector(u_abc)
     hexagon = np.abs((u_s[:, None] * _HEXAGON).real).max(axis=1)
     kinds = [("amplitude", np.abs(u_s)), ("hexagon", hexagon)]
@@ -236,16 +186,11 @@ def _clipped_voltages(u_abc: FloatArray) -> Iterator[Finding]:
         limit = float(size.max())
         share = float(np.mean(size >= (1 - _AT_LIMIT) * limit))
         if share > _CLIPPED:
-            yield Finding(
-                "voltage_clipped",
-                f"The voltages are at a limit of {limit:.4g} V ({kind}) in {100 * share:.1f} % of the samples: make "
-                "sure that the log holds what the inverter gave, or record at a lower speed.",
-                {"limit": limit, "share": share},
-            )
+            yield Message("voltage_clipped", limit=limit, share=share, of=kind)
             return
 
 
-def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
+def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield constant parts of currents and voltages: means over whole turns of the rotor that agree with each other.
 
     The means are over the angle, so that a turning vector leaves none where the speed changes within a turn. Turns that
@@ -268,16 +213,7 @@ def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Finding]:
         return
     i, u = np.concatenate(means, axis=1)
     u_rms = float(np.sqrt(np.mean([np.mean(np.abs(frames.space_vector(run.u_abc)) ** 2) for run in runs])))
-    for name, x, least, unit in (
-        ("current", i, _CURRENT_OFFSET * i_max, "A"),
-        ("voltage", u, _VOLTAGE_OFFSET * u_rms, "V"),
-    ):
+    for name, x, least in (("current", i, _CURRENT_OFFSET * i_max), ("voltage", u, _VOLTAGE_OFFSET * u_rms)):
         offset, spread = complex(x.mean()), float(x.std())
         if len(x) >= _FEWEST_TURNS and abs(offset) > max(least, _SCATTER * spread / np.sqrt(len(x))):
-            yield Finding(
-                f"{name}_offset",
-                f"The {name}s have a constant part of {abs(offset):.3g} {unit} (alpha {offset.real:.3g}, beta "
-                f"{offset.imag:.3g}): correct the offsets of the current sensors"
-                + ("." if name == "current" else ", or of the voltages."),
-                {"alpha": offset.real, "beta": offset.imag},
-            )
+            yield Message(f"{name}_offset", alpha=offset.real, beta=offset.imag, size=abs(offset))

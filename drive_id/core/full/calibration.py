@@ -15,6 +15,7 @@ from drive_id.core.full.model import CONSTANT, RESISTANCE, SENSOR_ORDERS
 from drive_id.core.full.windows import MOST_DELAY
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
@@ -46,7 +47,7 @@ class Calibration:
     unit : str
     applied : bool
         Whether the signals are corrected by it.
-    sentence : str
+    message : Message
         The finding, and the reason if it was not applied.
     doubtful : bool
         The data contradict this fault, or it is too large to be corrected.
@@ -57,7 +58,7 @@ class Calibration:
     sigma: float
     unit: str
     applied: bool
-    sentence: str
+    message: Message
     doubtful: bool = False
 
 
@@ -93,18 +94,13 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     """
     out = _offsets(fit, i_dq, i_max)
     traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
-    what = "mismatch of the current gains"
     if traced is None:
-        return out + _entries("current_gain_mismatch", "1", what, (np.zeros(2), np.full(2, np.nan)), 1.0, applied=False)
+        return out + _entries("current_gain_mismatch", "1", (np.zeros(2), np.full(2, np.nan)), 1.0, applied=False)
     shown = bool(np.any(np.abs(traced.value) > _SIGNIFICANCE * traced.sigma))
     applied = shown and traced.explained > _LEAST_EXPLAINED
-    entries = _entries("current_gain_mismatch", "1", what, (traced.value, traced.sigma), 1.0, applied=applied)
+    entries = _entries("current_gain_mismatch", "1", (traced.value, traced.sigma), 1.0, applied=applied)
     if shown and not applied:
-        reason = (
-            "The flux has a second harmonic that is no mismatch of the current gains: the voltages' gains differ, the "
-            "resolver is eccentric, or the machine is asymmetric; the harmonic was included in the fit."
-        )
-        entries = [replace(entry, sentence=reason, doubtful=True) for entry in entries]
+        entries = [replace(entry, message=Message("second_harmonic"), doubtful=True) for entry in entries]
     return out + entries
 
 
@@ -124,12 +120,11 @@ def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     resistance = fit.solution.resistance + fit.drop_slope
     offset, sigma_offset = -voltage / resistance, sigma / abs(resistance)
     shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
-    currents = "offset of the measured currents"
     if not shown or _flux_agrees(fit, offset, sigma_offset, i_dq):
-        return _entries("current_offset", "A", currents, (offset, sigma_offset), i_max, applied=shown)
-    none = _entries("current_offset", "A", currents, (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
+        return _entries("current_offset", "A", (offset, sigma_offset), i_max, applied=shown)
+    none = _entries("current_offset", "A", (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
     height = float(np.sqrt(fit.total_voltage)) / fit.duration
-    return none + _entries("voltage_offset", "V", "offset of the voltages", (voltage, sigma), height, applied=True)
+    return none + _entries("voltage_offset", "V", (voltage, sigma), height, applied=True)
 
 
 def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
@@ -153,13 +148,13 @@ def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: Floa
 
 
 def _entries(
-    name: str, unit: str, what: str, found: tuple[FloatArray, FloatArray], size: float, *, applied: bool
+    name: str, unit: str, found: tuple[FloatArray, FloatArray], size: float, *, applied: bool
 ) -> list[Calibration]:
     entries = []
     for axis, x, dx in zip(("alpha", "beta"), *found, strict=True):
-        said = f"The {axis} part of the {what} is {x:.3g} +- {dx:.2g}{'' if unit == '1' else ' ' + unit}"
-        sentence = f"{said} ({100 * abs(x) / size:.2f} %)." if applied else f"No {what} stands out from the noise."
-        entries.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, sentence))
+        values = {"value": x, "sigma": dx, "share": abs(x) / size}
+        said = Message(f"{name}.fit", axis=axis, **values) if applied else Message(f"{name}.none")
+        entries.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, said))
     return entries
 
 
@@ -213,32 +208,22 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
     """Report the delay of the voltages used by the fit."""
     name, used, delay, sigma = "voltage_delay", fit.spec.delay, fit.selection.delay, fit.selection.sigma_delay
     if not wanted:
-        sentence = f"The voltages act {used:g} samples late, as set."
-        return Calibration(name, used, 0.0, "samples", used != 0.0, sentence)
+        return Calibration(name, used, 0.0, "samples", used != 0.0, Message("voltage_delay.set", value=used))
+
+    def entry(value: float, wording: str, *, doubtful: bool = False, **more: float) -> Calibration:
+        said = Message(wording, value=delay, sigma=sigma, **more)
+        return Calibration(name, value, sigma, "samples", fit.spec.reciprocal and used != 0.0, said, doubtful)
+
     if not fit.spec.reciprocal:
-        reason = "A delay of the voltages cannot be estimated from maps that are not reciprocal: none was corrected."
-        return Calibration(name, delay, sigma, "samples", False, reason)
-    found = f"{delay:+.3f} +- {sigma:.3f} samples"
+        return entry(delay, "voltage_delay.not_reciprocal")
     if used == 0.0:
-        reason = f"The voltages act as recorded (delay {found}: not significant, or too small to matter)."
-        return Calibration(name, delay, sigma, "samples", False, reason)
+        return entry(delay, "voltage_delay.none")
     if abs(used) >= MOST_DELAY:
-        sentence = (
-            f"The voltages seem to act {found} later than recorded, at the limit of what can be corrected: align the "
-            "recorded voltages with the currents."
-        )
-        return Calibration(name, used, sigma, "samples", True, sentence, doubtful=True)
+        return entry(used, "voltage_delay.limit", doubtful=True)
     every = 1 / (1 + 2 * used) if -0.5 < used < _DECIMATED else 0.0
     if every > 1:
-        sentence = (
-            f"The voltages seem to act {found} later than recorded, as where only one sample in {max(2, every):.0f} or "
-            "so was logged, a delay of -(n-1)/2n: log every period; this was corrected on average only."
-        )
-        return Calibration(name, used, sigma, "samples", True, sentence, doubtful=True)
-    sentence = (
-        f"The voltages act {found} later than recorded, as the reciprocity of the maps shows; this was corrected."
-    )
-    return Calibration(name, used, sigma, "samples", True, sentence)
+        return entry(used, "voltage_delay.decimated", doubtful=True, every=max(2, every))
+    return entry(used, "voltage_delay")
 
 
 def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> FloatArray:
@@ -283,8 +268,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     """
     name, unit = "resolver_offset", "rad"
     if len(i_dq) < _FEWEST_MIRRORED:
-        reason = "An offset of the angle cannot be estimated without currents of both signs of i_q."
-        return Calibration(name, 0.0, float("nan"), unit, False, reason)
+        return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
     mirror = np.array([1.0, -1.0])
 
     def sides(angle: float) -> list[tuple[FloatArray, BasisRows]]:
@@ -321,15 +305,10 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
     asymmetry = float(np.sqrt(np.mean(difference(angle) ** 2))) / size
-    degrees = f"{np.rad2deg(angle):+.4f} +- {np.rad2deg(sigma):.4f} degrees"
-    if asymmetry > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
-        reason = (
-            f"No angle makes the map mirror-symmetric ({100 * asymmetry:.1f} % are left at {degrees}): the machine is "
-            "asymmetric, or the angle is far off, so the angle was not corrected."
-        )
-        return Calibration(name, angle, sigma, unit, False, reason)
-    sentence = f"The measured angle is {degrees} too large, as the mirror symmetry shows; this was corrected."
-    return Calibration(name, angle, sigma, unit, True, sentence)
+    symmetric = bool(asymmetry <= _LARGEST_ASYMMETRY and abs(angle) <= 0.98 * _LARGEST_ANGLE)
+    wording = "resolver_offset" if symmetric else "resolver_offset.asymmetric"
+    said = Message(wording, value=angle, sigma=sigma, asymmetry=asymmetry)
+    return Calibration(name, angle, sigma, unit, symmetric, said)
 
 
 @one_blas_thread(with_scipy=True)

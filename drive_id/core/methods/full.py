@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate,
 from drive_id.core.methods.paper import regression_sums
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
+from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE, _FINEST, _DENSITY = 72, 200, 2
@@ -47,8 +48,9 @@ _LARGE_SIGMA = 0.01
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
-_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy=", or set passive_maps", impossible=True)
-_COMPENSATION = "The drive compensates its inverter with currents measured earlier: the remaining drop was fitted, too."
+_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
+_FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
+"""Share of the disc with data below which more of it helps most, and share without data up to which it is whole."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,7 @@ class FullMethod:
         assert evidence.windows is not None
         information = evidence.windows.finished()
         if information.windows < information.model.flux.parameters:
-            raise DataError(
-                f"The recordings give {information.windows} windows, fewer than the unknowns of method full: record "
-                "longer, or choose method joint."
-            )
+            raise DataError(Message("few_windows", windows=information.windows))
         fit = fit_full(
             information,
             evidence.settings,
@@ -94,12 +93,8 @@ class FullMethod:
             angle_variance=evidence.angle_variance,
         )
         if fit.jump is not None:
-            direction = "later" if fit.jump.later else "earlier"
-            raise DataError(
-                f"The voltages act {direction} from {fit.jump.time:.2f} s of recording {fit.jump.recording + 1} on "
-                "(gaps not counted): the log lost or doubled samples of one signal there; fit what comes before and "
-                "after as separate recordings."
-            )
+            jump = fit.jump
+            raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
@@ -147,11 +142,7 @@ class FullMethod:
             harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=(
-                *_statements(evidence, fit, inside, found),
-                *_on_free_maps(fit, information),
-                *_on_fine_cells(fit, information),
-            ),
+            statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
             fit=earlier,
             error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
@@ -310,148 +301,92 @@ def _error_modes(
     )
 
 
-def _on_map(evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray) -> tuple[str, ...]:
-    """Return warnings of the windows and of the standard errors of the flux map."""
-    misfit = misfit_warning(fit)
-    warnings = [misfit] if misfit else []
+def _on_map(
+    evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
+) -> Iterator[Message]:
+    """Yield warnings of the windows and of the standard errors of the flux map."""
+    if misfit := misfit_warning(fit):
+        yield misfit
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
     if fit.turn < _LEAST_TURN * share * WINDOW_ANGLE and fit.duration > _LEAST_TURN * share * LONGEST_WINDOW:
-        warnings.append(
-            f"The rotor turns by only {np.rad2deg(fit.turn):.0f} degrees electrical while a window lasts, so the "
-            "effect of voltage errors exceeds the stated standard errors: record at a higher speed."
-        )
+        yield Message("slow_rotation", turn=fit.turn)
     grid = evidence.visits.grid()
     chosen = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if chosen.any():
         uncertain = sigma[chosen].max(axis=1) > _LARGE_SIGMA * np.abs(psi[chosen]).max()
         if uncertain.mean() > _FEW_POINTS:
             d, q = grid[chosen][uncertain].mean(axis=0)
-            warnings.append(
-                f"The flux has a standard error above {100 * _LARGE_SIGMA:.0f} % at {uncertain.sum()} of "
-                f"{chosen.sum()} points, on average at i_d = {d:.3g} A, i_q = {q:.3g} A: record longer, or more there."
-            )
+            points, of = uncertain.sum(), chosen.sum()
+            yield Message("sigma_large", points=points, of=of, limit=_LARGE_SIGMA, i_d=d, i_q=q)
     if fit.shared_resistance >= _large_share(fit):
-        warnings.append(f"{_on_wide_curve(fit)} If R alone matters, measure it with direct current.")
-    return tuple(warnings)
+        yield Message("wide_curve.large", shared=fit.shared_resistance)
 
 
-def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Calibration]) -> tuple[str, ...]:
-    """Return warnings of sensor faults and of maps that are not reciprocal."""
-    warnings = [c.sentence for c in calibrations if c.name == "resolver_offset" and not c.applied]
+def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
+    """Yield warnings of sensor faults and of maps that are not reciprocal."""
+    yield from (c.message for c in calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
-        warnings.append(not_reciprocal_warning(fit))
-    warnings += dict.fromkeys(c.sentence for c in calibrations if c.doubtful)
+        yield not_reciprocal_warning(fit)
+    yield from dict.fromkeys(c.message for c in calibrations if c.doubtful)
     for c in calibrations:
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
         if c.name.startswith(("current_offset", "current_gain")) and c.applied and abs(c.value) > largest:
-            warnings.append(f"{c.sentence} This is large: check the sensor.")
-    return tuple(warnings)
+            yield Message(f"{c.message.code}.large", **c.message.values)
 
 
 def _statements(
     evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
-) -> tuple[str, ...]:
-    """Say what determined the unknowns that the data alone leave open, where data are missing, and what helps most."""
+) -> Iterator[Message]:
+    """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     several = several_speeds(fit.speeds)
     relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
-    by = (
-        "the different speeds"
-        if several
-        else "the reciprocity of the maps"
-        if fit.spec.reciprocal
-        else "the changes of the currents alone"
-    )
-    if not several:
-        advice = "a second recording at another speed, ideally in the other direction"
-    elif inside.mean() < 0.5 * np.pi / 4:
-        advice = "a trajectory that fills the current disc"
-    else:
-        advice = "a longer recording: all standard errors fall with the square root of its duration"
-    return (
-        (
-            f"Resistance and the rotation of the flux map are separated by {by}; the standard error of the resistance "
-            f"is {100 * relative:.2g} %."
-        ),
-        (
-            "The resistance includes the part of the inverter's drop that is linear over the whole current range; the "
-            "inverter curve is the rest, flat at large currents."
-        ),
-        "A common gain error of all currents or all voltages scales the result and cannot be detected in these data.",
-        *([_COMPENSATION] if fit.spec.lag else []),
-        *([_on_crossings(fit)] if fit.crossings > 1 else []),
-        *([_on_wide_curve(fit)] if 0 < fit.shared_resistance < _large_share(fit) else []),
-        *dict.fromkeys(c.sentence for c in calibrations),
-        _on_harmonics(fit),
-        _on_region(evidence, inside),
-        f"What would help most: {advice}.",
-    )
-
-
-def _on_crossings(fit: FullFit) -> str:
-    return (
-        f"Near zero crossings of the phase currents the residuals are {fit.crossings:.2g} times as large as current "
-        "noise explains, as with a dead time that is not short against the ripple: the map rests on what lies between "
-        "the crossings, and the inverter curve near zero current is a mean."
-    )
+    by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
+    yield Message(f"separation{by}", share=relative)
+    yield Message("linear_drop")
+    yield Message("common_gain")
+    if fit.spec.lag:
+        yield Message("compensation_lags")
+    if fit.crossings > 1:
+        yield Message("zero_crossings", ratio=fit.crossings)
+    if 0 < fit.shared_resistance < _large_share(fit):
+        yield Message("wide_curve", shared=fit.shared_resistance)
+    yield from dict.fromkeys(c.message for c in calibrations)
+    orders = ", ".join(str(order) for order in fit.spec.orders if order > max(SENSOR_ORDERS))
+    yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
+    yield _on_region(evidence, inside)
+    few = inside.mean() < _FEW_COVERED * np.pi / 4
+    yield Message("second_speed" if not several else "cover_disc" if few else "record_longer")
 
 
 def _large_share(fit: FullFit) -> float:
     return _LARGE_SHARE * abs(fit.solution.resistance)
 
 
-def _on_wide_curve(fit: FullFit) -> str:
-    return (
-        "The inverter's drop still bends at large currents, where it resembles a resistance: depending on the shape of "
-        f"its curve, {1e3 * fit.shared_resistance:.2g} mOhm belong to R or to the drop; their sum is not affected, and "
-        "the standard errors include this."
-    )
+def _on_effort(fit: FullFit, sums: WindowSums) -> Iterator[Message]:
+    """Yield for which share of the windows free maps or fine cells were used."""
+    windows, cells = fit.selection.search.sums.windows, fit.model.resolution
+    used = None if windows == sums.windows else windows
+    if not fit.spec.reciprocal and used:
+        yield Message("free_maps", used=used, windows=sums.windows)
+    if cells.finer_than_usual:
+        yield Message(
+            "fine_cells",
+            usual=FLUX_CELLS,
+            cells_d=len(cells.d) - 1,
+            cells_q=len(cells.q) - 1,
+            width=min(np.diff(cells.d).min(), np.diff(cells.q).min()),
+            used=used,
+            windows=sums.windows,
+        )
 
 
-def _on_free_maps(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
-    used = fit.selection.search.sums.windows
-    if fit.spec.reciprocal or used == sums.windows:
-        return ()
-    return (
-        (
-            f"The free maps were fitted to {used} of {sums.windows} windows, evenly spread over the recordings: set "
-            "maps to free to use all."
-        ),
-    )
-
-
-def _on_fine_cells(fit: FullFit, sums: WindowSums) -> tuple[str, ...]:
-    """Say that fine cells were used, and for which share of the windows."""
-    cells = fit.model.resolution
-    if not cells.finer_than_usual:
-        return ()
-    used = fit.selection.search.sums.windows
-    some = "" if used == sums.windows else f", from {used} of {sums.windows} windows spread evenly over the recordings"
-    return (
-        (
-            f"The map has finer detail than the usual {FLUX_CELLS} spline cells per axis can resolve: it was fitted "
-            f"with {len(cells.d) - 1} cells along i_d and {len(cells.q) - 1} along i_q, down to "
-            f"{min(np.diff(cells.d).min(), np.diff(cells.q).min()):.2g} A wide{some}."
-        ),
-    )
-
-
-def _on_harmonics(fit: FullFit) -> str:
-    found = [str(order) for order in fit.spec.orders if order > 2]
-    if not found:
-        return "No rotor-position harmonics stand out from the noise."
-    return f"Rotor-position harmonics of orders {', '.join(found)} were identified and separated from the mean map."
-
-
-def _on_region(evidence: Gathered, inside: BoolArray) -> str:
+def _on_region(evidence: Gathered, inside: BoolArray) -> Message:
     grid = evidence.visits.grid()
     disc = np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max
     missing = disc & ~inside
     share = missing.sum() / max(disc.sum(), 1)
-    if share < 0.02:
-        return "The data cover the whole current disc."
+    if share < _WHOLE_DISC:
+        return Message("region.whole")
     d, q = grid[missing][np.hypot(*grid[missing].T).argmin()]
-    return (
-        f"{100 * share:.0f} % of the current disc has no data, nearest to the origin at i_d = {d:.3g} A, "
-        f"i_q = {q:.3g} A; there the map is a smooth continuation."
-    )
+    return Message("region", share=share, i_d=d, i_q=q)

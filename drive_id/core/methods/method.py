@@ -12,7 +12,8 @@ from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.methods.parameters import Parameters
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
-from drive_id.types import BoolArray, Finding, FloatArray, Samples
+from drive_id.messages import Message
+from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
     from drive_id.core.full.fit import EarlierFit
@@ -35,7 +36,7 @@ class Limits(NamedTuple):
     unexplained: float  # share of the voltage that the model leaves
     refused: float  # the same, beyond which there is no map
     mad: float  # mean absolute deviation of the simulated current over i_max
-    remedy: str = ""
+    remedy: str | None = None
     impossible: bool = False  # whether results that no machine can have are refused
 
 
@@ -52,7 +53,7 @@ class Gathered(Protocol):
     information: RegressionSums
     windows: WindowSums | None
     visits: Visits
-    findings: tuple[Finding, ...]
+    findings: tuple[Message, ...]
 
     @property
     def turn(self) -> float:
@@ -120,7 +121,7 @@ class Estimate(Parameters):
         The same, over the rms of all integrated voltages.
     outlying_time : float or None
         Where samples stand out from all others, in time of data, s.
-    warnings : tuple of str
+    warnings : tuple of Message
         Of this method only.
     harmonics : tuple of (int, (D, Q, 2) float, (D, Q, 2) float)
         Order, and amplitudes of cosine and sine, Wb.
@@ -141,7 +142,7 @@ class Estimate(Parameters):
     residual_rms: float
     unexplained: float
     outlying_time: float | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
     fit: EarlierFit | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
 from drive_id.core.validation.current_simulation import typical_inductances
+from drive_id.messages import Message
 from drive_id.origins import JOINT, PSM
 from drive_id.types import BoolArray, FloatArray
 
@@ -109,23 +111,15 @@ class PaperMethod:
 
     def _on_inverter(
         self, evidence: Gathered, solution: Solution, spread: Jackknife, inside: BoolArray
-    ) -> tuple[str, ...]:
+    ) -> Iterator[Message]:
         """Judge the voltage error and the symmetry of the map, which an unmodelled inverter distorts."""
         if not self.inverter:
-            return ()
-        warnings = []
+            return
         if solution.voltage_error < -2 * sigma(spread.voltage_error):
-            warnings.append(
-                f"The voltage error is negative ({solution.voltage_error:.3g} V): check for an over-compensated "
-                "inverter, and that commanded voltages and currents are of the same instant."
-            )
+            yield Message("voltage_error_negative", voltage_error=solution.voltage_error)
         asymmetry = mirror_asymmetry(evidence, solution.gamma, inside)
         if not any(finding.code == "angle_offset" for finding in evidence.findings) and asymmetry > _LARGE_ASYMMETRY:
-            warnings.append(
-                f"The map is {100 * asymmetry:.0f} % off mirror symmetry in i_q: check the angle's offset and the "
-                "order of the phases, unless the machine is asymmetric."
-            )
-        return tuple(warnings)
+            yield Message("mirror_asymmetry", asymmetry=asymmetry)
 
 
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}
@@ -201,15 +195,9 @@ def _outlying_time(blocks: FloatArray, duration: float, solution: Solution) -> f
     return None
 
 
-def _on_noise(evidence: Gathered) -> tuple[str, ...]:
-    if not evidence.noise_share > _LARGE_NOISE:
-        return ()
-    share = 100 * evidence.noise_share
-    sentence = (
-        f"The noise of the currents is large for this speed ({share:.0f} % of the energy that rotation adds) and "
-        "biases the maps: record at a higher speed or with less noise, or use method full."
-    )
-    return (sentence,)
+def _on_noise(evidence: Gathered) -> Iterator[Message]:
+    if evidence.noise_share > _LARGE_NOISE:
+        yield Message("current_noise", share=evidence.noise_share)
 
 
 def mirror_asymmetry(evidence: Gathered, gamma: FloatArray, inside: BoolArray) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
+from drive_id.messages import Message
 from drive_id.types import FloatArray
 
 if TYPE_CHECKING:  # a stored result is read without scipy
@@ -39,7 +40,7 @@ class Parameters:
         Sensor faults and effects of the drive.
     magnet_coefficient : (float, float) or None
         Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
-    statements : tuple of str
+    statements : tuple of Message
         What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
     error_modes : ErrorModes or None
         Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
@@ -58,7 +59,7 @@ class Parameters:
     phase_voltages: FloatArray | None = None
     calibrations: tuple[Calibration, ...] = ()
     magnet_coefficient: tuple[float, float] | None = None
-    statements: tuple[str, ...] = ()
+    statements: tuple[Message, ...] = ()
     error_modes: ErrorModes | None = None
 
     def by_name(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
-from drive_id.core.result.warnings import impossible_sentence, review, unexplained_sentence
+from drive_id.core.result.warnings import because, condemned, review
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
@@ -76,7 +76,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     method = method_named(evidence.settings.method)
     estimate = method.conclude(evidence, inside, earlier.fit if earlier else None)
     if not estimate.unexplained <= method.limits.refused:
-        raise UnexplainedError(unexplained_sentence(evidence, estimate))
+        raise UnexplainedError(because(evidence, "unexplained.fit", unexplained=estimate.unexplained))
     if evidence.settings.monotone:
         estimate = made_monotone(evidence, estimate, inside)
     flux_map = FluxMap(
@@ -93,8 +93,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     else:
         mad, complete, simulated = _mad(validation, estimate)
     judged = mad if complete else (0.0, 0.0)
-    impossible = impossible_sentence(evidence, estimate, flux_map, judged) if method.limits.impossible else None
-    if impossible:
+    if impossible := condemned(evidence, estimate, flux_map, judged, method.limits):
         raise UnexplainedError(impossible)
     report = FitReport(
         samples_read=evidence.samples,

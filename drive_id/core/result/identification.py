@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from drive_id.core.methods.parameters import Parameters
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.messages import Message
 from drive_id.origins import ORIGINS, Origin
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -258,8 +259,7 @@ class FitReport:
         Mean absolute deviation of simulated (open-loop) from measured currents, A; NaN when the simulation diverged.
     coverage : float
         Share of the disc of radius ``i_max`` with data, 0 to 1.
-    warnings : tuple of str
-        Whole sentences.
+    warnings : tuple of Message
     """
 
     samples_read: int
@@ -274,7 +274,7 @@ class FitReport:
     mad_d: float
     mad_q: float
     coverage: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ Nothing measured is differentiated, so neither noise nor the lag of a speed sign
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression, grouped
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, Mechanics
+from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 ORDERS = (6, 12, 18, 24)
@@ -65,8 +66,7 @@ def with_mechanics(
         return drive
     discs = settings.added_inertia
     if discs and len(discs) != len(excerpts):
-        said = "The added inertias were not used, for only some of the recordings are kept: fit these recordings alone."
-        drive, discs = replace(drive, statements=(*drive.statements, said)), ()
+        drive, discs = replace(drive, statements=(*drive.statements, Message("disc_unused"))), ()
     pieces = list(excerpts)
     if drive.calibrations:
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
@@ -284,24 +284,12 @@ def _rows(flux_map: FluxMap, run: Samples, pole_pairs: int, disc: float, width: 
     return np.asarray(np.column_stack(columns)[kept], np.float64)
 
 
-def _statements(found: Mechanics) -> list[str]:
-    said = f"The torque of the map explains {100 * found.explained:.2f} % of the free shaft's motion"
-    out = []
+def _statements(found: Mechanics) -> Iterator[Message]:
+    values = {name: getattr(found, name) for name in ("explained", "inertia", "sigma_inertia", "gain", "sigma_gain")}
     if found.gain is None or found.sigma_gain is None:
-        out.append(
-            f"{said}: its inertia is {found.inertia:.4g} +- {found.sigma_inertia:.2g} kg m^2 if voltages and currents "
-            "have no common gain error; set inertia, or record with and without a disc (added_inertia), to find that."
-        )
-    elif abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN):
-        out.append(
-            f"{said}, and the known inertia confirms the common gain of voltages and currents: {found.gain:.4f} +- "
-            f"{found.sigma_gain:.4f}."
-        )
+        yield Message("motion", **values)
     else:
-        out.append(
-            f"{said}; by the known inertia the true torque is {found.gain:.4f} +- {found.sigma_gain:.4f} of the map's: "
-            f"the gains of voltages and currents are off by {100 * abs(found.gain - 1):.2g} % together."
-        )
+        confirmed = abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN)
+        yield Message("motion.confirmed" if confirmed else "motion.gain", off=abs(found.gain - 1), **values)
     if found.friction is None or found.viscous_friction is None:
-        out.append("The swing does not tell Coulomb from viscous friction: that needs large swings through zero speed.")
-    return out
+        yield Message("friction_open")

@@ -12,6 +12,7 @@ from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
 from drive_id.core.methods.method import Estimate, SimulationModel
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError, UnexplainedError
+from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
@@ -50,7 +51,7 @@ def made_monotone(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> 
         raise UnexplainedError(f"The map cannot be made monotone: {error} Or set monotone to false.") from error
     moved = np.abs(found.psi(i) - psi)
     simulation = _simulation(estimate.simulation, found)
-    statement, warning = _told(i, moved, sigma if known else None, active=found.convexity.active)
+    statement, *warnings = _told(i, moved, sigma if known else None, active=found.convexity.active)
     return replace(
         estimate,
         model=found.space,
@@ -58,7 +59,7 @@ def made_monotone(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> 
         psi=found.psi(grid),
         simulation=simulation,
         positive_definite=lambda points: np.linalg.eigvalsh(found.inductances(points))[:, 0] > 0,
-        warnings=(*estimate.warnings, *([warning] if warning else [])),
+        warnings=(*estimate.warnings, *warnings),
         statements=(*estimate.statements, statement),
     )
 
@@ -70,21 +71,14 @@ def _simulation(known: SimulationModel, found: MonotoneMap) -> SimulationModel:
     return replace(known, model=TensorSpline(d, q), gamma=fitted(found.psi(sites(d, q, 2)), d, q))
 
 
-def _told(i: FloatArray, moved: FloatArray, sigma: FloatArray | None, *, active: bool) -> tuple[str, str | None]:
+def _told(i: FloatArray, moved: FloatArray, sigma: FloatArray | None, *, active: bool) -> list[Message]:
     """Return a statement on moves (N, 2), Wb, at currents (N, 2), and a warning if they contradict the data."""
-    how = "The map was made monotone" if active else "The map was monotone already, and was only made smooth"
-    largest = f"{moved.max():.3g} Wb"
     if sigma is None:
-        return f"{how}; it moved by at most {largest}. Standard errors are unknown, so nothing judges this.", None
+        return [Message("made_monotone", active=active, flux=moved.max())]
     ratio = moved / sigma
     rms, most = float(np.sqrt(np.mean(ratio**2))), float(ratio.max())
-    statement = (
-        f"{how}; it moved by {rms:.2g} standard errors (rms) and at most {most:.2g} standard errors or {largest}."
-    )
-    if most <= _FAR:
-        return statement, None
-    d, q = i[ratio.max(axis=1).argmax()]
-    return statement, (
-        f"Making the map monotone moved it by {most:.2g} standard errors at i_d = {d:.3g} A, i_q = {q:.3g} A: the data "
-        "contradict a monotone map there. Compare with monotone set to false before you use the map."
-    )
+    told = [Message("made_monotone.judged", active=active, flux=moved.max(), ratio=most, ratio_rms=rms)]
+    if most > _FAR:
+        d, q = i[ratio.max(axis=1).argmax()]
+        told.append(Message("moved_by_monotone", ratio=most, i_d=d, i_q=q))
+    return told

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -25,6 +27,7 @@ from drive_id.core.steady.fit import (
 )
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.errors import UnexplainedError
+from drive_id.messages import Message
 from drive_id.origins import STATIC
 from drive_id.types import BoolArray, FloatArray
 
@@ -86,7 +89,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         mad_d=float("nan"),
         mad_q=float("nan"),
         coverage=coverage,
-        warnings=_warnings(fit, coverage, i_max),
+        warnings=tuple(_warnings(fit, coverage, i_max)),
     )
     return IdentifiedDrive(
         method=STATIC.name,
@@ -101,7 +104,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         report=report,
         sigma_inverter_voltage=sigma_drop,
         calibrations=_calibrations(fit),
-        statements=_statements(fit, linear, points),
+        statements=tuple(_statements(fit, linear, points)),
         linear=linear,
     )
 
@@ -111,11 +114,8 @@ def _calibrations(fit: StaticFit) -> tuple[Calibration, ...]:
     if IRON_LOSS not in fit.effects:
         return ()
     value, spread = fit.coefficient(1 + fit.effects.index(IRON_LOSS))
-    sentence = (
-        f"Iron loss is significant and was fitted: 1 / R_c = {value:.3g} ± {spread:.2g} S beside the windings. R does "
-        "not include it."
-    )
-    return (Calibration("iron_loss_conductance", value, spread, "S", True, sentence),)
+    said = Message("iron_loss_conductance.points", value=value, sigma=spread)
+    return (Calibration("iron_loss_conductance", value, spread, "S", True, said),)
 
 
 def supported(fit: StaticFit, axis: FloatArray) -> BoolArray:
@@ -156,110 +156,57 @@ def _refuse(fit: StaticFit) -> None:
     """Refuse a fit that explains too little, or whose fluxes fall with their currents."""
     share = float(np.sqrt(np.mean(fit.residual**2) / np.mean(fit.points.u_dq**2)))
     if share > _REFUSED:
-        raise UnexplainedError(
-            f"The model leaves {100 * share:.0f} % of the voltage unexplained, so there is no valid result: check the "
-            "order and the signs of d and q, the direction of the speed, and that all signals are of the same time."
-        )
+        raise UnexplainedError(Message("unexplained.static", unexplained=share))
     step = 1e-3 * fit.points.i_max
     i_dq = fit.points.i_dq[turning(fit.points)]
     for name, unit, axis in (("d", [step, 0.0], 0), ("q", [0.0, step], 1)):
         rows = (fit.basis.rows(i_dq + unit) - fit.basis.rows(i_dq - np.array(unit)))[:, axis].mean(axis=0) / (2 * step)
         slope, sigma = fit.of(rows)
         if slope < -_WRONG_SIGN * sigma:
-            raise UnexplainedError(
-                f"psi_{name} falls with i_{name} (L_{name} = {slope:.3g} H), which it does in no machine: check the "
-                "order and the signs of d and q, and the direction of the speed."
-            )
+            raise UnexplainedError(Message("falling_flux", axis=name, inductance=float(slope)))
 
 
-def _warnings(fit: StaticFit, coverage: float, i_max: float) -> tuple[str, ...]:
-    warnings = []
+def _warnings(fit: StaticFit, coverage: float, i_max: float) -> Iterator[Message]:
     resistance, sigma = fit.coefficient(0)
     error, sigma_error = fit.coefficient(-1)
     if fit.outlying:
-        warnings.append(
-            f"Operating points left out: {fit.outlying}. They are far from what describes all others: transients, or "
-            "another state of the drive."
-        )
+        yield Message("outlying_points", points=fit.outlying)
     if resistance < -2 * sigma:
-        warnings.append(f"The resistance is negative ({resistance:.4g} ohm): check the signs of currents and voltages.")
+        yield Message("resistance_negative", resistance=resistance, sigma_resistance=sigma)
     if error < -2 * sigma_error:
-        warnings.append(
-            f"The drop of the inverter is negative ({error:.3g} V): the drive over-compensates it, or scales of "
-            "voltage and current do not match."
-        )
+        yield Message("drop_negative", voltage_error=error)
     if fit.misfit > _LARGE_MISFIT:
-        share = float(np.sqrt(np.mean(fit.residual**2) / np.mean(fit.points.u_dq**2)))
-        cause = (
-            "saturation, which inductances cannot describe" if not fit.maps else "temperatures or states that differ"
-        )
-        warnings.append(
-            f"The residuals are {fit.misfit:.3g} times the noise of the points ({100 * share:.2g} % of the voltage): "
-            f"there is more than the model holds, likely {cause}. The standard errors are wider accordingly."
-        )
+        share = np.sqrt(np.mean(fit.residual**2) / np.mean(fit.points.u_dq**2))
+        yield Message("misfit.points", ratio=fit.misfit, share=share, maps=fit.maps)
     if fit.maps and coverage < _FEW_COVERED:
-        warnings.append(
-            f"The points cover {100 * coverage:.0f} % of the disc of {i_max:.4g} A: the map is valid only where "
-            "'inside' says so."
-        )
-    for effect, number in zip(fit.effects, range(1, len(fit.effects) + 1), strict=True):
-        value, spread = fit.coefficient(number)
-        if effect == DELAY:
-            warnings.append(
-                f"The frame of the voltages is behind by {value * 1e6:.3g} ± {spread * 1e6:.2g} us times the speed, "
-                "which was fitted: the drive does not compensate the delay of its voltages in what it logs."
-            )
+        yield Message("little_coverage.points", coverage=coverage, i_max=i_max)
+    if DELAY in fit.effects:
+        delay, spread = fit.coefficient(1 + fit.effects.index(DELAY))
+        yield Message("compensated_late", delay=delay, sigma=spread)
     if fit.asymmetric:
         psi, _ = fit.flux(np.zeros((1, 2)))
-        angle = np.rad2deg(np.arctan2(psi[0, 1], psi[0, 0]))
-        warnings.append(
-            f"The map is not symmetric about the d axis (psi_q is {psi[0, 1]:.3g} Wb at zero current): the angle of d "
-            f"and q is off, by some {angle:.2g} degrees if the magnets are strong, or the machine is asymmetric."
-        )
-    return tuple(warnings)
+        yield Message("mirror_asymmetry.points", flux=psi[0, 1], angle=np.arctan2(psi[0, 1], psi[0, 0]))
 
 
-def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) -> tuple[str, ...]:
+def _statements(fit: StaticFit, linear: LinearMachine, points: OperatingPoints) -> Iterator[Message]:
     used = fit.points
-    distinct = len(distinct_currents(used.i_dq[turning(used)], DISTINCT * used.i_max))
-    said = f"{len(used)} operating points"
-    if points.covariance is not None:
-        said += f" at rest ({used.count.sum()} of {points.samples} samples; transients are left out)"
-    if fit.maps:
-        said += f" with {distinct} distinct currents: reciprocal maps, symmetric about the d axis, were fitted."
-    else:
-        said += (
-            f": R, psi_PM, L_d and L_q of an affine machine were fitted; maps need {MAP_POINTS} or more distinct "
-            f"currents over both axes, and there are {distinct}."
-        )
-    found = [said]
-    unknown = [
-        name
-        for name, sigma in (("psi_PM", linear.sigma_psi_pm), ("L_d", linear.sigma_l_d), ("L_q", linear.sigma_l_q))
-        if not np.isfinite(sigma)
-    ]
-    if unknown:
-        found.append(
-            f"The points do not determine {' and '.join(unknown)} (at zero current): vary i_d and i_q independently, "
-            "close to zero current, too."
-        )
+    averaged = {"samples": points.samples, "used": used.count.sum()} if points.covariance is not None else {}
+    yield Message(
+        "operating_points" if fit.maps else "operating_points.linear",
+        points=len(used),
+        distinct=len(distinct_currents(used.i_dq[turning(used)], DISTINCT * used.i_max)),
+        needed=MAP_POINTS,
+        **averaged,
+    )
+    sigmas = (("psi_PM", linear.sigma_psi_pm), ("L_d", linear.sigma_l_d), ("L_q", linear.sigma_l_q))
+    if unknown := [name for name, sigma in sigmas if not np.isfinite(sigma)]:
+        yield Message("undetermined", names=" and ".join(unknown))
     if len(distinct_speeds(used)) == 1:
-        found.append(
-            "All points are at one speed, where R is separable from the fluxes only by assuming reciprocal, symmetric "
-            "maps, so iron loss at this speed counts as R: record points at another speed, in the other direction, or "
-            "at standstill."
-        )
+        yield Message("one_speed.points")
     if fit.coefficient(-1)[1] > fit.shapes.usual / 2:
-        found.append(
-            f"The drop of the inverter cannot be told from R by these points: one of 0 ± {fit.shapes.usual:.2g} V was "
-            "assumed, which the standard error of R includes. Record points with small and with large currents."
-        )
+        yield Message("drop_assumed", drop=fit.shapes.usual)
     elif fit.coefficient(0)[1] > _VAGUE_RESISTANCE * abs(fit.coefficient(0)[0]):
-        found.append(
-            "R is not accurate: record points with large current at low speed or standstill, where R i is a larger "
-            "part of the voltage."
-        )
-    found += [entry.sentence for entry in _calibrations(fit)]
+        yield Message("resistance_inaccurate")
+    yield from (entry.message for entry in _calibrations(fit))
     if used.winding_temperature is not None:
-        found.append("R holds at 20 degrees Celsius, with the temperature coefficient of copper.")
-    return tuple(found)
+        yield Message("resistance_at_20")

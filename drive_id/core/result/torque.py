@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression, grouped
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
+from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 MOST_ORDER = 24
@@ -40,22 +41,14 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
     if not pieces:
         return drive
     if pole_pairs is None:
-        said = (
-            "The shaft torque was recorded but not compared with the map, for the number of pole pairs is unknown: set "
-            "pole_pairs."
-        )
-        return replace(drive, statements=(*drive.statements, said))
+        return replace(drive, statements=(*drive.statements, Message("torque_not_compared.pole_pairs")))
     if drive.calibrations:
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
 
         pieces = [corrected(piece, drive.calibrations) for piece in pieces]
     found = fit_torque(drive.flux_map, pieces, pole_pairs)
     if found is None:
-        said = (
-            "The shaft torque was recorded but not compared with the map, for it is known for too few samples within "
-            "the map: record it longer."
-        )
-        return replace(drive, statements=(*drive.statements, said))
+        return replace(drive, statements=(*drive.statements, Message("torque_not_compared.few")))
     warnings = (*drive.report.warnings, *_warnings(found))
     return replace(
         drive,
@@ -196,22 +189,20 @@ class _Speeds:
         return len(self._signs) > 1
 
 
-def _statement(found: TorqueFit) -> str:
-    gain = f"{found.gain:.4f} +- {found.sigma_gain:.4f}"
-    errors = f"rms torque error of the map {found.rms_map:.3g} Nm, {found.rms_residual:.3g} Nm with this gain"
-    if abs(found.gain - 1.0) <= max(2 * found.sigma_gain, _SAME_GAIN):
-        return f"The shaft torque confirms the common gain of voltages and currents: {gain} of the map's; {errors}."
-    return (
-        f"The shaft torque is {gain} of the map's, which voltages and currents alone cannot show: their gains, or that "
-        f"of the torque sensor, are off by {100 * abs(found.gain - 1):.2g} % together; {errors}."
+def _statement(found: TorqueFit) -> Message:
+    confirmed = abs(found.gain - 1.0) <= max(2 * found.sigma_gain, _SAME_GAIN)
+    return Message(
+        "torque.confirmed" if confirmed else "torque",
+        off=abs(found.gain - 1),
+        gain=found.gain,
+        sigma_gain=found.sigma_gain,
+        rms_map=found.rms_map,
+        rms_residual=found.rms_residual,
     )
 
 
-def _warnings(found: TorqueFit) -> list[str]:
+def _warnings(found: TorqueFit) -> Iterator[Message]:
     if found.gain < 0:
-        remedy = "reverse its sign by scale in the signals file, for it counts in the positive direction of rotation."
+        yield Message("torque_differs.negative", gain=found.gain)
     elif abs(found.gain - 1.0) > max(_LARGEST_GAIN_ERROR, 3 * found.sigma_gain):
-        remedy = f"check its scale, those of voltages and currents, and the {found.pole_pairs} pole pairs."
-    else:
-        return []
-    return [f"The shaft torque is {found.gain:.3g} times that of the map: {remedy}"]
+        yield Message("torque_differs", gain=found.gain, pole_pairs=found.pole_pairs)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
@@ -9,6 +11,8 @@ from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.methods.method import Estimate, Limits
 from drive_id.core.methods.registry import method_named
 from drive_id.core.result.identification import FluxMap
+from drive_id.messages import Message
+from drive_id.types import FloatArray
 
 _REVERSED = 0.1
 _FEW_POINTS = 0.005
@@ -24,12 +28,12 @@ _DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
 
 def review(
     evidence: Evidence, coverage: float, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float]
-) -> tuple[str, ...]:
-    """Return one sentence per weakness, most basic first: what is wrong, where, and what to do."""
+) -> tuple[Message, ...]:
+    """Return one warning per weakness, most basic first."""
     limits = method_named(evidence.settings.method).limits
     return (
         *(
-            finding.message
+            finding
             for finding in evidence.findings
             if finding.code != "outlier" or estimate.outlying_time is None  # the fit knows the time more precisely
         ),
@@ -42,136 +46,76 @@ def review(
     )
 
 
-def unexplained_sentence(evidence: Evidence, estimate: Estimate) -> str:
-    """Return why a fit that explains too little is refused: by the first finding of the checks, if there is one."""
-    return _condemned(
-        evidence,
-        f"The model leaves {100 * estimate.unexplained:.0f} % of the voltage unexplained",
-        "check the order of the phases, the angle, and that currents, voltages and angle are of one drive and of the "
-        "same time",
-    )
-
-
-def _condemned(evidence: Evidence, symptom: str, advice: str) -> str:
-    """Return a symptom with the first finding of the checks as its cause, or with advice if there is none."""
-    if not evidence.findings:
-        return f"{symptom}, so there is no valid map: {advice}."
-    cause = evidence.findings[0].message
-    return f"{symptom}, so there is no valid map; most likely, {cause[0].lower()}{cause[1:]}"
-
-
-def impossible_sentence(
-    evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float]
-) -> str | None:
+def condemned(
+    evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float], limits: Limits
+) -> Message | None:
     """Return why no machine can have this result, or None."""
     resistance, sigma = estimate.resistance, estimate.sigma_resistance
-    if resistance < -_IMPOSSIBLE * sigma:
-        return _condemned(
-            evidence,
-            f"The resistance comes out negative ({resistance:.3g} +- {sigma:.2g} ohm)",
-            "check the signs of currents and voltages and their alignment in time, and record at a second speed",
-        )
+    if limits.impossible and resistance < -_IMPOSSIBLE * sigma:
+        return because(evidence, "impossible_resistance", resistance=resistance, sigma_resistance=sigma)
     told = any(finding.code == "angle_offset" for finding in evidence.findings)
-    at_limit = (
-        c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations
-    )
-    if told and any(at_limit):
-        return _condemned(
-            evidence, "No angle near the one given makes the map mirror-symmetric", "check the offset of the angle"
-        )
+    off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
+    if limits.impossible and told and any(off):
+        return because(evidence, "impossible_angle")
+    i_dq = _with_data(evidence, flux_map)
+    if not limits.impossible or np.isfinite(mad).all() or not len(i_dq):
+        return None
+    share = float((~estimate.positive_definite(i_dq)).mean())
+    return because(evidence, "impossible_inductances", share=share) if share >= _INDEFINITE else None
+
+
+def because(evidence: Evidence, code: str, **values: float) -> Message:
+    """Return an error with the first finding of the checks as its cause, if there is one."""
+    cause = evidence.findings[0] if evidence.findings else None
+    return Message(code, "error", cause=cause and f"{cause[0].lower()}{cause[1:]}", **values)
+
+
+def _with_data(evidence: Evidence, flux_map: FluxMap) -> FloatArray:
+    """Return the currents (N, 2), A, of the map's points with data on the disc."""
     grid = flux_map.grid()
-    i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
-    if np.isfinite(mad).all() or not len(i_dq):
-        return None
-    active = float((~estimate.positive_definite(i_dq)).mean())
-    if active < _INDEFINITE:
-        return None
-    return _condemned(
-        evidence,
-        f"The inductances of the fitted map are not positive definite at {100 * active:.0f} % of its points and the "
-        "current simulated with it diverges",
-        "check the order of the phases, the angle and the alignment in time, or record longer and at a second speed",
-    )
+    return grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
 
 
-def _on_fit(estimate: Estimate, limits: Limits) -> list[str]:
-    warnings = []
+def _on_fit(estimate: Estimate, limits: Limits) -> Iterator[Message]:
     resistance, sigma = estimate.resistance, estimate.sigma_resistance
     if not np.isfinite(sigma):
-        warnings.append("The recording is too short to estimate standard errors: record longer.")
+        yield Message("too_short")
     elif resistance < -2 * sigma:
-        warnings.append(
-            f"The resistance is negative ({resistance:.4g} ohm): check the signs of currents and voltages and their "
-            "alignment in time."
-        )
+        yield Message("resistance_negative", resistance=resistance, sigma_resistance=sigma)
     elif not resistance > 2 * sigma:
-        warnings.append(
-            f"The resistance, {resistance:.4g} ohm, is not significantly different from zero (standard error "
-            f"{sigma:.2g} ohm): record at a lower speed or at several speeds."
-        )
+        yield Message("resistance_vague", resistance=resistance, sigma_resistance=sigma)
     if estimate.unexplained > limits.unexplained:
-        warnings.append(
-            f"The model leaves {100 * estimate.unexplained:.1f} % of the voltage unexplained: check the order of the "
-            "phases, the alignment of the signals in time, and their noise."
-        )
+        yield Message("unexplained.share", unexplained=estimate.unexplained)
     if estimate.outlying_time is not None:
-        warnings.append(
-            f"The samples around {estimate.outlying_time:.2f} s of data stand out from all others: check angle, "
-            "voltages and currents there."
-        )
-    return warnings
+        yield Message("outlier.fit", time=estimate.outlying_time)
 
 
-def _on_decimation(evidence: Evidence, estimate: Estimate) -> list[str]:
+def _on_decimation(evidence: Evidence, estimate: Estimate) -> Iterator[Message]:
     """Recognize a decimated log by the delay that method full finds, unless the checks did before."""
     delay = next((c.value for c in estimate.calibrations if c.name == "voltage_delay"), 0.0)
     told = any(finding.code == "decimated" for finding in evidence.findings)
-    if told or evidence.turn < _DECIMATED_TURN or not _DECIMATED[0] <= delay <= _DECIMATED[1]:
-        return []
-    sentence = (
-        f"The voltages act {-delay:.2f} samples early and the rotor turns by {np.rad2deg(evidence.turn):.1f} degrees "
-        "electrical per sample, the marks of a log with every n-th sample only: log every PWM period, or set "
-        "decimation: n for the voltages (signals file)."
-    )
-    return [sentence]
+    if not told and evidence.turn >= _DECIMATED_TURN and _DECIMATED[0] <= delay <= _DECIMATED[1]:
+        yield Message("decimated.fit", delay=delay, early=-delay, turn=evidence.turn)
 
 
-def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: Limits) -> list[str]:
-    grid = flux_map.grid()
-    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
-    i_dq = grid[chosen]
+def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: Limits) -> Iterator[Message]:
+    i_dq = _with_data(evidence, flux_map)
     if not len(i_dq):
-        return []
-    warnings = []
+        return
     active = ~estimate.positive_definite(i_dq)
     if active.mean() > _FEW_POINTS:
         d, q = i_dq[active].mean(axis=0)
-        warnings.append(
-            f"The inductance matrix is not positive definite at {active.sum()} of {len(i_dq)} points of the map, on "
-            f"average at i_d = {d:.3g} A, i_q = {q:.3g} A: do not simulate or control with the map there"
-            f"{limits.remedy}."
-        )
-    magnet = estimate.psi[chosen][np.hypot(*i_dq.T).argmin(), 0]
+        points = int(active.sum())
+        yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
+    psi = np.stack([flux_map.sampled(values, *i_dq.T) for values in (flux_map.psi_d, flux_map.psi_q)], axis=-1)
+    magnet = psi[np.hypot(*i_dq.T).argmin(), 0]
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
-    if not offset and magnet < -_REVERSED * np.abs(estimate.psi[chosen]).max():
-        warnings.append(
-            f"The magnet's flux is negative ({magnet:.4g} Wb): check the angle for an offset of half a turn, and the "
-            "signs of currents and voltages."
-        )
-    return warnings
+    if not offset and magnet < -_REVERSED * np.abs(psi).max():
+        yield Message("magnet_negative", flux=magnet)
 
 
-def _on_simulation(evidence: Evidence, mad: tuple[float, float], limits: Limits) -> list[str]:
-    warnings = []
+def _on_simulation(evidence: Evidence, mad: tuple[float, float], limits: Limits) -> Iterator[Message]:
     if not np.isfinite(mad).all():
-        warnings.append(
-            "The simulated current diverged, so there is no MAD, and the identified model is not stable: check the "
-            f"order of the phases and the angle{limits.remedy}."
-        )
+        yield Message("diverged", remedy=limits.remedy)
     elif max(mad) > limits.mad * evidence.i_max:
-        warnings.append(
-            f"The simulated current is {max(mad):.3g} A off on average, so the model does not describe this drive: "
-            "check the order of the phases, of currents and voltages alike, the angle, and that all recordings are of "
-            "one drive."
-        )
-    return warnings
+        yield Message("simulation_off", mad=max(mad))

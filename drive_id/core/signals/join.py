@@ -22,6 +22,7 @@ from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import MOST_HELD, SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
+from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, IntArray, Samples
 
 SECTIONS = ("currents", "voltages", "resolver")
@@ -374,23 +375,14 @@ class StreamJoin:
         offsets = (0, *(self._offsets or (0, 0)))
         signals = tuple(track.report(self.samples, offset) for track, offset in zip(self.tracks, offsets, strict=True))
         report = JoinReport(signals, self._period, self.samples, self.runs, self.time_lost * 1e-9, self.gaps)
-        given_up = [
-            f"{track.given_up} samples of {track.name} waited too long for the other signals and were left out."
-            for track in self.tracks
-            if track.given_up and not self._recorded
-        ]
-        unknown = [
-            f"{track.name} is unknown for {track.unknown * self._period:.3f} s of data, before its first sample, after "
-            "its last or in gaps."
-            for track in self._scalars.values()
-            if track.unknown
-        ]
+        warnings = [*join_warnings(report)]
+        late = [track for track in self.tracks if track.given_up and not self._recorded]
+        warnings += [Message("samples_late", samples=track.given_up, topic=track.name) for track in late]
+        partly = [(track.name, track.unknown * self._period) for track in self._scalars.values() if track.unknown]
+        warnings += [Message("signal_unknown", seconds=seconds, topic=topic) for topic, seconds in partly]
         if self._cut:
-            unknown.append(
-                f"{self._cut} samples were cut out, for their voltages are duty cycles and the DC-link voltage is "
-                "unknown."
-            )
-        return replace(report, warnings=(*join_warnings(report), *given_up, *unknown))
+            warnings.append(Message("duty_cycles_cut", samples=self._cut))
+        return replace(report, warnings=tuple(warnings))
 
     @property
     def _step(self) -> float:

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+
+from drive_id.messages import Message
+
+_LARGE_OFFSET = 0.25
+"""Of stamps from those of the currents, in sample periods, that is reported."""
+_FEW_JOINED = 0.9
+"""Share of the samples that found partners below which that is reported."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,7 @@ class JoinReport:
         Time between the runs, s.
     gaps : int
         Breaks found; more than ``runs - 1`` when stretches were too short to keep.
-    warnings : tuple of str
-        Sentences.
+    warnings : tuple of Message
     """
 
     signals: tuple[SignalReport, ...]
@@ -67,41 +74,24 @@ class JoinReport:
     runs: int
     time_lost: float
     gaps: int
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
 
-def join_warnings(report: JoinReport) -> tuple[str, ...]:
-    """Say in sentences what is missing, cut out or shifted in the joined samples."""
-    sentences = []
+def join_warnings(report: JoinReport) -> Iterator[Message]:
+    """Yield what is missing, cut out or shifted in the joined samples."""
     for signal in report.signals:
+        topic = signal.topic
         if signal.not_finite:
-            sentences.append(
-                f"{signal.not_finite} samples of {signal.topic} are NaN or infinite, so that a fit will be refused: "
-                "repair the sensor or its driver."
-            )
+            yield Message("samples_not_finite", samples=signal.not_finite, topic=topic)
         if signal.repeated or signal.backward:
-            sentences.append(
-                f"{signal.repeated} repeated and {signal.backward} backward stamps of {signal.topic} were cut out."
-            )
+            yield Message("stamps_cut", repeated=signal.repeated, backward=signal.backward, topic=topic)
         if signal.lost:
-            sentences.append(
-                f"{signal.lost} samples of {signal.topic} are missing in {signal.losses} places by its own count."
-            )
-        if abs(signal.offset) > 0.25 * report.sample_period:
-            sentences.append(
-                f"The stamps of {signal.topic} lie {signal.offset * 1e6:+.1f} us from those of the currents: "
-                "if they belong to the sample before or after, give stamp_offset in a signals file."
-            )
+            yield Message("samples_lost", samples=signal.lost, places=signal.losses, topic=topic)
+        if abs(signal.offset) > _LARGE_OFFSET * report.sample_period:
+            yield Message("stamps_shifted", offset=signal.offset, topic=topic)
     currents = report.signals[0]
     finite = currents.read - sum(signal.not_finite for signal in report.signals)
-    if report.samples < 0.9 * finite:
-        sentences.append(
-            f"Only {report.samples} of {currents.read} samples of {currents.topic} have partners in voltages and "
-            "resolver and could be used."
-        )
+    if report.samples < _FEW_JOINED * finite:
+        yield Message("samples_unused", samples=report.samples, read=currents.read, topic=currents.topic)
     if report.gaps:
-        sentences.append(
-            f"The recording has {report.gaps} gaps; {report.runs} runs without gaps remain, "
-            f"{report.time_lost:.6f} s apart in total."
-        )
-    return tuple(sentences)
+        yield Message("gaps.join", gaps=report.gaps, runs=report.runs, time_lost=report.time_lost)

@@ -83,11 +83,3 @@ def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:
         named = ", ".join(machines)
         raise DataError(f"The recordings are simulations of different machines ({named}): fit each by itself.")
     return known[0] if known and len(known) == len(truths) else None
-
-
-def overlap_warning(name: object) -> str:
-    """Say that a recording begins before another one has ended."""
-    return (
-        f"{name} overlaps in time with the bags before it and was put behind them: make sure that it is not the same "
-        "recording again."
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -19,6 +19,7 @@ from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
+from drive_id.messages import Message
 from drive_id.origins import IMPORTED
 
 _COVERAGE_POINTS = 101
@@ -105,17 +106,13 @@ def _result(
     pairs = scalars.get("pole_pairs")
     if pairs is not None and pairs != round(pairs):
         raise ConfigurationError(f"The number of pole pairs is {pairs:g}: give a whole number (--pole-pairs).")
-    origin = (
-        f"Imported from '{source.path.name}' ({IMPORTS[name].title}); conventions of the file: axis "
-        f"{conventions.axis}, order {conventions.order}, sign {conventions.sign}, magnet on {conventions.magnet} d, q "
-        f"{conventions.q_axis} d, currents {conventions.current}, flux linkages {conventions.flux}."
-    )
-    statements = [origin, _shape_statement(found)]
+    statements = [Message("imported", file=source.path.name, title=IMPORTS[name].title, **asdict(conventions))]
+    statements.append(_on_shape(found))
     if points.sigma_dq is None or not np.isfinite(points.sigma_dq).any():
-        statements.append("The standard errors of the map are unknown.")
+        statements.append(Message("sigma_unknown"))
     if pairs is None and ratio is not None:
         pairs = float(round(ratio))
-        statements.append(f"The torque in the file is that of {pairs:g} pole pairs.")
+        statements.append(Message("torque_of_pole_pairs", pole_pairs=round(ratio)))
     odd = outlier(points.i_dq, points.mean_psi_dq)
     i_max = scalars.get("i_max", _reach(found.flux_map))
     drive = IdentifiedDrive(
@@ -144,17 +141,9 @@ def _result(
     return Identification(drive, provenance)
 
 
-def _shape_statement(found: Gridded) -> str:
-    size = f"{len(found.flux_map.i_d)} x {len(found.flux_map.i_q)} points"
-    if found.scattered:
-        said = (
-            f"The points form no grid: the map is a reciprocal, monotone co-energy spline through them ({size}), "
-            f"{found.rms:.3g} Wb rms from the points"
-        )
-    else:
-        said = f"The grid has {size}"
-    mirrored = "; the half with the other sign of i_q is its mirror image" if found.mirrored else ""
-    return f"{said}{mirrored}."
+def _on_shape(found: Gridded) -> Message:
+    wording, size = "import_grid.scattered" if found.scattered else "import_grid", found.flux_map.psi_d.shape
+    return Message(wording, points_d=size[0], points_q=size[1], rms=found.rms, mirrored=found.mirrored)
 
 
 def _reach(flux_map: FluxMap) -> float:

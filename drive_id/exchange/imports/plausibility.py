@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.points import MapPoints
+from drive_id.messages import Message
 from drive_id.types import FloatArray
 
 _MOST_POINTS = 1500  # at which slopes are estimated
@@ -139,8 +140,8 @@ def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, Floa
     return slopes[known], values[0] if reaches else None
 
 
-def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> str:
-    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; empty without one."""
+def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
+    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; None without one."""
     scale = np.ptp(i_dq, axis=0)
     spread = np.array([len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)])
     _, near = cKDTree(i_dq / scale * spread).query(i_dq / scale * spread, k=min(_NEIGHBOURS, len(i_dq)))
@@ -149,12 +150,10 @@ def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> str:
     usual = np.median(off[near[:, 1:]], axis=1)
     suspect = (off > _OFF_NEIGHBOURS * usual) & (off > _OFF * np.hypot(*psi_dq.T).max())
     if not suspect.any():
-        return ""
+        return None
     worst = int(np.argmax(np.where(suspect, off, 0.0)))
-    return (
-        f"The flux linkage at i_d = {i_dq[worst, 0]:.4g} A, i_q = {i_dq[worst, 1]:.4g} A, or at a point beside it, is "
-        f"off its neighbours by {off[worst]:.2g} Wb: correct or leave out the point if it is an outlier."
-    )
+    d, q = i_dq[worst]
+    return Message("import_outlier", i_d=d, i_q=q, off=off[worst])
 
 
 def _planes(i_dq: FloatArray, psi_dq: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -20,6 +20,7 @@ from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
+from drive_id.messages import Message
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class ColumnFile:
         return (self.path,)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Message, ...]:
         """None."""
         return ()
 

@@ -13,6 +13,7 @@ from drive_id.core.signals.rotor_interpolation import interpolated_rotor
 from drive_id.core.signals.rotor_smoothing import smoothed_rotor
 from drive_id.core.signals.signal import Signal
 from drive_id.files.messages.signal_sources import ROTOR_SPEED, PhaseSource, SignalMap
+from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 
@@ -31,7 +32,7 @@ def _conversion(source: PhaseSource) -> ToPhases | None:
     return to_phases
 
 
-def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, float, list[str]]:
+def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, float, list[Message]]:
     """Return the resolver's signal, with a speed recorded apart, at the times of the currents if it is interpolated.
 
     Parameters
@@ -45,7 +46,7 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
     signal : Signal
     error : float
         Root mean square error of an interpolated angle, rad; 0 if it was not interpolated.
-    warnings : list of str
+    warnings : list of Message
 
     Raises
     ------
@@ -58,22 +59,16 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
         order = np.argsort(speed.stamp, kind="stable")
         values = np.interp(rotor.stamp, speed.stamp[order], speed.values[order, 0] * signals.resolver.speed_factor)
         rotor = replace(rotor, values=np.column_stack([rotor.values[:, 0], values]))
-    remarks = []
+    remarks: list[Message] = []
     if signals.resolver.smoothing is not None:
         rotor, change = smoothed_rotor(rotor, signals.resolver.smoothing)
-        said = (
-            f"The angle of {rotor.name} was smoothed over {signals.resolver.smoothing * 1e3:.3g} ms, by "
-            f"{change * 1e3:.2g} mrad rms, and the speed is that of the smoothed angle."
-        )
-        remarks = [said]
+        time = signals.resolver.smoothing
+        remarks.append(Message("angle_smoothed", topic=rotor.name, time=time, change=change))
     if not signals.resolver.interpolate:
         return rotor, 0.0, remarks
     moved = interpolated_rotor(rotor, np.sort(found["currents"].stamp))
-    said = (
-        f"The angle of {rotor.name}, recorded every {moved.period * 1e6:.6g} us, was interpolated; its error, about "
-        f"{moved.error * 1e3:.2g} mrad rms by left-out samples, is included in the standard errors."
-    )
-    return moved.signal, moved.error, [*remarks, said]
+    remarks.append(Message("angle_interpolated", topic=rotor.name, period=moved.period, error=moved.error))
+    return moved.signal, moved.error, remarks
 
 
 def undecimated(samples: Samples, signals: SignalMap) -> Samples:

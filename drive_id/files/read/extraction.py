@@ -26,6 +26,7 @@ from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, Tim
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
@@ -152,19 +153,21 @@ class LogSignals:
         yield SignalPart(self._built(pieces), self._progress())
         self._refuse_empty(seen)
 
-    def remarks(self) -> tuple[str, ...]:
-        """Return sentences on how the time of the signals was found; after :meth:`whole`."""
-        found: dict[str, str] = {}
+    def remarks(self) -> tuple[Message, ...]:
+        """Return how the time of the signals was found; after :meth:`whole`."""
+        found: dict[str, Message] = {}
         for builder in self._builders.values():
-            spacing = builder.spacing
-            if spacing is None or builder.topic in found:
-                continue
-            by = "by their count" if builder.source.first_sample else "inferred from lasting steps of the stamps"
-            lost = f"; {spacing.missing} samples are missing in {spacing.gaps} places, {by}" if spacing.missing else ""
-            found[builder.topic] = (
-                f"The samples of {builder.topic} were taken as equally spaced by {spacing.period * 1e6:.6g} us, as the "
-                f"signals file says; their stamps jitter by {spacing.jitter * 1e6:.3g} us rms{lost}."
-            )
+            spacing, topic = builder.spacing, builder.topic
+            if spacing is not None and topic not in found:
+                found[topic] = Message(
+                    "equally_spaced",
+                    topic=topic,
+                    period=spacing.period,
+                    jitter=spacing.jitter,
+                    missing=spacing.missing or None,
+                    gaps=spacing.gaps,
+                    counted=bool(builder.source.first_sample),
+                )
         return tuple(found.values())
 
     def _refuse_empty(self, seen: Collection[str]) -> None:

@@ -16,6 +16,7 @@ from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.reader import read_signals_only
 from drive_id.files.read.several import read_recording
+from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
 
 _TEMPERATURE = "winding_temperature"
@@ -34,14 +35,14 @@ class OperatingLog:
         File to its sha256.
     last_stamp : int
         ns.
-    warnings : tuple of str
+    warnings : tuple of Message
     """
 
     data: OperatingData
     truth: GroundTruth | None
     digests: dict[str, str]
     last_stamp: int
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
 
 def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> OperatingLog:

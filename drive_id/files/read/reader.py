@@ -25,6 +25,7 @@ from drive_id.files.read.extraction import INTERPOLATED, LogSignals, SignalPart,
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
+from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 REQUIRED = ("currents", "voltages", "resolver")
@@ -39,7 +40,7 @@ Item = TypeVar("Item")
 
 def read_signals_only(
     path: Path, signals: SignalMap, *, namespace: str = ""
-) -> tuple[dict[str, Signal], dict[str, str], tuple[str, ...]]:
+) -> tuple[dict[str, Signal], dict[str, str], tuple[Message, ...]]:
     """Read the signals of a log one by one, without joining them: a speed is enough, and no angle is needed.
 
     Returns
@@ -48,7 +49,7 @@ def read_signals_only(
         By section of the signal map.
     digests : dict of str to str
         File to its sha256.
-    warnings : tuple of str
+    warnings : tuple of Message
 
     Raises
     ------
@@ -68,14 +69,14 @@ class BagFacts:
     ----------
     files : tuple of Path
     truth : GroundTruth or None
-    warnings : tuple of str
+    warnings : tuple of Message
     checked : bool
         Whether checksums covered all of it.
     """
 
     files: tuple[Path, ...]
     truth: GroundTruth | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     checked: bool
 
 
@@ -178,7 +179,7 @@ def _joined(
     stream: LogSignals,
     signals: SignalMap,
     topics: dict[str, TopicInfo],
-    warnings: list[str],
+    warnings: list[Message],
     threads: bool,
 ) -> Generator[tuple[Piece, float], None, None]:
     """Yield joined samples with the part of the bag that was read for them; add the warnings at the end."""

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drive_id.core.signals.join import Piece
-from drive_id.core.signals.pieces import SeveralRecordings, common_truth, overlap_warning
+from drive_id.core.signals.pieces import SeveralRecordings, common_truth
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.reader import BagFacts, bag_pieces
 from drive_id.files.storage.bag import file_digest, storage_files
+from drive_id.messages import Message
 from drive_id.types import GroundTruth, Progress, Samples, silent
 
 _LONG = 1 << 18
@@ -31,14 +32,14 @@ class JoinedLog:
         Of the simulation; None unless all bags have one.
     digests : dict of str to str
         Storage file to its sha256.
-    warnings : tuple of str
+    warnings : tuple of Message
         Sentences about the recordings.
     """
 
     samples: Samples
     truth: GroundTruth | None
     digests: dict[str, str]
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
 
 def read_recording(paths: Path | Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
@@ -122,13 +123,13 @@ class SeveralBags:
         return common_truth([facts.truth for facts in self._facts])
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Message, ...]:
         """Sentences about the recordings."""
         if len(self._bags) == 1:
             return self._facts[0].warnings
         known = zip(self._bags, self._facts, strict=True)
-        moved = [overlap_warning(self._bags[k]) for k in self._several.moved]
-        return (*(f"{path}: {text}" for path, facts in known for text in facts.warnings), *moved)
+        moved = [Message("overlap", recording=str(self._bags[k])) for k in self._several.moved]
+        return (*(message.of(path) for path, facts in known for message in facts.warnings), *moved)
 
     @property
     def unchecked(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -37,9 +37,13 @@ from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import NotAFileError, read_input, read_text_input, reason
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
+from drive_id.messages import Message
 from drive_id.origins import ORIGINS
 from drive_id.settings import from_mapping
 from drive_id.version import VERSION
+
+if TYPE_CHECKING:
+    from drive_id.core.full.calibration import Calibration
 
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
@@ -71,7 +75,7 @@ class Provenance:
         Name, empty when unknown.
     nrmse : (float, float) or None
         Of psi_d and psi_q against the ground truth, when the recording carried it.
-    warnings : tuple of str
+    warnings : tuple of Message
         About the recording; those about the fit are in its report.
     pole_pairs : int or None
         None when unknown.
@@ -93,7 +97,7 @@ class Provenance:
     settings: FitSettings
     machine: str = ""
     nrmse: tuple[float, float] | None = None
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[Message, ...] = ()
     pole_pairs: int | None = None
     u_dc: float | None = None
     speed_range: tuple[float, float] | None = None
@@ -253,7 +257,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "magnet_coefficient": identification.magnet_coefficient,
         "inverter_curve": _curve(identification),
         "harmonics": [harmonic.order for harmonic in identification.harmonics],
-        "calibrations": [asdict(entry) for entry in identification.calibrations],
+        "calibrations": [_calibration(entry) for entry in identification.calibrations],
         "statements": list(identification.statements),
         "torque": None if identification.torque is None else asdict(identification.torque),
         "mechanics": None if identification.mechanics is None else asdict(identification.mechanics),
@@ -264,6 +268,10 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
             **{name: value for name, value in asdict(report).items() if name != "warnings"},
         },
         "warnings": [*known.warnings, *report.warnings],
+        "messages": {
+            "warnings": [message.tree() for message in (*known.warnings, *report.warnings)],
+            "statements": [message.tree() for message in identification.statements],
+        },
         "settings": asdict(known.settings),
         "inputs": [{"file": file, "sha256": digest} for file, digest in known.inputs.items()],
         "versions": dict(known.versions) or _versions(),
@@ -389,16 +397,30 @@ def _identification(
         phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
         harmonics=harmonics,
         calibrations=tuple(
-            Calibration(**entry | {"value": _number(entry["value"]), "sigma": _number(entry["sigma"])})
+            Calibration(
+                *(entry["name"], _number(entry["value"]), _number(entry["sigma"]), entry["unit"], entry["applied"]),
+                Message.stored(entry.get("message", entry["sentence"])),
+                entry.get("doubtful", False),
+            )
             for entry in tree["calibrations"]
         ),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
-        statements=tuple(map(str, tree["statements"])),
+        statements=_messages(tree, "statements"),
         torque=_with_cogging(TorqueFit, tree.get("torque")),
         mechanics=_with_cogging(Mechanics, tree.get("mechanics")),
         error_modes=modes,
         linear=_linear(tree.get("linear_machine")),
     )
+
+
+def _calibration(entry: Calibration) -> dict[str, Any]:
+    message = entry.message
+    return asdict(entry) | {"sentence": message, "message": message.tree()}
+
+
+def _messages(tree: Mapping[str, Any], name: str) -> tuple[Message, ...]:
+    """Read warnings or statements; earlier versions stored their sentences alone."""
+    return tuple(map(Message.stored, tree.get("messages", tree)[name]))
 
 
 def _linear(tree: Mapping[str, Any] | None) -> LinearMachine | None:
@@ -423,7 +445,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         settings=from_mapping(FitSettings, {k: v for k, v in tree["settings"].items() if k in names}, where),
         machine=str(tree["machine"]),
         nrmse=None if None in nrmse else (float(nrmse[0]), float(nrmse[1])),
-        warnings=tuple(map(str, tree["warnings"])),
+        warnings=_messages(tree, "warnings"),
         pole_pairs=None if tree.get("pole_pairs") is None else int(_positive(tree, "pole_pairs")),
         u_dc=None if tree.get("u_dc") is None else _positive(tree, "u_dc"),
         speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),

@@ -29,6 +29,7 @@ from drive_id.files.inputs.archive import DAMAGED, LARGEST, read_arrays, unpacke
 from drive_id.files.inputs.input_file import open_input, reason
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.messages import Message
 from drive_id.settings import from_mapping
 from drive_id.types import SCALARS, Samples
 from drive_id.version import VERSION
@@ -124,7 +125,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
         "samples": accumulated.samples,
         "last_stamp": accumulated.last_stamp,
         "inputs": dict(accumulated.digests),
-        "warnings": list(accumulated.warnings),
+        "warnings": [message.tree() for message in accumulated.warnings],
         "unchecked": list(accumulated.unchecked),
         "validation_periods": [piece.sample_period for piece in validation],
     }
@@ -186,7 +187,7 @@ def information_tree(accumulated: Accumulated) -> dict[str, Any]:
         "machine": accumulated.truth.machine if accumulated.truth else "",
         "settings": asdict(evidence.settings),
         "inputs": [{"file": file, "sha256": digest} for file, digest in accumulated.digests.items()],
-        "warnings": list(accumulated.warnings),
+        "warnings": [message.tree() for message in accumulated.warnings],
     }
 
 
@@ -257,7 +258,7 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
     return Accumulated(
         evidence=evidence,
         validation=validation,
-        warnings=tuple(map(str, header["warnings"])),
+        warnings=tuple(map(Message.stored, header["warnings"])),
         digests={str(file): str(digest) for file, digest in header["inputs"].items()},
         truth=decode_truth(arrays["truth"].tobytes(), where) if "truth" in arrays else None,
         samples=int(header["samples"]),

@@ -31,6 +31,7 @@ from drive_id.files.storage.container import (
 from drive_id.files.storage.mcap import McapStorage
 from drive_id.files.storage.metadata import BagMetadata, read_metadata
 from drive_id.files.storage.sqlite import SqliteStorage
+from drive_id.messages import Message
 
 _ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".lz4", ".zst"))
 
@@ -108,9 +109,9 @@ class Bag:
         return self._packed_with_checksum or all(storage.checked for storage in self.storages)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Message, ...]:
         """Sentences about files that were not completed but can be read."""
-        return tuple(storage.warning for storage in self.storages if storage.warning)
+        return tuple(storage.warning for storage in self.storages if storage.warning is not None)
 
     def decompressed(self, message: RawMessage) -> RawMessage:
         """Decompress a message, if it is compressed by itself; CDR never begins like zstd."""

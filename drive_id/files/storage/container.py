@@ -12,6 +12,7 @@ import zstandard
 
 from drive_id.errors import BagError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import NotAFileError, check_input, open_input, reason, shown_size
+from drive_id.messages import Message
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
@@ -81,7 +82,7 @@ class Storage(Protocol):
     end: int
     damage: str
     """What is wrong with the file; empty if it is complete."""
-    warning: str
+    warning: Message | None
     """A sentence about a file that was not completed but can be read; else empty."""
 
     @property

@@ -35,6 +35,7 @@ from drive_id.files.storage.container import (
     full_type,
     has_checksum,
 )
+from drive_id.messages import Message
 
 RECORD = struct.Struct("<BQ")
 """Opcode and length, before the content of each record."""
@@ -312,7 +313,7 @@ class McapStorage:
         self._compressions: set[str] = set()
         self.start, self.end = 0, 0
         self.damage = ""
-        self.warning = ""
+        self.warning: Message | None = None
         self._break: int | None = None
         self._file = McapFile(path, shown)
         try:
@@ -425,10 +426,8 @@ class McapStorage:
             self._break = broken
         else:
             self._break = self._file.begin
-        self.warning = (
-            f"{self._shown} was not completed, as after a power cut or the end of the recorder ({self.damage}): "
-            f"{(self.end - self.start) * 1e-9:.3f} s of it could be read."
-        )
+        seconds = (self.end - self.start) * 1e-9
+        self.warning = Message("not_completed", file=str(self._shown), damage=self.damage, seconds=seconds)
 
     def _read_summary(self, start: int) -> bool:
         """Read the summary section; tell whether it describes the whole file."""

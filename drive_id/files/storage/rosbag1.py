@@ -13,6 +13,7 @@ from rosbags.rosbag1 import Reader, ReaderError
 
 from drive_id.errors import MessageTypeError, TruncatedBagError
 from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.messages import Message
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -39,7 +40,7 @@ class Rosbag1Storage:
     compression = ""
     damage = ""
     checked = False
-    warning = ""
+    warning: Message | None = None
 
     def __init__(self, path: Path, shown: Path) -> None:
         self._shown = shown

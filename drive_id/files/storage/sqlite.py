@@ -13,6 +13,7 @@ from urllib.parse import quote
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, shown_size
 from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, TopicInfo, file_size, full_type
+from drive_id.messages import Message
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16
@@ -36,7 +37,7 @@ class SqliteStorage:
     checked = False
     compression = ""
     damage = ""
-    warning = ""
+    warning: Message | None = None
     progress = 0.0
 
     def __init__(self, path: Path, shown: Path) -> None:

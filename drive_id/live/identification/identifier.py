@@ -33,6 +33,7 @@ from drive_id.live.identification.result_folders import LastMap, ResultFolders, 
 from drive_id.live.publishers import Publisher, publisher_findings
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
+from drive_id.messages import Message
 from drive_id.quantity import measured
 from drive_id.types import SCALARS, Progress
 
@@ -52,7 +53,7 @@ class Reply:
         A sentence.
     identification : IdentifiedDrive or None
         Unless there was an error.
-    warnings : tuple of str
+    warnings : tuple of Message
         About the samples and about the fit.
     machine : str
         Empty when unknown.
@@ -71,7 +72,7 @@ class Reply:
     code: str
     message: str
     identification: IdentifiedDrive | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     machine: str = ""
     stamp: int = 0
     output: str = ""

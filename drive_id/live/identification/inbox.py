@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from drive_id.health import Level, Observation
+from drive_id.messages import Message
 
 MOST_MESSAGES = 5000
 """Messages that may wait."""
@@ -70,19 +71,13 @@ class Inbox:
         self._waiting.clear()
         self._bytes = 0
 
-    @property
-    def warning(self) -> str:
-        """A sentence if messages were dropped, else nothing."""
-        if not self.dropped:
-            return ""
-        return (
-            f"{self.dropped} messages of live samples were dropped, because they arrived faster than this computer "
-            "accumulates them: lower the sample rate, relieve the computer, or record and fit the recording."
-        )
+    def warnings(self) -> list[Message]:
+        """Return what was dropped."""
+        return [Message("messages_dropped", messages=self.dropped)] if self.dropped else []
 
     def findings(self) -> list[Observation]:
-        """Return what was dropped."""
-        return [(Level.WARN, self.warning)] if self.dropped else []
+        """Return the same for the health of the node."""
+        return [(Level.WARN, warning) for warning in self.warnings()]
 
     def reset(self) -> None:
         """Forget all messages, and how many were dropped."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import array
+import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from rclpy.time import Time
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.live.identification.identifier import Reply
+from drive_id.messages import Message
 
 _OF_MECHANICS = {
     name: name
@@ -45,7 +48,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
         message.inverter_voltage = _doubles(identification.inverter_voltage)
     message.i_max = identification.i_max
     message.coverage = identification.report.coverage
-    message.warnings = list(reply.warnings)
+    _fill_warnings(message, reply.warnings)
     message.harmonic_orders = array.array("I", [harmonic.order for harmonic in identification.harmonics])
     for name in ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin"):
         amplitudes = [getattr(harmonic, name).ravel() for harmonic in identification.harmonics]
@@ -56,7 +59,8 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
 
 def fit_report_message(reply: Reply) -> FitReport:
     """Return the report of the fit, or of the samples only if the request failed."""
-    message = FitReport(warnings=list(reply.warnings))
+    message = FitReport()
+    _fill_warnings(message, reply.warnings)
     mechanics = reply.identification.mechanics if reply.identification is not None else None
     for field, name in _OF_MECHANICS.items():
         value = getattr(mechanics, name, None)  # without mechanics, nothing is known
@@ -70,8 +74,14 @@ def fit_report_message(reply: Reply) -> FitReport:
     elif reply.samples is not None:
         message.samples_read = reply.samples.samples
         message.gaps = reply.samples.gaps
-        message.warnings = list(reply.samples.warnings)
+        _fill_warnings(message, reply.samples.warnings)
     return message
+
+
+def _fill_warnings(message: FluxMap | FitReport, warnings: Sequence[Message]) -> None:
+    message.warnings = list(map(str, warnings))
+    message.warning_codes = [warning.code for warning in warnings]
+    message.warning_values = [json.dumps(warning.tree()["values"]) for warning in warnings]
 
 
 def _fill_calibrations(message: FluxMap | FitReport, identification: IdentifiedDrive) -> None:

@@ -14,6 +14,7 @@ from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import Provenance, results_tree
 from drive_id.fitting.advice import single_speed, sorted_statements
 from drive_id.fitting.result import Identification
+from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.quantity import Quantity, measured
 from drive_id.report.page.operation import TorqueMap
@@ -115,9 +116,7 @@ class Content:
 def content_of(result: Identification, operation: TorqueMap | None) -> Content:
     """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
     known = _without_folders(result.provenance)
-    twin = results_tree(result.drive, replace(known, warnings=()))
-    warnings = (*known.warnings, *result.drive.report.warnings)
-    twin["warnings"] = list(warnings)
+    twin = results_tree(result.drive, known)
     said, nothing = sorted_statements(result.drive)
     return Content(
         title=f"{result.origin.heading}: {result.name or 'unnamed machine'}",
@@ -125,7 +124,7 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
         headline=result.headline,
         figures=_figures(result),
         advice=next(iter(result.advice), ""),
-        warnings=warnings,
+        warnings=(*known.warnings, *result.drive.report.warnings),
         knowledge={
             "What the result states": tuple(said),
             "What such data leave open": result.origin.limits,
@@ -179,7 +178,8 @@ def _without_folders(known: Provenance) -> Provenance:
         return text
 
     inputs = {short(file): digest for file, digest in known.inputs.items()}
-    return replace(known, inputs=inputs, warnings=tuple(map(short, known.warnings)))
+    warnings = tuple(Message.told(short(said), said.code, said.values) for said in known.warnings)
+    return replace(known, inputs=inputs, warnings=warnings)
 
 
 def _figures(result: Identification) -> tuple[Merit, ...]:

@@ -13,6 +13,7 @@ from drive_id.core.accumulation.accumulated import VALIDATION_PIECES, Accumulate
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.messages import Message
 from drive_id.types import GroundTruth
 
 
@@ -29,8 +30,8 @@ def accumulated(name: str, seed: int = 0, machine: str = "ipm") -> Accumulated:
     evidence = Evidence.within(FitSettings(method="joint"), 300.0)
     evidence.add(samples)
     return Accumulated(
-        evidence, (samples,), (f"About {name}.",), {f"{name}.mcap": f"digest of {name}"}, truth(machine), len(samples),
-        int(samples.stamp[-1]) + seed,
+        evidence, (samples,), (Message.told(f"About {name}."),), {f"{name}.mcap": f"digest of {name}"}, truth(machine),
+        len(samples), int(samples.stamp[-1]) + seed,
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.windows import SHIFTS
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.messages import Message
 
 FULL = FitSettings("full", i_max=300.0)
 HEIGHTS = np.array([5.0, 4.0, 3.0])
@@ -207,11 +208,15 @@ def test_correction_takes_out_what_was_put_in(samples):
         "current_offset_alpha": 2.0, "current_offset_beta": -1.0, "current_gain_mismatch_alpha": 0.004,
         "current_gain_mismatch_beta": 0.002, "resolver_offset": angle, "voltage_delay": 1.0,
     }  # fmt: skip
-    found = corrected(faulty, [Calibration(name, value, 0.0, "", True, "") for name, value in values.items()])
+    found = corrected(
+        faulty, [Calibration(name, value, 0.0, "", True, Message.told("")) for name, value in values.items()]
+    )
     np.testing.assert_allclose(frames.space_vector(found.i_abc), i_s, atol=2 * abs(mismatch) ** 2 * 300 + 1e-9)
     np.testing.assert_allclose(found.angle, samples.angle)
     np.testing.assert_allclose(frames.space_vector(found.u_abc)[1:], frames.space_vector(samples.u_abc)[1:], atol=1e-9)
-    untouched = corrected(faulty, [Calibration(name, value, 0.0, "", False, "") for name, value in values.items()])
+    untouched = corrected(
+        faulty, [Calibration(name, value, 0.0, "", False, Message.told("")) for name, value in values.items()]
+    )
     np.testing.assert_allclose(frames.space_vector(untouched.i_abc), measured, atol=1e-9)
 
 

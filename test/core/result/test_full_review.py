@@ -151,7 +151,7 @@ def test_without_generating_currents_there_is_no_mirror(good):
     one_sided = replace(motoring, **arrays, run_starts=starts, i_dq_reference=None)
     (entry,) = (entry for entry in fitted(one_sided).calibrations if entry.name == "resolver_offset")
     assert not entry.applied
-    assert "both signs of i_q" in entry.sentence
+    assert "both signs of i_q" in entry.message
 
 
 def test_only_exact_coincidences_confound_orders():

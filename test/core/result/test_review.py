@@ -15,7 +15,8 @@ from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
-from drive_id.types import Finding, GroundTruth
+from drive_id.messages import Message
+from drive_id.types import GroundTruth
 
 
 def tanh_drop(i_abc):
@@ -76,7 +77,7 @@ def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good
     samples = replace(good, u_abc=rng.permutation(good.u_abc))
     with pytest.raises(DataError, match="unexplained, and no order of phases"):
         identify([samples], FitSettings(method))
-    cause = Finding("x", "The cable is loose: fix it.")
+    cause = Message.told("The cable is loose: fix it.", "x")
     for found, said in (((), "so there is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
         monkeypatch.setattr(Prescan, "findings", lambda _, found=found: found)
         with pytest.raises(UnexplainedError, match=said):
@@ -186,7 +187,7 @@ def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(good, mon
     """Where the checks say nothing: joint's standard errors are too wide to condemn a result."""
     monkeypatch.setattr(Prescan, "findings", lambda _: ())
     reversed_currents = replace(good, i_abc=-good.i_abc)
-    with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(-.*second speed"):
+    with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(\N{MINUS SIGN}.*second speed"):
         identify([reversed_currents], FitSettings("full"))
     assert "resistance is negative" in told(reversed_currents)
 

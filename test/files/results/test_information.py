@@ -29,6 +29,7 @@ from drive_id.files.results.information import (
     write_information,
 )
 from drive_id.files.results.information_name import is_information
+from drive_id.messages import Message
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,8 @@ def accumulated(simulation):
     evidence = Evidence.within(FitSettings("joint", i_max=300.0), 300.0)
     evidence.add(simulation.samples)
     return Accumulated(
-        evidence, (simulation.samples,), ("A warning: Ω.",), {"bag/bag_0.mcap": "ab" * 32}, simulation.truth,
-        len(simulation.samples), int(simulation.samples.stamp[-1]),
+        evidence, (simulation.samples,), (Message("gaps", gaps=3, time_lost=0.5),), {"bag/bag_0.mcap": "ab" * 32},
+        simulation.truth, len(simulation.samples), int(simulation.samples.stamp[-1]),
     )  # fmt: skip
 
 

@@ -74,7 +74,7 @@ def test_messages_of_a_node_that_keeps_up_are_handed_on_at_once():
     executor, sent = streamed(300, 3.0, [1.0, 2.0])
     assert executor.handled == list(range(sent))
     assert max(executor.delays) < 0.1
-    assert not executor.inbox.warning
+    assert not executor.inbox.warnings()
 
 
 def test_a_pause_costs_no_message_and_no_order():
@@ -116,6 +116,6 @@ def test_what_does_not_fit_is_dropped_at_once_and_told():
     inbox.empty()
     assert inbox.dropped == 3
     assert [len(data) for data in handled] == [4, MOST_BYTES // 3]
-    assert inbox.warning.startswith("3 messages of live samples were dropped")
+    assert [(told.code, told.values) for told in inbox.warnings()] == [("messages_dropped", {"messages": 3})]
     inbox.reset()
     assert not inbox.findings()

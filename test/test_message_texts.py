@@ -1,0 +1,122 @@
+"""Messages are values: code, kind and numbers survive files and processes, and every sentence is written once."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import json
+import math
+import pickle
+import re
+from functools import cache
+from pathlib import Path
+from string import Formatter
+
+import pytest
+import yaml
+
+from drive_id.messages import Message, codes
+
+PACKAGE = Path(__file__).parent.parent / "drive_id"
+CATALOGUE = yaml.safe_load((PACKAGE / "messages.yaml").read_text(encoding="utf-8"))
+KINDS = ("error", "warning", "statement", "nothing", "advice")
+TEMPLATES = {key: text for kind in KINDS for key, text in CATALOGUE[kind].items()}
+FAMILIES = {
+    "current_offset", "voltage_offset", "current_gain_mismatch", "single_sample", "misfit", "not_reciprocal",
+    "separation", "left_out",
+}  # fmt: skip
+"""Codes whose wordings the code puts together."""
+REPORTED = "{reason}"  # of an exception, or of a draft
+
+
+@cache
+def literals() -> set[str]:
+    """Return all texts in the code, without those that are documentation."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
+    nodes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return {node.value for node in nodes if isinstance(node.value, str) and len(node.value) < 60}
+
+
+def names_in(template: str) -> set[str]:
+    fields = [(name, spec or "") for _, name, spec, _ in Formatter().parse(template) if name]
+    return {name for name, _ in fields}.union(*(names_in(spec) for _, spec in fields))
+
+
+def test_a_message_is_its_sentence_and_its_values():
+    message = Message("resistance_vague", resistance=0.01, sigma_resistance=0.02)
+    assert message == (
+        "The resistance, 0.01 ohm, is not significantly different from zero (standard error 0.02 ohm): record at a "
+        "lower speed or at several speeds."
+    )
+    assert (message.code, message.kind) == ("resistance_vague", "warning")
+    assert message.values == {"resistance": 0.01, "sigma_resistance": 0.02}
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda message: pickle.loads(pickle.dumps(message))])
+def test_it_survives_processes(again):
+    message = Message("region", share=0.25, i_d=-3.0, i_q=2.0)
+    found = again(message)
+    assert (found, found.code, found.kind, found.values) == (message, "region", "statement", dict(message.values))
+
+
+def test_it_survives_files_and_those_of_earlier_versions_hold_sentences():
+    message = Message("diverged", remedy="passive_maps")
+    found = Message.stored(json.loads(json.dumps(message.tree())))
+    assert (found, found.tree()) == (message, message.tree())
+    assert Message.stored("A sentence.").tree() == {
+        "code": "", "kind": "warning", "sentence": "A sentence.", "values": {}
+    }  # fmt: skip
+    assert Message("coverage", coverage=0.5, i_max=math.inf).tree()["values"] == {"coverage": 0.5, "i_max": None}
+
+
+def test_units_and_optional_parts():
+    lost = {"topic": "/u", "period": 1e-4, "jitter": 2.5e-6, "gaps": 3, "counted": False}
+    assert "by 100 us, " in Message("equally_spaced", **lost)
+    assert Message("equally_spaced", **lost).endswith("jitter by 2.5 us rms.")
+    assert Message("equally_spaced", missing=9, **lost).endswith(
+        "; 9 samples are missing in 3 places, inferred from lasting steps of the stamps."
+    )
+    assert "5 ± 0.11°" not in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
+    assert "5.00 ± 0.11 °" in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
+    assert "phase b" in Message("resistance_of_phase", phase=1, value=1e-3, sigma=1e-4)
+    rivals = Message("iron_loss_current", value=1.0, sigma=0.1, rivals="flux_lag_4ms,dc_link", several_speeds=True)
+    assert rivals.endswith(
+        " This is open: flux that lags the current by 4 ms or a varying DC-link voltage would explain these data "
+        "nearly as well; a faster trajectory would tell."
+    )
+
+
+def test_a_sentence_without_its_values_is_refused():
+    with pytest.raises(KeyError, match="gaps lacks a value"):
+        Message("gaps", gaps=2)
+
+
+@pytest.mark.parametrize("key", TEMPLATES)
+def test_each_is_used_and_a_whole_sentence(key):
+    """Wordings of one code end the key, and may be put together."""
+    texts = literals()
+    assert key in texts or key.partition(".")[0] in FAMILIES, f"nothing says {key}"
+    text = TEMPLATES[key]
+    if text == REPORTED or text.startswith("{"):
+        return
+    assert text[0].isupper() or text.startswith(("i_max ", "psi_")), text
+    assert re.search(r"[.}]$", text), text
+    assert "  " not in text
+
+
+def test_every_key_in_the_code_is_in_the_catalogue():
+    keys = {
+        node.args[0].value
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Message"
+        and node.args and isinstance(node.args[0], ast.Constant)
+    }  # fmt: skip
+    assert len(keys) > 80
+    assert keys - set(TEMPLATES) == set()
+
+
+def test_clauses_and_nouns_are_used():
+    used = set[str]().union(*(names_in(text) for text in (*TEMPLATES.values(), *CATALOGUE["clause"].values())))
+    assert set(CATALOGUE["clause"]) - used == set()
+    assert {"error", "warning", "statement", "nothing", "advice"} == set(codes().values())

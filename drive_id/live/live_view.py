@@ -39,7 +39,7 @@ class Estimate:
         return _Z * self.sigma / abs(self.resistance) if self.resistance else math.inf
 
 
-def forecast(estimates: list[Estimate]) -> str:
+def forecast(estimates: list[Estimate], now: float) -> str:
     """Say when R will be within 1 % at 95 %; empty where its standard error does not fall as with white noise."""
     if not estimates:
         return ""
@@ -55,7 +55,8 @@ def forecast(estimates: list[Estimate]) -> str:
     if not _EXPONENTS[0] <= exponent <= _EXPONENTS[1] or growth > _MOST_GROWTH:
         return ""
     rate = (last.samples - first.samples) / (last.time - first.time)
-    return f"{(growth - 1) * last.samples / rate:.0f} s more, and R is within 1 % (95 %)."
+    missing = (growth - 1) * last.samples / rate - (now - last.time)
+    return f"{missing:.0f} s more, and R is within 1 % (95 %)." if missing > 0 else ""
 
 
 @dataclass
@@ -90,7 +91,7 @@ class LiveView:
         if not self._estimates or found.samples > self._estimates[-1].samples:
             self._estimates.append(found)
         told = [[e.samples, 1e3 * e.resistance, 1e3 * e.sigma] for e in self._estimates]
-        self._new["resistance"] = _plain({"estimates": told, "forecast": forecast(self._estimates)})
+        self._new["resistance"] = _plain({"estimates": told, "forecast": forecast(self._estimates, time)})
 
     def flux_map(self, message: Any) -> None:
         """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""

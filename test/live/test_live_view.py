@@ -19,7 +19,9 @@ def course(sigmas, resistance=0.01, rate=10_000):
 def test_white_noise_is_forecast_to_the_second():
     """1.96 σ = 1.96 % of R after 4 s: a quarter of the variance needs four times the time."""
     found = course(2e-4 / np.sqrt(np.arange(1, 5)))
-    assert forecast(found) == "11 s more, and R is within 1 % (95 %)."
+    assert forecast(found, 4.0) == "11 s more, and R is within 1 % (95 %)."
+    assert forecast(found, 9.0) == "6 s more, and R is within 1 % (95 %)."
+    assert forecast(found, 16.0) == "", "overdue"
     needed = found[-1].time * (found[-1].error / 0.01) ** 2
     assert needed - 4.0 == pytest.approx(11.37, abs=0.01)
 
@@ -30,11 +32,11 @@ def test_white_noise_is_forecast_to_the_second():
     ids=["none", "one", "constant", "erratic", "far", "unknown", "growing"],
 )
 def test_what_cannot_be_known_is_not_forecast(sigmas):
-    assert forecast(course(sigmas)) == ""
+    assert forecast(course(sigmas), len(sigmas)) == ""
 
 
 def test_reached_is_said():
-    assert forecast(course([5e-5, 4e-5])) == "R is within 0.78 % (95 %)."
+    assert forecast(course([5e-5, 4e-5]), 9.0) == "R is within 0.78 % (95 %)."
 
 
 def test_health_of_the_identification_gives_estimates_once_for_each_fit():

@@ -9,7 +9,7 @@ import pytest
 from ros_bench import require_ros, ros_bench
 
 POLICY = Path(__file__).parent.parent.parent / "config" / "sros2" / "drive_id.policy.xml"
-NODES = ("trajectory_publisher", "recorder", "identification")
+NODES = ("trajectory_publisher", "recorder", "identification", "live_feed")
 FROM_TIME = {"/clock", "/parameter_events"}
 """Needed with use_sim_time, or of releases of rclpy that listen to parameter events."""
 
@@ -19,7 +19,7 @@ def ros():
     require_ros()
     with ros_bench() as bench:
         for name in NODES:
-            parameters = {} if name == "trajectory_publisher" else {"data_directory": str(bench.folder)}
+            parameters = {} if name in {"trajectory_publisher", "live_feed"} else {"data_directory": str(bench.folder)}
             if name == "identification":
                 parameters |= {"output_directory": str(bench.folder / "out")}
             bench.start(f"drive_id.nodes.{name}", parameters=parameters)

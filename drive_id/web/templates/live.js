@@ -39,13 +39,13 @@
   function showEstimates() {
     const { resistance, map } = state;
     const last = resistance?.estimates.at(-1);
-    if (last) tile("R", measured(last.slice(1), "mΩ"), `from ${last[0]} samples`);
-    else if (map) tile("R", measured(map.resistance, "mΩ"), "");
+    if (last && state.from !== "request") tile("R", measured(last.slice(1), "mΩ"), `from ${last[0]} samples`);
+    else if (map) tile("R", measured(map.resistance, "mΩ"), "of the requested fit");
     if (map) {
       tile("psi", measured(map.psi_pm, "mWb"), map.provisional ? "provisional" : "of the requested fit");
       tile("drop", measured(map.drop, "V"), `method ${map.method}`);
     }
-    byId("forecast").textContent = resistance?.forecast ?? "";
+    byId("forecast").textContent = state.from === "request" ? "" : resistance?.forecast ?? "";
     const points = (resistance?.estimates ?? []).filter((e) => e[2] !== null).map(([samples, y, sigma]) => ({ x: samples, y, sigma, at: `${samples} samples` }));
     if (points.length > 1) byId("course").replaceChildren(drawTrend(points, "R / mΩ over the samples, bars: ±2 σ", (p) => measured([p.y, p.sigma], "mΩ")));
   }
@@ -93,7 +93,9 @@
   function take(news) {
     if (news.reset) state = { points: [] };
     const points = [...state.points, ...(news.points ?? [])].slice(-MOST_POINTS);
-    Object.assign(state, news, { points });
+    const samples = news.resistance?.estimates.at(-1)?.[0] ?? state.samples;
+    const from = news.map && !news.map.provisional ? "request" : samples !== state.samples ? "background" : state.from;
+    Object.assign(state, news, { points, samples, from });
     heard = Date.now();
     if (drawn) { drawn = false; requestAnimationFrame(draw); }
   }

@@ -17,8 +17,8 @@ from drive_id.fitting.sources import read_bag
 from drive_id.ros.bench import Bench
 
 SIGNALS, PARAMETERS = "signals.yaml", "trajectory_publisher.yaml"
-_SHAKE_FREQUENCY = 40.0
-"""Hz: slow enough for the current controllers, so fast that the shaft hardly moves."""
+_SHAKE_FREQUENCY = 25.0
+"""Hz: slow enough for the current controllers, so fast that the shaft turns by a part of a revolution only."""
 _SHAKE_TIME = 1.0  # s
 _SHAKES = (0.2, 0.95)
 """Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go."""

@@ -93,10 +93,8 @@ def row(machine_name: str, heavier: float, folder: Path) -> str:
     speed, current = (max(float(np.abs(getattr(bag, x)).max()) for bag in bags) for x in ("speed", "i_abc"))
     for sentence in found.warnings:
         print(f"    {sentence}", flush=True)
-    return (
-        f"| {name} | {d:.3f} / {q:.3f} % | {100 * wrong / true.resistance:+.2f} % ({wrong / found.sigma_resistance:+.1f})"
-        f" | {band:.0f} % | {shaft} | {speed / limit:.2f}, {current / machine.i_max:.2f} | {len(found.warnings)} |"
-    )
+    resistance = f"{100 * wrong / true.resistance:+.2f} % ({wrong / found.sigma_resistance:+.1f})"
+    return f"| {name} | {d:.3f} / {q:.3f} % | {resistance} | {band:.0f} % | {shaft} | {speed / limit:.2f}, {current / machine.i_max:.2f} | {len(found.warnings)} |"
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ _RIM_NODES = 721
 _TRIALS = 12
 _MAGNETS, _SALIENT_SHARE = 0.2, 0.08
 """Mean torque by the bias, relative to the largest, below which reluctance torque prevails; swings are then slower,
-relative to the bandwidth: where i_d and i_q lag differently, reluctance torque has a mean, which alternates with i_d."""
+relative to the bandwidth: where i_d and i_q lag differently, reluctance torque has a mean, alternating with i_d."""
 _LEAST_HELD = 0.03
 """The same, below which friction exceeds it, so that no mean speed can be held."""
 _LEAST_PART = 0.2

@@ -24,7 +24,8 @@ from drive_id.fitting.result import Identification, InverterCurve
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
-FORMAT, MARKER = "drive_id/analysis", "analysis.json"
+FORMAT = "drive_id/analysis"
+MARKER = "analysis.json"
 FORMAT_VERSION = 1
 _UNITS = {
     "current": "A", "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "torque": "Nm", "speed": "rad/s, mechanical",

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from drive_id.core.accumulation.accumulated import Accumulated
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identify import identify
-from drive_id.core.result.mechanics import with_mechanics
-from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
@@ -25,7 +24,7 @@ from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.identification import write_results
 from drive_id.files.results.information import check_information_output, write_information
-from drive_id.fitting.provenance import known_pole_pairs, provenance_of
+from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
@@ -38,7 +37,6 @@ Draw = Callable[[Identification], Mapping[str, bytes]]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
-"""Stamps before it are not times of day, ns."""
 
 
 def fit(
@@ -148,20 +146,14 @@ def _fit_samples(
     if output is not None:
         check_output(output, force=force)
     settings.check_recordings(len(samples))
-    truth = common_truth([part.truth for part in samples])
-    pole_pairs = known_pole_pairs(settings, truth)
-    drive = with_torque(identify(samples, settings, tell), samples, pole_pairs)
-    drive = with_mechanics(drive, samples, pole_pairs, settings)
-    last_stamp = int(samples[-1].stamp[-1])
-    provenance = provenance_of(
-        drive,
+    result = completed(
+        identify(samples, settings, tell),
         settings,
         excerpts=samples,
-        truth=truth,
+        truth=common_truth([part.truth for part in samples]),
         duration=sum(part.duration for part in samples),
-        last_stamp=last_stamp,
+        last_stamp=int(samples[-1].stamp[-1]),
     )
-    result = Identification(drive, provenance, tuple(samples), truth, last_stamp)
     if output is not None:
         result.save(output, force=force)
     return result
@@ -174,7 +166,6 @@ def fit_bags(
     *,
     force: bool = False,
     draw: Draw | None = None,
-    resumable: bool = True,
     tell: Progress = silent,
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results.
@@ -189,8 +180,6 @@ def fit_bags(
         Write into a folder that holds other files.
     draw : callable, optional
         Makes the pictures beside the result files, see :data:`Draw`.
-    resumable : bool
-        Keep a checkpoint beside the output while long bags are read; the same call resumes from it after an interrupt.
     tell : callable, optional
 
     Returns
@@ -208,37 +197,42 @@ def fit_bags(
         check_output(output, force=force)
     if not sources.information:  # these know their own
         settings.check_recordings(len(sources.paths))
-    checkpoint = None
-    if output is not None and resumable:
-        checkpoint = output.absolute().with_name(f".{output.absolute().name}.checkpoint")
     with one_blas_thread(with_scipy=method_named(settings.method).windows):
-        recording = _accumulator(sources, checkpoint=checkpoint)(settings, tell=tell)
+        recording = _accumulator(sources)(settings, tell=tell)
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
-    evidence, truth = recording.evidence, recording.truth
+    evidence = recording.evidence
     warnings, statements = _on_checksums(recording)
-    drive = replace(drive, statements=(*drive.statements, *statements))
-    pole_pairs = known_pole_pairs(settings, truth, sources.signals)
-    drive = with_torque(drive, recording.validation, pole_pairs)
-    drive = with_mechanics(drive, recording.validation, pole_pairs, settings)
-    provenance = provenance_of(
-        drive,
+    result = completed(
+        replace(drive, statements=(*drive.statements, *statements)),
         settings,
         excerpts=recording.validation,
-        truth=truth,
+        truth=recording.truth,
         signals=sources.signals,
         duration=evidence.samples * evidence.sample_period,
         last_stamp=recording.last_stamp,
         inputs=recording.digests,
         warnings=(*recording.warnings, *warnings),
     )
-    if output is None:
-        return Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
+    return result if output is None else written(result, output, evidence, force=force, draw=draw, tell=tell)
+
+
+def written(
+    result: Identification,
+    output: Path,
+    evidence: Evidence | None,
+    *,
+    force: bool = False,
+    draw: Draw | None = None,
+    tell: Progress = silent,
+) -> Identification:
+    """Write the result files of a fit, and return the result with the diagnostics that are among them."""
     tell("Writing", None)
-    judged = diagnose(drive, settings, recording.validation, truth, evidence)
-    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp, judged)
+    if evidence is not None:
+        judged = diagnose(result.drive, result.provenance.settings, result.excerpts, result.truth, evidence)
+        result = replace(result, stored=judged)
     drawn = draw(result) if draw else {}
-    write_results(output, drive, provenance, force=force, pictures=drawn, diagnostics=judged)
+    write_results(output, result.drive, result.provenance, force=force, pictures=drawn, diagnostics=result.stored)
     return result
 
 
@@ -282,11 +276,7 @@ def _fit_static(
         settings.check_recordings(len(sources))
         known = StaticSources.in_memory(sources)
     result = fit_static(known, settings, tell)
-    if output is not None:
-        tell("Writing", None)
-        drawn = draw(result) if draw else {}
-        write_results(output, result.drive, result.provenance, force=force, pictures=drawn)
-    return result
+    return result if output is None else written(result, output, None, force=force, draw=draw, tell=tell)
 
 
 def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:
@@ -312,12 +302,8 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
     return accumulated
 
 
-def _accumulator(
-    sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
-) -> Callable[..., Accumulated]:
+def _accumulator(sources: Sources, *, apart: bool = False) -> Callable[..., Accumulated]:
     """Return what accumulates the sources: together, or each on its own."""
     if apart or sources.skip_bad or sources.information or sources.workers > 1:
         return partial(accumulate_sources, sources)
-    return partial(
-        accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint
-    )
+    return partial(accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace)

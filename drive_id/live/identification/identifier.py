@@ -11,20 +11,16 @@ from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
-from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.result.mechanics import with_mechanics
-from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_signals
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.fit import Draw, fit_bags
-from drive_id.fitting.provenance import known_pole_pairs, provenance_of
+from drive_id.fitting.completion import completed
+from drive_id.fitting.fit import Draw, fit_bags, written
 from drive_id.fitting.result import Identification, pictures
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
@@ -340,7 +336,7 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
+    result = fit_bags(sources, output, fit, draw=_draw(settings), tell=tell)
     return _reply(result, output)
 
 
@@ -369,24 +365,16 @@ def _fit_live(
         refit = of_snapshot(snapshot, earlier)
     except DriveIdError as error:
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
-    tell("Writing", None)
-    excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
-    pole_pairs = known_pole_pairs(fit)
-    identification = with_mechanics(with_torque(refit.drive, excerpts, pole_pairs), excerpts, pole_pairs, fit)
-    stamp = snapshot.join.last_stamp or 0
-    provenance = provenance_of(
-        identification,
+    evidence = snapshot.gathered.evidence
+    result = completed(
+        refit.drive,
         fit,
-        excerpts=excerpts,
+        excerpts=snapshot.validation(),
         duration=evidence.samples * evidence.sample_period,
-        last_stamp=stamp,
+        last_stamp=snapshot.join.last_stamp or 0,
         warnings=snapshot.report.warnings,
     )
-    judged = diagnose(identification, fit, excerpts, evidence=evidence)
-    result = Identification(identification, provenance, excerpts, last_stamp=stamp, stored=judged)
-    draw = _draw(settings, "Live samples")
-    drawn = draw(result) if draw else {}
-    write_results(output, identification, provenance, pictures=drawn, diagnostics=judged)
+    result = written(result, output, evidence, draw=_draw(settings, "Live samples"), tell=tell)
     return replace(_reply(result, output, snapshot.report), refit=refit)
 
 

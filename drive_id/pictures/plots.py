@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
-from drive_id.fitting.caption import NO_CAPTION, Caption
-from drive_id.report.diagnostics import draw_diagnostics
-from drive_id.report.panels import NORMAL, Disc, add_key, draw_flux, place
+from drive_id.pictures.caption import NO_CAPTION, Caption
+from drive_id.pictures.diagnostics import draw_diagnostics
+from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, place
 from drive_id.types import FloatArray, Samples
 
 FORMATS = ("png", "svg", "pdf")

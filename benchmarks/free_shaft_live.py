@@ -94,7 +94,10 @@ def row(machine_name: str, heavier: float, folder: Path) -> str:
     for sentence in found.warnings:
         print(f"    {sentence}", flush=True)
     resistance = f"{100 * wrong / true.resistance:+.2f} % ({wrong / found.sigma_resistance:+.1f})"
-    return f"| {name} | {d:.3f} / {q:.3f} % | {resistance} | {band:.0f} % | {shaft} | {speed / limit:.2f}, {current / machine.i_max:.2f} | {len(found.warnings)} |"
+    reached = f"{speed / limit:.2f}, {current / machine.i_max:.2f}"
+    return (
+        f"| {name} | {d:.3f} / {q:.3f} % | {resistance} | {band:.0f} % | {shaft} | {reached} | {len(found.warnings)} |"
+    )
 
 
 def main() -> None:

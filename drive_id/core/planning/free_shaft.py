@@ -184,7 +184,7 @@ def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftP
 def _held_torque(machine: RoughMachine) -> float:
     """Return the mean torque that the bias of i_q can hold, relative to the largest: reluctance torque has none."""
     figure = FreeShaft(AMPLITUDE * machine.i_max, 1.0, 1e3)
-    i_dq = figure(figure.ramp_time + np.arange(_PERIODS * _STEPS) / _STEPS, LARGEST_BIAS)
+    i_dq = figure(figure.ramp_time + np.arange(_PERIODS * _STEPS, dtype=np.float64) / _STEPS, LARGEST_BIAS)
     psi = machine.flux(i_dq)
     torque = psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0]
     return float(abs(torque.mean()) / np.abs(torque).max())
@@ -214,7 +214,7 @@ def _swing_voltage(plan: FreeShaftPlan) -> float:
     """Return the largest amplitude ``|R i + omega J psi + dpsi/dt|`` of a swing, V: the currents change as it turns."""
     figure, machine = plan.figure, plan.machine
     step = 1 / (_STEPS * plan.frequency)
-    i_dq = figure(figure.ramp_time + step * np.arange(_PERIODS * _STEPS))
+    i_dq = figure(figure.ramp_time + step * np.arange(_PERIODS * _STEPS, dtype=np.float64))
     psi = machine.flux(i_dq)
     torque = psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0]
     swing = np.cumsum(torque)

@@ -72,10 +72,10 @@ class Cell:
         status = self.bench.status()
         if status is not None:
             experiment.status(self.now, steady, status)
-        for block in experiment.advance(self.now, steady):
-            d, q = block.i_dq.T
-            session: dict[str, Any] = {"session": block.session, "count": block.count, "safe": block.safe}
-            self.bench.references.add(block.stamp, block.sample_period, d, q, stator_frame=False, **session)
+        for made in experiment.advance(self.now, steady):
+            d, q = made.i_dq.T
+            session: dict[str, Any] = {"session": made.session, "count": made.count, "safe": made.safe}
+            self.bench.references.add(made.stamp, made.sample_period, d, q, stator_frame=False, **session)
         self.now += TICK
         return experiment.report(self.now, steady)
 
@@ -114,7 +114,8 @@ def outcome(seed: int, number: int, seconds: float) -> Outcome:
     own, swing, machine_map = one.settings[0], one.swing, one.machine.to_map("")
     machine = build_machine(machine_map, replace(own, i_max=one.i_max))
     torque = largest_torque(machine)
-    assert own.inertia is not None
+    inertia = own.inertia
+    assert inertia is not None
     own = replace(
         own, seed=number, log_decimation=1, stamp_jitter=0.0, log_zero_sequence=False,
         current_gain=(1.0, 1.0, 1.0), coulomb_friction=torque * float(rng.uniform(0.0, 0.05)),
@@ -123,7 +124,7 @@ def outcome(seed: int, number: int, seconds: float) -> Outcome:
     settings = ExperimentSettings(
         trajectory="free_shaft", i_max=one.i_max, duration=seconds, sample_period=own.sample_period,
         slew_rate=1e6 * one.i_max, speed_max=1e5, shaft_speed_max=swing.speed_max * electrical,
-        shaft_acceleration=torque * machine.pole_pairs / own.inertia * float(rng.uniform(0.9, 1.1)),
+        shaft_acceleration=torque * machine.pole_pairs / inertia * float(rng.uniform(0.9, 1.1)),
         mean_speed=swing.mean_speed * electrical,
     )  # fmt: skip
     cell = Cell(machine_map, own, settings, int(rng.integers(0, 6)))

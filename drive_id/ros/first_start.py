@@ -17,11 +17,12 @@ from drive_id.fitting.sources import read_bag
 from drive_id.ros.bench import Bench
 
 SIGNALS, PARAMETERS = "signals.yaml", "trajectory_publisher.yaml"
-_SHAKE_FREQUENCY = 40.0
-"""Hz: slow enough for the current controllers, so fast that the shaft hardly moves."""
+_SHAKE_FREQUENCY = 25.0
+"""Hz: slow enough for the current controllers, so fast that the shaft turns by a part of a revolution only."""
 _SHAKE_TIME = 1.0  # s
-_SHAKES = (0.2, 0.95)
-"""Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go."""
+_SHAKES = (0.2, 0.8)
+"""Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go; the larger one
+leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
 
 
@@ -86,7 +87,8 @@ def commission(
         raise ExperimentError(
             "trajectory_publisher has no shaft_speed_max: set the highest electrical speed of the free shaft, rad/s."
         )
-    kept = {key: bench.publisher_value(key) for key in ("duration", "i_max", "mean_speed")}
+    kept = {key: bench.publisher_value(key) for key in ("duration", "mean_speed", "amplitude", "swing_frequency")}
+    i_max = bench.publisher_value("i_max")
     if angle_known:
         start = FirstStart((0.0,) * 3, 1, 1, bench.publisher_value("angle_offset"), math.nan, math.nan)
     else:
@@ -94,12 +96,10 @@ def commission(
         bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
         start = first_start(read_bag(bench.run_experiment(f"{name}_first_start").uri))
         _require_plain(start)
-    acceleration = _shaken(bench, start, name, kept["i_max"], limit, say)
+    acceleration = _shaken(bench, start, name, i_max, limit, say)
     found = {"angle_offset": start.angle_offset, "shaft_acceleration": acceleration, "shaft_speed_max": limit}
-    swing_up(bench, duration=kept["duration"], mean_speed=kept["mean_speed"], **found)
-    _write(
-        folder / PARAMETERS, {"/**": {"ros__parameters": {"trajectory": FREE_SHAFT, "i_max": kept["i_max"], **found}}}
-    )
+    swing_up(bench, **kept, **found)
+    _write(folder / PARAMETERS, {"/**": {"ros__parameters": {"trajectory": FREE_SHAFT, "i_max": i_max, **found}}})
     _write(folder / SIGNALS, signals_of(start))
     return Commissioned(start, acceleration, folder / SIGNALS, folder / PARAMETERS)
 
@@ -108,7 +108,6 @@ def swing_up(bench: Bench, **changes: Any) -> None:
     """Set the publisher to trajectory ``free_shaft``, with the slew rate that it needs."""
     names = ("i_max", "shaft_acceleration", "shaft_speed_max", "mean_speed", "swing_frequency", "amplitude", "duration")
     values = {key: bench.publisher_value(key) for key in names}
-    values |= {"swing_frequency": math.nan, "amplitude": _SHAKES[-1]} if "shaft_acceleration" in changes else {}
     values |= changes
     known = {key: None if math.isnan(value) else value for key, value in values.items()}
     wanted: dict[str, Any] = {**known, "trajectory": FREE_SHAFT, "slew_rate": 1e9}

@@ -23,6 +23,8 @@ _IDLE = 0.2
 """Share of the largest current below which a vector counts as none."""
 _BEFORE = 40
 """Mean vectors before the first current, for its offset."""
+_SMOOTH = 25
+"""Mean vectors over which its speed is taken: the rotor oscillates about the vector, and takes the currents with it."""
 _EVEN = 0.4
 """Deviation from the usual speed of the vector that is tolerated: the inverter's voltage error makes it uneven."""
 _LEAST_MOTION = 0.5
@@ -173,8 +175,8 @@ def _phase(vector: ComplexArray) -> FloatArray:
 def _runs(vector: ComplexArray, largest: float) -> Iterator[slice]:
     """Yield the stretches in which the vector turns evenly."""
     speed = np.gradient(_phase(np.where(np.abs(vector) > _IDLE * largest, vector, largest)))
-    usual = float(np.median(np.abs(speed[np.abs(speed) > 0.5 * np.percentile(np.abs(speed), 80)])))
-    smooth = np.convolve(speed, np.full(9, 1 / 9), "same")
+    smooth = np.convolve(speed, np.full(_SMOOTH, 1 / _SMOOTH), "same")
+    usual = float(np.median(np.abs(smooth[np.abs(smooth) > 0.5 * np.percentile(np.abs(smooth), 80)])))
     even = (np.abs(np.abs(smooth) - usual) < _EVEN * usual) & (np.abs(vector) > _IDLE * largest)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], even.astype(np.int8), [0]))))
     for begin, end in edges.reshape(-1, 2):

@@ -31,7 +31,8 @@ _INTEGRAL = 0.25
 """Corner of the integrator relative to the crossover."""
 _RUN_UP = 0.15
 """Part of the largest torque that brings the shaft to its mean speed."""
-_LARGEST_BIAS = 0.36
+LARGEST_BIAS = 0.36
+"""Of i_q, relative to its amplitude, that the feedback of the mean speed gives."""
 _DECIMATION = 10
 _LEAST_MOTION = 1e-3  # rad
 
@@ -184,7 +185,7 @@ class SpeedFeedback:
         error, gain = self.reference - self.mean.value, self._crossover / self._acceleration
         ahead = step / (passed * self._acceleration) if passed > 0 else 0.0
         wanted = ahead + gain * error + self._integral
-        self.bias = min(max(wanted, -_LARGEST_BIAS), _LARGEST_BIAS)
+        self.bias = min(max(wanted, -LARGEST_BIAS), LARGEST_BIAS)
         if wanted == self.bias:  # no wind-up
             self._integral += gain * _INTEGRAL * self._crossover * error * passed
 

@@ -120,7 +120,10 @@ class ExperimentSettings:
         minimum=1e-3,
     )
     follow_band: float | None = setting(
-        None, "Largest distance of measured currents from the references; default: 0.2 i_max", unit="A", minimum=0.0
+        None,
+        "Largest distance of measured currents from the references; default: 0.2 i_max, free_shaft 0.35 i_max",
+        unit="A",
+        minimum=0.0,
     )
     follow_time: float = setting(
         0.1, "Time constant by which this distance is averaged", unit="s", minimum=1e-3, maximum=10.0
@@ -256,7 +259,8 @@ class ExperimentSettings:
     @property
     def largest_distance(self) -> float:
         """Limit of the distance between measured currents and references, A."""
-        return 0.2 * self.i_max if self.follow_band is None else self.follow_band
+        factor = 0.35 if self.trajectory == FREE_SHAFT else 0.2  # a quarter of the bandwidth lags by a quarter
+        return factor * self.i_max if self.follow_band is None else self.follow_band
 
 
 def make_trajectory(settings: ExperimentSettings) -> Trajectory:

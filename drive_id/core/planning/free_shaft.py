@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from drive_id.core.experiment.free_shaft import FASTEST_SWING, SLOWEST_SWING, FreeShaft, swing_frequency
+from drive_id.core.experiment.free_shaft import FASTEST_SWING, LARGEST_BIAS, SLOWEST_SWING, FreeShaft, swing_frequency
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 
@@ -22,6 +23,16 @@ _FEWEST_TURNS = 10.0
 """Electrical revolutions in an experiment, at least; below, the shaft creeps."""
 _DURATION = 20.0  # s
 _RIM_NODES = 721
+_TRIALS = 12
+_MAGNETS, _SALIENT_SHARE = 0.2, 0.08
+"""Mean torque by the bias, relative to the largest, below which reluctance torque prevails; swings are then slower,
+relative to the bandwidth: where i_d and i_q lag differently, reluctance torque has a mean, alternating with i_d."""
+_LEAST_HELD = 0.03
+"""The same, below which friction exceeds it, so that no mean speed can be held."""
+_LEAST_PART = 0.2
+"""Smallest part of the highest speed that is left for the sake of the voltage of fast swings."""
+_STEPS, _PERIODS = 100, 9
+"""Instants in a period of the swing, and periods, in which i_d sweeps once: 1 / 0.12."""
 _RPM = 30 / math.pi
 
 _CREEP = 60.0 / _RPM
@@ -54,6 +65,8 @@ class FreeShaftPlan:
         Hz.
     duration : float
         s.
+    unheld : bool
+        The shaft should have a mean speed, but the torque of the machine cannot hold it.
     """
 
     settings: PlanSettings
@@ -66,6 +79,7 @@ class FreeShaftPlan:
     mean_speed: float
     frequency: float
     duration: float
+    unheld: bool = False
 
     @property
     def figure(self) -> FreeShaft:
@@ -106,13 +120,19 @@ class FreeShaftPlan:
 
     def warnings(self) -> list[str]:
         """Say what has to be changed before."""
+        said = []
+        if self.unheld:
+            said.append(
+                "The swing is small, and the torque, nearly all from reluctance, cannot hold a mean speed: reduce the "
+                "inertia, or drive the shaft with a load machine."
+            )
         if not self.added_inertia:
-            return []
+            return said
         advice = (
             f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled rotor), "
             f"or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
         )
-        return [advice]
+        return [*said, advice]
 
 
 def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftPlan:
@@ -138,13 +158,42 @@ def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftP
     torque = AMPLITUDE * _largest_torque(machine)
     if not torque > 1e-9 * machine.i_max:
         raise ConfigurationError("The machine has no torque: check magnet_flux and the inductances.")
-    speed_max = _fastest(machine, settings.speed_max) / _RPM
-    fastest = min(FASTEST_SWING, _BANDWIDTH_SHARE * settings.current_bandwidth)
-    if fastest < SLOWEST_SWING:
+    followed = 60 * settings.current_bandwidth / machine.pole_pairs  # one electrical turn per time of the controller
+    speed_max = _fastest(machine, min(settings.speed_max, followed)) / _RPM
+    held = _held_torque(machine)
+    share = _BANDWIDTH_SHARE if held > _MAGNETS else _SALIENT_SHARE
+    fastest = min(FASTEST_SWING, max(share * settings.current_bandwidth, SLOWEST_SWING))
+    if _BANDWIDTH_SHARE * settings.current_bandwidth < SLOWEST_SWING:
         raise ConfigurationError(
             f"current_bandwidth is {settings.current_bandwidth:g} Hz: a swing needs at least "
             f"{SLOWEST_SWING / _BANDWIDTH_SHARE:g} Hz."
         )
+    most = _VOLTAGE_SHARE * machine.largest_voltage
+    for highest, part in product(np.geomspace(fastest, SLOWEST_SWING, _TRIALS), np.linspace(1.0, _LEAST_PART, _TRIALS)):
+        plan = _planned(settings, machine, torque, inertia, float(part) * speed_max, float(highest))
+        if held < _LEAST_HELD:
+            plan = replace(plan, mean_speed=0.0, unheld=plan.mean_speed != 0.0)
+        if _swing_voltage(plan) <= most:
+            return plan
+    raise ConfigurationError(
+        f"The DC link of {machine.u_dc:g} V does not suffice for a swing at {SLOWEST_SWING:g} Hz with i_max: reduce "
+        "i_max."
+    )
+
+
+def _held_torque(machine: RoughMachine) -> float:
+    """Return the mean torque that the bias of i_q can hold, relative to the largest: reluctance torque has none."""
+    figure = FreeShaft(AMPLITUDE * machine.i_max, 1.0, 1e3)
+    i_dq = figure(figure.ramp_time + np.arange(_PERIODS * _STEPS, dtype=np.float64) / _STEPS, LARGEST_BIAS)
+    psi = machine.flux(i_dq)
+    torque = psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0]
+    return float(abs(torque.mean()) / np.abs(torque).max())
+
+
+def _planned(
+    settings: PlanSettings, machine: RoughMachine, torque: float, inertia: float, speed_max: float, fastest: float
+) -> FreeShaftPlan:
+    """Plan for a highest mechanical speed, rad/s, and a highest frequency of the swing, Hz."""
     wanted = swing_frequency(torque / inertia, speed_max)
     share = min(1.0, fastest / wanted)
     total = inertia / share
@@ -159,6 +208,20 @@ def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftP
     return FreeShaftPlan(
         settings, machine, total, total - inertia, share, torque / total, speed_max, mean_speed, frequency, duration
     )
+
+
+def _swing_voltage(plan: FreeShaftPlan) -> float:
+    """Return the largest amplitude ``|R i + omega J psi + dpsi/dt|`` of a swing, V: the currents change as it turns."""
+    figure, machine = plan.figure, plan.machine
+    step = 1 / (_STEPS * plan.frequency)
+    i_dq = figure(figure.ramp_time + step * np.arange(_PERIODS * _STEPS, dtype=np.float64))
+    psi = machine.flux(i_dq)
+    torque = psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0]
+    swing = np.cumsum(torque)
+    swing -= swing.mean()
+    speed = machine.pole_pairs * (abs(plan.mean_speed) + plan.swing * swing / np.abs(swing).max())
+    u_d, u_q = (machine.resistance * i_dq + np.gradient(psi, step, axis=0)).T
+    return float(np.hypot(u_d - speed * psi[:, 1], u_q + speed * psi[:, 0]).max())
 
 
 def _largest_torque(machine: RoughMachine) -> float:

@@ -48,6 +48,13 @@ def test_the_angle_is_found_within_its_error(name, offset, friction):
     assert (found.direction, found.turns_per_angle) == (1, 1)
 
 
+def test_a_controller_that_knows_neither_machine_nor_inverter_is_good_enough():
+    """The rotor swings about the vector and takes the currents with it."""
+    poor = {"current_bandwidth": 120.0, "controller_inductance": 0.7, "controller_flux": 0.9, "inverter": "tanh"}
+    found = first_start(turned("ipm", resolver_offset=0.7, **poor, inverter_voltage=0.02 * machine_map("ipm").u_dc))
+    assert found.angle_offset == pytest.approx(0.7, abs=math.radians(0.3))
+
+
 def test_exchanged_phases_and_an_angle_of_the_shaft_are_noticed():
     found = first_start(turned("ipm", resolver_offset=0.3, angle_reversed=True, angle_factor=0.25))
     assert (found.direction, found.turns_per_angle) == (-1, 4)

@@ -231,6 +231,8 @@ def test_short_words_for_a_result(result, saved):
 def test_a_result_is_drawn(result, saved):
     for found in (result, drive_id.load(saved)):
         assert isinstance(found.plot(), matplotlib.figure.Figure)
+    assert not (saved / "flux_map.png").exists()  # nobody waits for pictures
+    result.save(saved, draw=True)
     assert (saved / "flux_map.png").read_bytes().startswith(b"\x89PNG")
 
 

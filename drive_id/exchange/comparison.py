@@ -14,6 +14,10 @@ from drive_id.fitting.result import Identification
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
+_AGREEING = 4.0
+"""Joint standard errors that the largest of some hundred differences hardly exceeds by chance."""
+_OTHER_MACHINE = 0.08
+"""NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +84,31 @@ class Comparison:
         place = np.unravel_index(np.nanargmax(np.hypot(*np.moveaxis(self.difference, -1, 0))), self.common.shape)
         return float(self.i_d[place[0]]), float(self.i_q[place[1]]), self.difference[place]
 
+    @property
+    def largest_in_sigma(self) -> float:
+        """Largest difference of the fluxes and of R in units of their joint standard errors; NaN if none is known."""
+        units = np.abs([*self.in_sigma.ravel(), self.resistance_in_sigma])
+        return float(np.nanmax(units)) if np.isfinite(units).any() else math.nan
+
+    @property
+    def verdict(self) -> str:
+        """Whether both can be of the same machine, two sentences."""
+        largest, apart = self.largest_in_sigma, f"The fluxes differ by {100 * max(self.nrmse):.3g} % NRMSE"
+        if math.isfinite(largest):
+            apart += f", and the largest difference, R included, is {largest:.3g} joint standard errors"
+        if max(self.nrmse) > _OTHER_MACHINE:
+            told = "These are different machines, or maps in different units, axes or signs."
+        elif math.isnan(largest):
+            told = "It may be the same machine: without standard errors nothing more can be said."
+        elif largest <= _AGREEING:
+            told = "The same machine, as far as the standard errors can tell."
+        else:
+            told = (
+                "It may be the same machine at another temperature or with other sensor gains, but the standard errors "
+                "alone do not explain the difference."
+            )
+        return f"{apart}. {told}"
+
     def tree(self) -> dict[str, Any]:
         """Return all figures as plain values; None if unknown."""
         i_d, i_q, worst = self.worst()
@@ -89,6 +118,7 @@ class Comparison:
             torque = {"rms": _rms(self.torque), "largest": float(np.nanmax(np.abs(self.torque)))}
             relative = torque["rms"] / self.second_torque if self.second_torque > 0 else None
         tree = {
+            "verdict": self.verdict,
             "points": int(np.count_nonzero(self.common)),
             "nrmse_d": self.nrmse[0],
             "nrmse_q": self.nrmse[1],

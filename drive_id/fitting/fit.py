@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.diagnostics import diagnose
+from drive_id.core.result.diagnostics import COMPARED
 from drive_id.core.result.identify import identify
 from drive_id.core.result.mechanics import with_mechanics
 from drive_id.core.result.torque import with_torque
@@ -23,22 +23,18 @@ from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import write_results
 from drive_id.files.results.information import check_information_output, write_information
 from drive_id.fitting.provenance import known_pole_pairs, provenance_of
-from drive_id.fitting.result import Identification, pictures
+from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
 from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
 StrPath = str | os.PathLike[str]
-Draw = Callable[[Identification], Mapping[str, bytes]]
-"""Returns the pictures of a result by file name."""
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
-"""Stamps before it are not times of day, ns."""
 
 
 def fit(
@@ -75,7 +71,7 @@ def fit(
     settings : FitSettings, optional
         All else. Default: those of the first information file, or else the defaults.
     output : path, optional
-        Write a result folder with pictures, too, as :meth:`Identification.save` does.
+        Write a result folder, too, as :meth:`Identification.save` does.
     force : bool
         Let ``output`` be a folder that holds other files.
     workers : int
@@ -121,7 +117,7 @@ def fit(
             raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
         if not ORIGINS[own.method].live:
-            return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
+            return _fit_static(samples, target, own, force=force, tell=tell)
         fast = [part for part in samples if isinstance(part, Samples)]
         if slow:
             raise ConfigurationError(
@@ -130,7 +126,7 @@ def fit(
         return _fit_samples(fast, target, own, force=force, tell=tell)
     sources = Sources(paths, signal_map, namespace, workers, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
-    return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
+    return fit_bags(sources, target, settings, force=force, tell=tell)
 
 
 def _listed(recordings: object) -> list[object]:
@@ -173,7 +169,6 @@ def fit_bags(
     settings: FitSettings,
     *,
     force: bool = False,
-    draw: Draw | None = None,
     resumable: bool = True,
     tell: Progress = silent,
 ) -> Identification:
@@ -187,8 +182,6 @@ def fit_bags(
     settings : FitSettings
     force : bool
         Write into a folder that holds other files.
-    draw : callable, optional
-        Makes the pictures beside the result files, see :data:`Draw`.
     resumable : bool
         Keep a checkpoint beside the output while long bags are read; the same call resumes from it after an interrupt.
     tell : callable, optional
@@ -203,7 +196,7 @@ def fit_bags(
         Nothing is written then.
     """
     if not ORIGINS[settings.method].live:
-        return _fit_static(sources, output, settings, force=force, draw=draw, tell=tell)
+        return _fit_static(sources, output, settings, force=force, tell=tell)
     if output is not None:
         check_output(output, force=force)
     if not sources.information:  # these know their own
@@ -232,13 +225,11 @@ def fit_bags(
         inputs=recording.digests,
         warnings=(*recording.warnings, *warnings),
     )
-    if output is None:
-        return Identification(drive, provenance, recording.validation, truth, recording.last_stamp)
-    tell("Writing", None)
-    judged = diagnose(drive, settings, recording.validation, truth, evidence)
-    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp, judged)
-    drawn = draw(result) if draw else {}
-    write_results(output, drive, provenance, force=force, pictures=drawn, diagnostics=judged)
+    sums = evidence.copy(replace(evidence.settings, method=COMPARED[0]))  # without windows, which take memory
+    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp, evidence=sums)
+    if output is not None:
+        tell("Writing", None)
+        result.save(output, force=force)
     return result
 
 
@@ -267,7 +258,6 @@ def _fit_static(
     settings: FitSettings,
     *,
     force: bool,
-    draw: Draw | None,
     tell: Progress,
 ) -> Identification:
     """Fit by method ``static``, and write the results."""
@@ -284,8 +274,7 @@ def _fit_static(
     result = fit_static(known, settings, tell)
     if output is not None:
         tell("Writing", None)
-        drawn = draw(result) if draw else {}
-        write_results(output, result.drive, result.provenance, force=force, pictures=drawn)
+        result.save(output, force=force)
     return result
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -32,9 +32,11 @@ from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
 
+FigureFormat = Literal["png", "svg", "pdf"]
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
 _ENOUGH_SPEED = 3000.0
@@ -86,6 +88,8 @@ class Identification:
     stored : Diagnostics or None
         Residuals, simulated currents and the paper's methods on the same data, where they are known already; see
         :attr:`diagnostics`.
+    evidence : Evidence or None
+        Sums over all samples for the paper's methods; None: they are formed over the excerpts when needed.
     """
 
     drive: IdentifiedDrive
@@ -94,6 +98,7 @@ class Identification:
     truth: GroundTruth | None = None
     last_stamp: int = 0
     stored: Diagnostics | None = None
+    evidence: Evidence | None = None
 
     @property
     def method(self) -> str:
@@ -240,14 +245,34 @@ class Identification:
 
     @cached_property
     def diagnostics(self) -> Diagnostics | None:
-        """Residuals, simulated currents and the paper's methods; None for a folder that was stored without them."""
+        """Residuals, simulated currents and the paper's methods, which are run now; of a folder, what it holds."""
+        return self._judged(compared=True)
+
+    def _judged(self, *, compared: bool) -> Diagnostics | None:
         if self.stored is not None or not self.excerpts:
             return self.stored
         from drive_id.core.result.diagnostics import diagnose  # noqa: PLC0415  # a loaded result does not need it
 
-        return diagnose(self.drive, self.provenance.settings, self.excerpts, self.truth)
+        known = self.provenance.settings, self.excerpts, self.truth, self.evidence
+        return diagnose(self.drive, *known, compared=compared)
 
-    def save(self, directory: str | Path, *, force: bool = False, draw: bool = True) -> None:
+    def given(self, *, pole_pairs: int | None = None, u_dc: float | None = None) -> Identification:
+        """Return this result with the number of pole pairs and the DC-link voltage, V, where they are given."""
+        found = {"pole_pairs": pole_pairs, "u_dc": u_dc}
+        known = {name: value for name, value in found.items() if value is not None}
+        if bad := next((name for name, value in known.items() if not 0 < value < math.inf), None):
+            raise ConfigurationError(f"{bad} is {known[bad]}: it must be positive.")
+        return replace(self, provenance=replace(self.provenance, **known))  # type: ignore[arg-type]  # of the two names
+
+    def save(
+        self,
+        directory: str | Path,
+        *,
+        force: bool = False,
+        draw: bool = False,
+        report: bool = False,
+        figure_format: FigureFormat = "png",
+    ) -> None:
         """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
 
         Parameters
@@ -257,17 +282,30 @@ class Identification:
         force : bool
             Write into a folder that holds other files.
         draw : bool
-            Write pictures, too.
+            Write pictures, too, and what the paper's methods make of the data, for reports of the folder.
+        report : bool
+            The same, and ``report.html``.
+        figure_format : {"png", "svg", "pdf"}
+            Of the pictures.
 
         Raises
         ------
         OutputError
             When the folder is not ours to write, or cannot be written.
         """
-        drawn = pictures(self) if draw else {}
-        write_results(
-            Path(directory), self.drive, self.provenance, force=force, pictures=drawn, diagnostics=self.diagnostics
-        )
+        compared = draw or report or "diagnostics" in self.__dict__
+        judged = self.diagnostics if compared else self._judged(compared=False)
+        files: dict[str, bytes] = {}
+        if draw or report:
+            from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+
+            files |= result_pictures(self.drive, self.excerpts, self.caption(), figure_format=figure_format)
+        if report:
+            from drive_id.report.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
+
+            files |= report_files(self)
+        target = Path(directory)
+        write_results(target, self.drive, self.provenance, force=force, pictures=files, diagnostics=judged)
 
     def report(self, path: str | Path, *, pdf: bool = False) -> tuple[Path, ...]:
         """Write a report, as ``drive-id report`` does: one HTML file that needs nothing else.
@@ -305,10 +343,10 @@ class Identification:
 
         return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption())
 
-    def caption(self, name: str = "") -> Caption:
-        """Return machine, method, date, R, speed and i_max; ``name`` stands for an unknown machine."""
+    def caption(self) -> Caption:
+        """Return machine, method, date, R, speed and i_max."""
         return Caption(
-            machine=self.name or name,
+            machine=self.name,
             origin=self.origin.caption,
             date=f"{self.date[:16].replace('T', ' ')} UTC" if self.date else "",
             resistance=self.resistance,
@@ -424,23 +462,6 @@ def load(directory: str | Path) -> Identification:
         raise ConfigurationError(
             f"{directory!r:.60} is not the path of a result folder: give a str or Path."
         ) from error
-
-
-def pictures(
-    result: Identification, *, figure_format: str = "png", name: str = "", report: bool = False
-) -> Mapping[str, bytes]:
-    """Return the pictures of a result folder by file name, and the report if wanted.
-
-    ``name`` stands for an unknown machine in the caption.
-    """
-    from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
-
-    found = result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
-    if report:
-        from drive_id.report.page.report import report_files  # noqa: PLC0415  # only a report needs plotly and jinja2
-
-        found |= report_files(result)
-    return found
 
 
 def _percent(*values: float) -> str:

@@ -235,6 +235,7 @@ def _table_tree(table: Table) -> dict[str, Any]:
         "type": table.kind,
         "count": table.rows,
         "rate": period and _plain(1 / period),
+        "message_rate": period and _plain(1 / (period * table.block)),
         "jitter": None if table.jitter is None else _plain(table.jitter),
         "samples_per_message": table.block,
         "fields": fields,

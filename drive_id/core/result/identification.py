@@ -136,6 +136,10 @@ class FluxMap:
         """
         return self._evaluated(i_dq, (0, 0))
 
+    def bilinear(self, i_dq: FloatArray) -> FloatArray:
+        """Return the same, interpolated bilinearly, which needs no scipy."""
+        return np.stack([self.sampled(psi, i_dq[..., 0], i_dq[..., 1]) for psi in (self.psi_d, self.psi_q)], axis=-1)
+
     def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
         d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in ((i_d, self.i_d), (i_q, self.i_q)))

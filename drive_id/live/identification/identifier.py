@@ -11,7 +11,6 @@ from pathlib import Path
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
-from drive_id.core.result.diagnostics import diagnose
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.mechanics import with_mechanics
 from drive_id.core.result.torque import with_torque
@@ -21,11 +20,10 @@ from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_signals
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import write_results
 from drive_id.files.storage.bag import open_bag
-from drive_id.fitting.fit import Draw, fit_bags
+from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.provenance import known_pole_pairs, provenance_of
-from drive_id.fitting.result import Identification, pictures
+from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
@@ -340,7 +338,9 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, draw=_draw(settings), resumable=False, tell=tell)
+    result = fit_bags(sources, output, fit, resumable=False, tell=tell)
+    if settings.picture:
+        result.save(output, draw=True)
     return _reply(result, output)
 
 
@@ -382,16 +382,9 @@ def _fit_live(
         last_stamp=stamp,
         warnings=snapshot.report.warnings,
     )
-    judged = diagnose(identification, fit, excerpts, evidence=evidence)
-    result = Identification(identification, provenance, excerpts, last_stamp=stamp, stored=judged)
-    draw = _draw(settings, "Live samples")
-    drawn = draw(result) if draw else {}
-    write_results(output, identification, provenance, pictures=drawn, diagnostics=judged)
+    result = Identification(identification, provenance, excerpts, last_stamp=stamp, evidence=evidence)
+    result.save(output, draw=settings.picture)
     return replace(_reply(result, output, snapshot.report), refit=refit)
-
-
-def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
-    return partial(pictures, name=name) if settings.picture else None
 
 
 def _sentence(identification: IdentifiedDrive) -> str:

@@ -89,6 +89,7 @@ package: setup ## build wheel and sdist into out/dist, install each into an empt
 docs: setup ## build the documentation, tutorials executed, into out/docs
 	@$(RUN) python -m pip install --quiet --disable-pip-version-check --requirement docs/requirements.txt
 	@$(RUN) python -m sphinx -E -W --keep-going -q -b html docs out/docs
+	@$(RUN) python tools/check_site.py out/docs
 	@echo "The documentation is in out/docs: open out/docs/index.html."
 
 colcon: setup ## build, install and test both packages the way a ROS 2 workspace does

@@ -12,8 +12,10 @@ NAME = "drive_id"
 
 # For logs that are not bags: CSV and Parquet, MDF4, TDMS, HDF5 and MATLAB 7.3.
 CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
+# For "drive-id serve".
+WEB = ["starlette>=0.36", "uvicorn>=0.27"]
 # Programs that the tests read exported maps with.
-READERS = ['motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
+READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -24,6 +26,7 @@ EXECUTABLES = [
     "characterize = drive_id.ros.characterize:main",
     "signal_bridge = drive_id.nodes.signal_bridge:main",
     "bench_simulator = drive_id.nodes.bench_simulator:main",
+    "live_feed = drive_id.nodes.live_feed:main",
 ]
 
 
@@ -77,8 +80,10 @@ setup(
         NAME: [
             "py.typed",
             "exchange/exports/writers/flux_map.h",
+            "exchange/exports/writers/fmu/*",
             "files/messages/signals.schema.json",
             "report/page/templates/*",
+            "web/templates/*",
         ]
     },
     data_files=shared_files(),
@@ -102,7 +107,9 @@ setup(
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
     extras_require={
         "containers": CONTAINERS,
+        "web": WEB,
         "test": [
+            "httpx>=0.25",
             "hypothesis>=6.98",
             "jsonschema>=4.18",
             "pytest>=7.4",
@@ -110,6 +117,7 @@ setup(
             "selenium>=4.16",
             *CONTAINERS,
             *READERS,
+            *WEB,
         ],
     },
     entry_points={"console_scripts": EXECUTABLES},

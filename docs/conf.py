@@ -4,9 +4,6 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
-
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import drive_id
@@ -16,11 +13,14 @@ author = "drive_id maintainers"
 copyright = "drive_id maintainers"  # noqa: A001  # Sphinx's name
 version = release = drive_id.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+# MathJax from this package instead of the network, which benches often lack.
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx-mathjax-offline"]
 exclude_patterns = ["_build", "requirements.txt"]
 html_theme = "furo"
 html_title = f"drive_id {version}"
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "substitution"]
 myst_heading_anchors = 3
@@ -48,19 +48,3 @@ napoleon_use_rtype = False
 suppress_warnings = [
     "myst.xref_missing",  # links to files outside this folder, which the pages have for readers of the repository
 ]
-
-
-def setup(app):  # noqa: ANN001, ANN201  # Sphinx's
-    """Write formulas as MathML, which browsers set themselves: the usual MathJax is loaded from the network."""
-
-    def written(*, block):  # noqa: ANN001, ANN202
-        def visit(writer, node):  # noqa: ANN001, ANN202
-            writer.body.append(tex2mathml(node.astext(), as_block=block))
-            raise nodes.SkipNode
-
-        return visit, None
-
-    app.add_html_math_renderer("mathml", written(block=False), written(block=True))
-
-
-html_math_renderer = "mathml"

@@ -130,12 +130,16 @@ ROOMS = {
         | {"drive_id.fitting", "drive_id.nodes", "drive_id.nodes.support"},
         {"numpy", "rich", "yaml", *ROS},
     ),
+    "drive_id.web": Room.of(
+        NOUNS | below("core", "result") | below("files", "results") | {"drive_id.fitting"},
+        {"numpy", "jinja2", "starlette"},
+    ),
     "drive_id.cli": Room.of(
         NOUNS
         | LIBRARY
         | {"drive_id.analysis", "drive_id.exchange", "drive_id.fitting", "drive_id.inspection"}
-        | {"drive_id.report"},
-        {"typer", "rich", "yaml"},
+        | {"drive_id.report", "drive_id.web"},
+        {"typer", "rich", "uvicorn", "yaml"},
     ),
 }
 

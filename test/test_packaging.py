@@ -44,6 +44,8 @@ OPTIONAL = {
     "nptdms": "containers",
     "pandas": "containers",
     "pyarrow": "containers",
+    "starlette": "web",
+    "uvicorn": "web",
 }
 """An import on demand: the extra that brings it."""
 

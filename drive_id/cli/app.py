@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from drive_id.cli.analyze import analysis_settings, analyze
+from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
 from drive_id.cli.convert import convert_log
@@ -48,6 +49,7 @@ from drive_id.cli.options import (
 from drive_id.cli.outputs import beside
 from drive_id.cli.plan import plan_experiment, plan_settings
 from drive_id.cli.report import report_result
+from drive_id.cli.verify import verify_result
 from drive_id.errors import DriveIdError
 from drive_id.version import VERSION
 
@@ -58,7 +60,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="drive-id",
     help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
-    epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage.",
+    epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage, 3 verification not passed.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
@@ -448,6 +450,13 @@ app.command(
 
 
 app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
+app.command(
+    name="verify",
+    epilog="Example: drive-id verify result --bag friday --output certificate.html; "
+    "drive-id verify golden --bag unit17 --golden limits.yaml",
+)(verify_result)
+app.command(name="index", epilog="Example: drive-id index results && xdg-open results/index.html")(index_results)
+app.command(name="serve", epilog="Example: drive-id serve results, then open http://127.0.0.1:8080")(serve_results)
 
 
 if __name__ == "__main__":

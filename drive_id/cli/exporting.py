@@ -18,7 +18,7 @@ def export_result(
         typer.Option(
             "--format",
             help="csv, netcdf, machine, motulator, gradnet, gradnet-data, syre, syre-model, simscape, simscape-2d, "
-            "motor-control, powertrain, powertrain-controller, c-header, plecs, modelica, vesc or odrive.",
+            "motor-control, powertrain, powertrain-controller, c-header, fmu, fmu-2, plecs, modelica, vesc or odrive.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
@@ -37,7 +37,13 @@ def export_result(
     pole_pairs: PolePairsOption = None,
     u_dc: LinkOption = None,
     leakage: Annotated[float, typer.Option(help="Stator leakage inductance for plecs, H.")] = 0.0,
-    bandwidth: Annotated[float, typer.Option(help="Controller bandwidth for vesc and odrive, rad/s.")] = 1000.0,
+    bandwidth: Annotated[
+        float, typer.Option(help="Controller bandwidth for vesc, odrive and c-header, rad/s.")
+    ] = 1000.0,
+    sample_period: Annotated[
+        float | None, typer.Option(help="Of the controllers of c-header, s: their delay limits the bandwidth.")
+    ] = None,
+    phase_margin: Annotated[float, typer.Option(help="Least phase margin with that delay, degrees.")] = 60.0,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -62,9 +68,10 @@ def export_result(
             )
     i_d, i_q = (common if axis is None else axis for axis in given)
     choice = TableChoice(i_d, i_q, fill, pole_pairs, u_dc)
+    wanted = ExportOptions(leakage, bandwidth, sample_period, phase_margin)
     with working(quiet or as_json) as tell:
         tell("Exporting", None)
-        exported = export_map(result, format_name, output, choice, ExportOptions(leakage, bandwidth), force=force)
+        exported = export_map(result, format_name, output, choice, wanted, force=force)
     if as_json:
         tree = {"output": str(output), "format": format_name} | dataclasses.asdict(exported)
         typer.echo(json.dumps(tree | {"warnings": list(exported.warnings)}))

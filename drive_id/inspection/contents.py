@@ -32,6 +32,9 @@ _MOST_ELEMENTS = 16
 _DEPTH = 4
 _FIRST_ROWS = 100
 
+_STEADY, _MOSTLY = 0.02, 0.8
+"""Steps of the stamps within 2 % of their median, and the share of them from which longer ones are lost messages."""
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -77,12 +80,15 @@ class Table:
 
     @property
     def jitter(self) -> float | None:
-        """Root mean square deviation of the time between messages from its median, s."""
+        """Root mean square deviation of the time between messages from its median, s; lost messages are no jitter."""
         each = self.stamp[:: self.block]
         if len(each) < 3:
             return None
         steps = np.diff(each).astype(np.float64)
-        near = steps[np.abs(steps - np.median(steps)) < 20 * max(np.median(np.abs(steps)), 1.0)]
+        usual = float(np.median(steps))
+        near = steps[np.abs(steps - usual) < 20 * max(np.median(np.abs(steps)), 1.0)]
+        if np.mean(np.abs(near - usual) < _STEADY * usual) > _MOSTLY:
+            near = near - usual * (np.maximum(np.rint(near / usual), 1) - 1)
         return float(np.sqrt(np.mean((near - np.median(near)) ** 2))) * 1e-9
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.colors import ListedColormap
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
@@ -252,7 +252,7 @@ def levels(low: float, high: float, count: int) -> FloatArray:
 
 
 def add_colour_bar(
-    axes: Axes, filled: ContourSet | QuadMesh, ticks: FloatArray, labels: Sequence[str] | None = None
+    axes: Axes, filled: ContourSet | QuadMesh | PathCollection, ticks: FloatArray, labels: Sequence[str] | None = None
 ) -> None:
     """Put a colour bar beside axes, as tall as they are whatever their aspect makes of them."""
     beside = axes.inset_axes((1.04, 0.0, 0.045, 1.0))

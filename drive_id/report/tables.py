@@ -12,7 +12,7 @@ from drive_id.quantity import measured
 from drive_id.report.shaft import shaft_values
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from drive_id.analysis.folder import Figure
@@ -196,6 +196,14 @@ def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
 
 _SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
 """Factor and name of the unit in which a quantity is shown."""
+
+
+def verification_table(rows: Iterable[Sequence[str]]) -> Table:
+    """Lay out figures of a verification: name, value, limit and verdict."""
+    table = plain_table("Recording against map", ("Figure", "Value", "Limit", "Verdict"))
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def plain_table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -12,6 +13,7 @@ from exchange_machine import result
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
 from drive_id.exchange.exports.exporting import TableChoice, content_of
+from drive_id.exchange.exports.options import ExportOptions
 
 CC = shutil.which("cc")
 pytestmark = pytest.mark.skipif(CC is None, reason="there is no C compiler 'cc'")
@@ -30,12 +32,26 @@ int main(void)
     return 0;
 }
 """
+CONTROL = r"""
+#include "map.h"
+#include <stdio.h>
+int main(void)
+{
+    double u_dq[2], d, q;
+    while (scanf("%lf %lf", &d, &q) == 2) {
+        drive_id_feedforward(d, q, 200.0, drive_id_resistance(120.0), u_dq);
+        printf("%.17g %.17g %.17g %.17g %.17g %.17g %.17g\n", drive_id_kp_d(d, q), drive_id_kp_q(d, q), u_dq[0],
+               u_dq[1], drive_id_drop(d), drive_id_active_flux(d, q), drive_id_magnet(120.0));
+    }
+    return 0;
+}
+"""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
 
 
-def compiled(folder, header, *options):
+def compiled(folder, header, *options, main=MAIN):
     (folder / "map.h").write_bytes(header)
-    (folder / "main.c").write_text(MAIN)
+    (folder / "main.c").write_text(main)
     command = [CC, *STRICT, *options, "main.c", "-o", "reader", "-lm"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
     return folder / "reader"
@@ -112,3 +128,48 @@ def test_a_name_cannot_end_its_comment(tmp_path):
     drive = result()
     named = replace(drive, provenance=replace(drive.provenance, machine='*/ #error "ä" ??/'))
     compiled(tmp_path, table(named)[0])
+
+
+def test_control(tmp_path):
+    """Gains, feed-forward, drop and temperatures against formulas on the map itself."""
+    drive = result(drop=lambda i: 2.5 * np.tanh(i / 0.8), magnet_coefficient=(-1e-4, 1e-5))
+    period, at = 1e-4, np.array([[-14.0, 6.0], [3.0, -9.0], [8.0, 12.0]])
+    wanted = ExportOptions(bandwidth=9000.0, sample_period=period, phase_margin=50.0)
+    header, _ = content_of(drive, "c-header", TableChoice(AXIS_D, AXIS_Q), wanted)
+    found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=CONTROL), at)
+    rate = (np.pi / 2 - np.radians(50.0)) / (1.5 * period)
+    assert rate < wanted.bandwidth
+    slopes = drive.flux_map.inductances(*at.T)
+    np.testing.assert_allclose(found[:, 0], rate * slopes[:, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 1], rate * slopes[:, 1, 1], rtol=1e-6)
+    psi_d, psi_q = drive.flux_map.psi_dq(*at.T)
+    warm = drive.resistance * (1 + 3.93e-3 * 100.0)
+    np.testing.assert_allclose(found[:, 2], warm * at[:, 0] - 200.0 * psi_q, rtol=1e-6)
+    np.testing.assert_allclose(found[:, 3], warm * at[:, 1] + 200.0 * psi_d, rtol=1e-6)
+    np.testing.assert_allclose(found[:, 4], 2.5 * np.tanh(at[:, 0] / 0.8), atol=5e-3)
+    np.testing.assert_allclose(found[:, 5], psi_d - psi_q / at[:, 1] * at[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 6], -1e-2, rtol=1e-12)
+    text = header.decode()
+    assert "phase margin of 50 degrees" in text
+    number, shift = (
+        int(re.search(rf"#define DRIVE_ID_{name} (-?\d+)", text)[1]) for name in ("KI_T_Q15", "KI_T_SHIFT")
+    )
+    base = drive.u_dc / np.sqrt(3) / drive.i_max
+    assert number / 2.0**shift == pytest.approx(rate * drive.resistance * period / base, rel=1e-4)
+    shift = int(re.search(r"#define DRIVE_ID_KP_D_SHIFT (-?\d+)", text)[1])
+    numbers = np.array(re.search(r"kp_d_q15\[.*?\{(.*?)\}", text, re.DOTALL)[1].split(",")[:-1], np.int64)
+    assert 2**14 <= numbers.max() < 2**15
+    grid = np.meshgrid(AXIS_D, AXIS_Q, indexing="ij")
+    kp = rate * drive.flux_map.inductances(*grid)[..., 0, 0] / base
+    np.testing.assert_allclose(numbers.reshape(kp.shape) / 2.0**shift, kp, atol=0.51 / 2.0**shift)
+
+
+def test_gains_without_data_are_finite_and_without_a_resistance_they_need_none(tmp_path):
+    drive = result(resistance=np.nan)
+    m = drive.flux_map
+    inside = np.hypot(m.i_d[:, None], m.i_q) <= 14.0
+    drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
+    header, _ = table(drive)
+    main = CONTROL.replace("drive_id_resistance(120.0)", "0.0")
+    found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=main), [(-17.0, -14.5), (60.0, 0.0)])
+    assert (found[:, :2] > 0).all()

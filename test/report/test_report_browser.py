@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import check_quiet, driven, wait_for
 
 from drive_id.report.page.report import report_files
 
-BROWSERS, DRIVER = ("chromium", "chromium-browser", "google-chrome"), "chromedriver"
-SWITCHES = (
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1300,900",
-    "--enable-unsafe-swiftshader", "--hide-scrollbars", "--force-prefers-reduced-motion",
-)  # fmt: skip
 WARNING = "A warning with <b>markup</b> & an ampersand."
 STATE = """
 const traces = document.getElementById(`chart-${arguments[0]}`).data;
@@ -30,22 +25,8 @@ return `${traces.length} ${sum}`;
 
 @pytest.fixture(scope="module")
 def browser():
-    selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
-    binary = next(filter(None, map(shutil.which, BROWSERS)), None)
-    driver = shutil.which(DRIVER)
-    if binary is None or driver is None:
-        pytest.skip("there is no Chromium with its driver here: apt install chromium chromium-driver")
-    assert selenium.__version__
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for switch in SWITCHES:
-        options.add_argument(switch)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driven = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    yield driven
-    driven.quit()
+    with driven() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -68,19 +49,7 @@ def opened(browser, path):
         browser.get(path.as_uri())
         wait_for(browser, "return document.documentElement.dataset.drawn === 'true'")
     yield browser
-    complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-    assert not complaints
-    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    loaded = {entry["params"]["request"]["url"] for entry in asked if entry["method"] == "Network.requestWillBeSent"}
-    assert not {url for url in loaded if not url.startswith(("file:", "data:", "blob:"))}
-
-
-def wait_for(browser, script, *arguments):
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    return WebDriverWait(browser, 60, poll_frequency=0.05).until(
-        lambda driven: driven.execute_script(script, *arguments), script
-    )
+    check_quiet(browser)
 
 
 def element(browser, name):

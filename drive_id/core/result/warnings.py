@@ -14,6 +14,8 @@ _REVERSED = 0.1
 _FEW_POINTS = 0.005
 _IMPOSSIBLE = 3.0
 """Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
+_FAR_OFF = np.deg2rad(19.0)
+"""Correction of the angle at the end of the range that is searched."""
 _INDEFINITE = 0.1
 """Share of the map without positive definite inductances at which a diverging simulation condemns it."""
 _DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
@@ -68,6 +70,14 @@ def impossible_sentence(
             evidence,
             f"The resistance comes out negative ({resistance:.3g} +- {sigma:.2g} ohm)",
             "check the signs of currents and voltages and their alignment in time, and record at a second speed",
+        )
+    told = any(finding.code == "angle_offset" for finding in evidence.findings)
+    at_limit = (
+        c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations
+    )
+    if told and any(at_limit):
+        return _condemned(
+            evidence, "No angle near the one given makes the map mirror-symmetric", "check the offset of the angle"
         )
     grid = flux_map.grid()
     i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]

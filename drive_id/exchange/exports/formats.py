@@ -14,6 +14,7 @@ from drive_id.exchange.exports.writers import (
     c_header,
     controllers,
     csv_file,
+    fmu,
     gradnet,
     machine_file,
     modelica,
@@ -79,6 +80,8 @@ EXPORTS: Mapping[str, ExportFormat] = {
         "Powertrain Blockset flux-based PM controller", ".mat", powertrain.write_controller
     ),
     "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
+    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write_3, gaps="they hold a continuation"),
+    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", fmu.write_2, gaps="they hold a continuation"),
     "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", plecs.write),
     "modelica": ExportFormat("Modelica CombiTable2D", ".txt", modelica.write),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
@@ -89,6 +92,9 @@ EXPORTS: Mapping[str, ExportFormat] = {
 ALIASES: Mapping[str, str] = {
     "c": "c-header",
     "c99": "c-header",
+    "fmi2": "fmu-2",
+    "fmi3": "fmu",
+    "fmu-3": "fmu",
     "header": "c-header",
     "mcb": "motor-control",
     "motor-control-blockset": "motor-control",

@@ -29,20 +29,28 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
     pictures : mapping of str to bytes
         PNG by name, for print and for browsers without scripts.
     """
-    environment = jinja2.Environment(
+    return (
+        environment()
+        .get_template("report.html")
+        .render(
+            generator=f"{GENERATOR} {VERSION}",
+            sections=SECTIONS,
+            content=content,
+            charts=charts,
+            pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
+            plotly=_plotly(),
+        )
+    )
+
+
+def environment() -> jinja2.Environment:
+    """Return the loader of our templates."""
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("drive_id.report.page"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-    )
-    return environment.get_template("report.html").render(
-        generator=f"{GENERATOR} {VERSION}",
-        sections=SECTIONS,
-        content=content,
-        charts=charts,
-        pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
-        plotly=_plotly(),
     )
 
 

@@ -7,6 +7,12 @@
  *   drive_id_psi_d(i_d, i_q), drive_id_psi_q(i_d, i_q)                  bilinear, continuous
  *   drive_id_psi_d_bicubic(i_d, i_q), drive_id_psi_q_bicubic(i_d, i_q)  bicubic, with continuous slopes
  *   drive_id_inside(i_d, i_q)                                           1 where data surround the current
+ *   drive_id_kp_d(i_d, i_q), drive_id_kp_q(i_d, i_q), DRIVE_ID_KI       gains of the current controllers, SI
+ *   drive_id_kp_d_q15, drive_id_kp_q_q15, DRIVE_ID_KI_T_Q15             the same per unit: int16 times 2^-SHIFT
+ *   drive_id_feedforward(i_d, i_q, omega, r, u_dq)                      R i + omega J psi: decoupling included
+ *   drive_id_drop(i)                                                    voltage to add to a phase for its current
+ *   drive_id_active_flux(i_d, i_q), DRIVE_ID_PLL_KP, DRIVE_ID_PLL_KI    for an observer of the angle
+ *   drive_id_resistance(celsius), drive_id_magnet(celsius)              R, and change of psi_d, with temperature
  *
  * Currents beyond the axes are moved to their ends. Points without data are NaN (unless the table was filled) and make
  * the result NaN: ask drive_id_inside first. The bicubic functions use the neighbouring cells, too; where one of these
@@ -18,6 +24,7 @@
 #define DRIVE_ID_FLUX_MAP_H
 
 #include <math.h>
+#include <stdint.h>
 
 #ifdef DRIVE_ID_DOUBLE
 typedef double drive_id_real;
@@ -155,6 +162,54 @@ static inline drive_id_real drive_id_psi_d_bicubic(drive_id_real i_d, drive_id_r
 static inline drive_id_real drive_id_psi_q_bicubic(drive_id_real i_d, drive_id_real i_q)
 {
     return drive_id_bicubic(drive_id_psi_q_table, i_d, i_q);
+}
+
+/* Gains, V/A, from the inductances of the nearest monotone map: finite and positive everywhere, also without data. */
+static inline drive_id_real drive_id_kp_d(drive_id_real i_d, drive_id_real i_q)
+{
+    return DRIVE_ID_BANDWIDTH * drive_id_bilinear(drive_id_l_dd_table, i_d, i_q);
+}
+
+static inline drive_id_real drive_id_kp_q(drive_id_real i_d, drive_id_real i_q)
+{
+    return DRIVE_ID_BANDWIDTH * drive_id_bilinear(drive_id_l_qq_table, i_d, i_q);
+}
+
+/* Stationary voltage, V, at electrical speed omega, rad/s, and resistance r, ohm; add the drop of each phase. */
+static inline void drive_id_feedforward(drive_id_real i_d, drive_id_real i_q, drive_id_real omega, drive_id_real r,
+                                        drive_id_real u_dq[2])
+{
+    u_dq[0] = r * i_d - omega * drive_id_psi_q(i_d, i_q);
+    u_dq[1] = r * i_q + omega * drive_id_psi_d(i_d, i_q);
+}
+
+/* Drop of an inverter phase, V, at its current, A; constant beyond the table. */
+static inline drive_id_real drive_id_drop(drive_id_real i)
+{
+    const drive_id_real x = drive_id_clamp(drive_id_drop_current, DRIVE_ID_NC, i);
+    const int k = drive_id_cell(drive_id_drop_current, DRIVE_ID_NC, x);
+    const drive_id_real t = (x - drive_id_drop_current[k]) / (drive_id_drop_current[k + 1] - drive_id_drop_current[k]);
+    return x == x ? drive_id_mix(drive_id_drop_voltage[k], drive_id_drop_voltage[k + 1], t) : 0;
+}
+
+/* psi_d - L_q i_d with the apparent L_q, Wb: what a sensorless observer turns with; i_q must not be 0. */
+static inline drive_id_real drive_id_active_flux(drive_id_real i_d, drive_id_real i_q)
+{
+    return drive_id_psi_d(i_d, i_q) - drive_id_psi_q(i_d, i_q) / i_q * i_d;
+}
+
+#ifdef DRIVE_ID_RESISTANCE
+/* Resistance, ohm, of the winding at a temperature, degrees Celsius. */
+static inline drive_id_real drive_id_resistance(drive_id_real celsius)
+{
+    return DRIVE_ID_RESISTANCE * (1 + DRIVE_ID_COPPER * (celsius - DRIVE_ID_RESISTANCE_CELSIUS));
+}
+#endif
+
+/* Change of psi_d, Wb, with the temperature of the magnet, degrees Celsius; 0 where none was identified. */
+static inline drive_id_real drive_id_magnet(drive_id_real celsius)
+{
+    return DRIVE_ID_MAGNET_SLOPE * (celsius - DRIVE_ID_MAGNET_CELSIUS);
 }
 
 /* 1 within the axes where all corners of the cell have data; 0 elsewhere, and for NaN. */

@@ -1,0 +1,279 @@
+"""Judge a map by a recording that it was not fitted to: by the voltage balance over windows, cell by cell.
+
+Over each window of the recording the map predicts the change of the flux in the stator frame (see
+:mod:`drive_id.core.full.windows`). What the measured voltages say besides,
+
+    int u_s - R int i_s - int drop_s - [e^{j theta} f(i, theta)] = [e^{j theta} df(i)] + dR int i_s + k int drop_s,
+
+gives df, the map's error, constant in each of some cells of the current plane, together with changes of resistance and
+drop, by weighted least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.analysis.machine import IronLoss
+from drive_id.core import frames
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.calibration import corrected
+from drive_id.core.full.windows import WindowCutter, Windows
+from drive_id.core.maps.inverter_curve import CapacitiveShapes
+from drive_id.core.result.identification import TorqueFit
+from drive_id.core.result.torque import fit_torque
+from drive_id.errors import CoverageError
+from drive_id.fitting.result import Identification
+from drive_id.settings import check, setting
+from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
+from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+
+_ACROSS = 8
+"""Cells across the current disc."""
+_FEWEST = 40
+"""Ends of windows in a cell that counts."""
+_BLOCK = 0.05
+"""Duration of the blocks whose scatter gives the standard errors, s: several windows, which overlap."""
+_MOST_BLOCKS = 400
+_WARM, _LINK = 0.05, 0.05
+"""Standard deviations expected of R (13 K) and of the drop (DC link), relative, where no temperature is recorded."""
+_FLUX = 0.3
+"""Of the map's error, relative to the largest flux: bounds what standstill leaves open."""
+
+
+@dataclass(frozen=True)
+class VerificationLimits:
+    """What passes; None: not judged."""
+
+    rms_in_sigma: float | None = setting(
+        1.5, "largest rms of the differences of the fluxes", unit="standard errors", minimum=0.0
+    )
+    worst_in_sigma: float | None = setting(
+        5.0, "largest difference of a flux in any cell", unit="standard errors", minimum=0.0
+    )
+    flux: float | None = setting(None, "largest difference of a flux in any cell", unit="% of the largest", minimum=0.0)
+    resistance: float | None = setting(None, "largest difference of the resistance", unit="%", minimum=0.0)
+    drop: float | None = setting(None, "largest difference of the inverter's drop", unit="%", minimum=0.0)
+    torque: float | None = setting(None, "largest difference of the measured torque", unit="%", minimum=0.0)
+    coverage: float = setting(20.0, "least share of the map's disc that is recorded", unit="%", minimum=0.0)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One figure against its limit; ``passed`` is None where there is no limit."""
+
+    name: str
+    value: float
+    limit: float | None
+    unit: str
+    passed: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """A map against a recording that it was not fitted to.
+
+    Parameters
+    ----------
+    i_dq : (K, 2) float
+        Mean currents in the cells, A.
+    difference : (K, 2) float
+        Recording minus map, psi_d and psi_q, Wb.
+    sigma : (K, 2) float
+        Standard errors of the differences with those of the map, Wb.
+    windows : (K,) int
+        Ends of windows in each cell.
+    largest : float
+        Largest flux of the map, Wb.
+    coverage : float
+        Share of the map's disc that is recorded.
+    resistance, drop : (float, float)
+        Change relative to the result, with standard error.
+    torque : TorqueFit or None
+        The measured torque against that of the map; None where it was not recorded.
+    """
+
+    i_dq: FloatArray
+    difference: FloatArray
+    sigma: FloatArray
+    windows: IntArray
+    largest: float
+    coverage: float
+    resistance: tuple[float, float]
+    drop: tuple[float, float]
+    torque: TorqueFit | None
+
+    @property
+    def in_sigma(self) -> FloatArray:
+        """Differences (K, 2) in standard errors."""
+        return self.difference / self.sigma
+
+    def judged(self, limits: VerificationLimits) -> tuple[Judgement, ...]:
+        """Compare all figures with limits."""
+        rms = float(np.sqrt(np.mean(self.in_sigma**2)))
+        worst = float(np.abs(self.in_sigma).max())
+        flux = 100 * float(np.abs(self.difference).max()) / self.largest
+        gain = None if self.torque is None else 100 * abs(self.torque.gain - 1.0)
+        figures = [
+            ("Flux, rms of all cells", rms, limits.rms_in_sigma, "standard errors"),
+            ("Flux, worst cell", worst, limits.worst_in_sigma, "standard errors"),
+            ("Flux, largest difference", flux, limits.flux, "% of the largest flux"),
+            ("Resistance", 100 * abs(self.resistance[0]), limits.resistance, "%"),
+            ("Inverter drop", 100 * abs(self.drop[0]), limits.drop, "%"),
+            *([("Torque", gain, limits.torque, "%")] if gain is not None else []),
+        ]
+        out = [
+            Judgement(name, value, limit, unit, None if limit is None else value <= limit)
+            for name, value, limit, unit in figures
+        ]
+        if gain is None and limits.torque is not None:
+            out.append(
+                Judgement(
+                    "Torque",
+                    np.nan,
+                    limits.torque,
+                    "% (no torque was recorded, or the pole pairs are unknown)",
+                    passed=False,
+                )
+            )
+        covered = 100 * self.coverage
+        return (*out, Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage))
+
+
+def verify(result: Identification, samples: Samples) -> Verification:
+    """Judge a map by a recording that it was not fitted to.
+
+    Parameters
+    ----------
+    result : drive_id.Identification
+    samples : Samples
+        Of the same machine, or of one that should be like it; currents at random points, the rotor turning.
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    CoverageError
+        When hardly any of the recording lies within the data of the map.
+    """
+    found, shapes = result.flux_map, CapacitiveShapes.up_to(result.i_max)
+    cutter, known = WindowCutter(shapes), corrected(samples, result.calibrations)
+    windows, psi, column, counts = _cells(result, Windows.joined([*cutter.cut(known), *cutter.finish()]))
+    by_drop, factor = _drop(result, shapes, windows), np.ones(len(windows))
+    if samples.winding_temperature is not None and result.provenance.temperature is not None:
+        factor += COPPER * (windows.heating + REFERENCE_TEMPERATURE - result.provenance.temperature)
+    by_resistance = result.resistance * factor * windows.current
+    response = windows.voltage - by_resistance - by_drop - np.diff(psi, axis=1)[:, 0]
+    columns = np.zeros((len(windows), 2 * len(counts) + 2), np.complex128)
+    for end, sign in enumerate((-1.0, 1.0)):
+        turned = sign * np.exp(1j * windows.angle[:, end])
+        for axis, part in enumerate((turned, 1j * turned)):
+            np.add.at(columns, (np.arange(len(windows)), 2 * column[:, end] + axis), part)
+    columns[:, -2], columns[:, -1] = by_resistance, by_drop
+    largest = float(np.hypot(found.psi_d, found.psi_q)[found.inside].max())
+    spread = 1e-3 if samples.winding_temperature is not None else _WARM
+    spread = max(result.sigma_resistance / result.resistance, spread) if result.resistance > 0 else spread
+    prior = np.append(np.full(2 * len(counts), _FLUX * largest), [spread, _LINK])
+    value, own = _solved(columns, response, windows.time, prior)
+    ends, cell = windows.i_dq.reshape(-1, 2), column.ravel()
+    i_dq = np.stack([np.bincount(cell, x) for x in ends.T], axis=-1) / np.bincount(cell)[:, None]
+    sigmas = np.stack([found.sampled(np.nan_to_num(x), *i_dq.T) for x in (found.sigma_d, found.sigma_q)], axis=-1)
+    centre = (np.arange(_ACROSS) + 0.5) * 2 / _ACROSS - 1
+    torque = None
+    if samples.shaft_torque is not None and result.pole_pairs is not None:
+        torque = fit_torque(found, [known], result.pole_pairs)
+    return Verification(
+        i_dq=i_dq,
+        difference=value[:-2].reshape(-1, 2),
+        sigma=np.hypot(own[:-2].reshape(-1, 2), sigmas),
+        windows=counts,
+        largest=largest,
+        coverage=min(1.0, len(counts) / int((np.hypot(centre[:, None], centre) <= 1).sum())),
+        resistance=(float(value[-2]), float(own[-2])),
+        drop=(float(value[-1]), float(own[-1])),
+        torque=torque,
+    )
+
+
+def _cells(result: Identification, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:
+    """Return the windows (N) within the data of the map, the map's flux and the cell at both ends (N, 2), and counts.
+
+    Raises
+    ------
+    CoverageError
+        When there are hardly any.
+    """
+    psi, kept = _stator_flux(result, windows)
+    place = np.floor((windows.i_dq / result.i_max + 1) * (_ACROSS / 2)).astype(np.int64)
+    number = place[..., 0] * _ACROSS + place[..., 1]
+    places, counts = np.unique(number[kept], return_counts=True)
+    kept &= np.isin(number, places[counts >= _FEWEST]).all(axis=1)
+    if not kept.any():
+        raise CoverageError(
+            "Hardly any of the recording lies within the data of the map: record currents of the same disc, for at "
+            "least some seconds while the rotor turns."
+        )
+    _, column, counts = np.unique(number[kept], return_inverse=True, return_counts=True)
+    return windows.part(kept), psi[kept], column.reshape(-1, 2), counts
+
+
+def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray, BoolArray]:
+    """Return the flux of the map at both ends of windows (N, 2), Wb, stator frame, and which windows (N,) have it."""
+    found, iron, i_dq = result.flux_map, IronLoss.of(result), windows.i_dq
+    if iron.known:
+        psi_d, psi_q = found.psi_dq(*np.moveaxis(i_dq, -1, 0))
+        e_dq = windows.speed[..., None] * np.stack([-psi_q, psi_d], axis=-1)
+        i_dq = i_dq - iron.current(e_dq, windows.speed)
+    d, q = np.moveaxis(i_dq, -1, 0)
+    psi_d, psi_q = found.psi_dq(d, q)
+    psi = psi_d + 1j * psi_q
+    for h in result.harmonics:
+        waves = np.cos(h.order * windows.angle), np.sin(h.order * windows.angle)
+        parts = ((h.psi_d_cos, h.psi_d_sin), (h.psi_q_cos, h.psi_q_sin))
+        d_part, q_part = (sum(found.sampled(x, d, q) * w for x, w in zip(p, waves, strict=True)) for p in parts)
+        psi = psi + d_part + 1j * q_part
+    return psi * np.exp(1j * windows.angle), np.asarray(np.isfinite(psi).all(axis=1))
+
+
+def _drop(result: Identification, shapes: CapacitiveShapes, windows: Windows) -> ComplexArray:
+    """Return the integral of the identified drop over windows (N,), Vs."""
+    curve = result.inverter_curve
+    if not (result.origin.inverter and np.any(curve.voltage)):
+        return np.zeros(len(windows), np.complex128)
+    phases = curve.voltage[:, None] if curve.phases is None else curve.phases
+    of_phase = np.linalg.lstsq(shapes(curve.current), np.broadcast_to(phases, (len(phases), 3)), rcond=1e-9)[0]
+    return frames.space_vector(np.einsum("nsp,sp->np", windows.shape, of_phase)) * windows.drop_scale
+
+
+def _solved(
+    columns: ComplexArray, response: ComplexArray, time: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients (K,) and standard errors, given their standard deviations before the recording.
+
+    Neighbouring windows overlap, so the standard errors come from the scatter of the scores between blocks of time.
+    """
+    span = float(time[-1] - time[0])
+    block = np.minimum(time - time[0], span) // max(_BLOCK, span / _MOST_BLOCKS)
+    starts = np.unique(block, return_index=True)[1]
+    rows = np.concatenate([columns.real[:, None], columns.imag[:, None]], axis=1)  # (N, 2, K)
+    seen = np.stack([response.real, response.imag], axis=1)
+    scale = prior
+    matrix = np.einsum("nrk,nrl->kl", rows, rows, optimize=True) * scale * scale[:, None]
+    noise = float(np.mean(seen**2))
+    target = np.einsum("nrk,nr->k", rows, seen) * scale
+    for _ in range(3):  # the noise is what the solution leaves
+        inverse = np.linalg.inv(matrix + noise * np.eye(len(prior)))
+        value = inverse @ target
+        left = seen - rows @ (value * scale)
+        noise = max(float(np.mean(left**2)), 1e-12 * float(np.mean(seen**2)))
+    scores = np.add.reduceat(np.einsum("nrk,nr->nk", rows, left), starts, axis=0) * scale
+    used = float(np.trace(inverse @ matrix))
+    freedom = len(starts) / max(len(starts) - 1.0, 1.0) * (1 + used / max(2.0 * len(response) - used, 1.0))
+    covariance = inverse @ (freedom * scores.T @ scores + noise**2 * np.eye(len(prior))) @ inverse
+    return value * scale, np.sqrt(np.diag(covariance)) * scale

@@ -1,0 +1,74 @@
+"""``drive-id index`` and ``drive-id serve``: all results below a folder in a browser."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drive_id.cli.options import QuietFlag, say
+
+FolderArgument = Annotated[Path, typer.Argument(help="Folder below which the results are.", show_default=False)]
+
+
+def index_results(
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folder below which the results are, or results to compare.", metavar="DIR...")
+    ],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Page.  \\[default: DIR/index.html]")] = None,
+    quiet: QuietFlag = False,
+) -> None:
+    """Write one page of all results below a folder: sorted, filtered, compared, and over time for each machine."""
+    from drive_id.errors import ConfigurationError
+    from drive_id.files.results.folder import is_result
+    from drive_id.web.archive import Archive, entries_of
+    from drive_id.web.page import archive_page, check_page_output, write_page
+
+    compared = len(folders) > 1 or is_result(folders[0])
+    if compared and output is None:
+        raise ConfigurationError("Results that are compared have no folder of their own: say with --output which page.")
+    path = output or folders[0] / "index.html"
+    archive = None if compared else Archive(folders[0])
+    check_page_output(path)
+    found = entries_of(folders, path.parent) if archive is None else archive.entries(path.parent)
+    title = "Results compared" if compared else f"Results in {folders[0].resolve().name}"
+    write_page(path, archive_page(found, title, ticked=len(found) if compared else 0))
+    if not quiet:
+        say(f"{path}: {len(found)} results.")
+
+
+def serve_results(
+    folder: FolderArgument,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; another one than this computer's needs a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port.", min=0, max=65535)] = 8080,
+    token: Annotated[str, typer.Option(help="Token to ask for.  \\[default: a new one if not 127.0.0.1]")] = "",
+    namespace: Annotated[str, typer.Option(help="ROS namespace of the drive on the live page.")] = "",
+    archive_only: Annotated[bool, typer.Option("--archive-only", help="Do not listen to ROS.")] = False,
+) -> None:
+    """Serve all results below a folder, and with ROS 2 a live page of an experiment; both only show."""
+    from drive_id.errors import ConfigurationError
+
+    try:
+        import uvicorn
+
+        from drive_id.web.server import LOOPBACK, application, ros_found
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"drive-id serve needs {error.name}: pip install 'drive_id[web]'; drive-id index needs nothing."
+        ) from error
+    import secrets
+
+    token = token or ("" if host in LOOPBACK else secrets.token_urlsafe(16))
+    live = not archive_only and ros_found()
+    app = application(folder, namespace=namespace, token=token, live=live)
+    query = f"?token={token}" if token else ""
+    say(f"http://{host}:{port}/{query}: the results in {folder}.")
+    if live:
+        say(f"http://{host}:{port}/live{query}: an experiment as it runs.")
+    elif not archive_only:
+        say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
+    server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="warning", timeout_graceful_shutdown=1))
+    server.run()
+    if not server.started:
+        raise ConfigurationError(f"The port {port} at {host} cannot be opened: give another --port or --host.")

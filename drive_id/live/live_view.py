@@ -1,0 +1,130 @@
+"""What a display of a running experiment shows, collected from topics: plain values, ready for JSON, without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from drive_id.core.result.identification import FluxMap
+
+_MOST_POINTS = 2000
+"""Points between two looks: 40 s of them."""
+_CELLS = 24
+"""Cells of the coloured disc from zero to i_max."""
+_WANTED = 0.01
+"""Relative error of R, at 95 %, that is forecast."""
+_Z = 1.96
+_LEAST_GROWTH, _MOST_GROWTH = 1.2, 4.0
+"""Ratio of samples between the two fits of a forecast, and of those it needs to those there are."""
+_EXPONENTS = (0.3, 0.8)
+"""Of the samples, with which a standard error falls that may be extrapolated: white noise has 0.5."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Resistance, ohm, from a number of samples, which arrived by ``time``, s of a steady clock."""
+
+    time: float
+    samples: int
+    resistance: float
+    sigma: float
+
+    @property
+    def error(self) -> float:
+        """Half of the 95 % interval, relative."""
+        return _Z * self.sigma / abs(self.resistance) if self.resistance else math.inf
+
+
+def forecast(estimates: list[Estimate]) -> str:
+    """Say when R will be within 1 % at 95 %; empty where its standard error does not fall as with white noise."""
+    if not estimates:
+        return ""
+    last = estimates[-1]
+    if last.error <= _WANTED:
+        return f"R is within {100 * last.error:.2g} % (95 %)."
+    before = [e for e in estimates if last.samples >= _LEAST_GROWTH * e.samples and last.time > e.time]
+    if not before or not math.isfinite(last.error):
+        return ""
+    first = before[-1]
+    exponent = math.log(first.error / last.error) / math.log(last.samples / first.samples)
+    growth = (last.error / _WANTED) ** 2
+    if not _EXPONENTS[0] <= exponent <= _EXPONENTS[1] or growth > _MOST_GROWTH:
+        return ""
+    rate = (last.samples - first.samples) / (last.time - first.time)
+    return f"{(growth - 1) * last.samples / rate:.0f} s more, and R is within 1 % (95 %)."
+
+
+@dataclass
+class LiveView:
+    """Collects what arrives; :meth:`take` returns what is new, by topic. Not for several threads."""
+
+    _points: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_MOST_POINTS))
+    _new: dict[str, Any] = field(default_factory=dict)
+    _estimates: list[Estimate] = field(default_factory=list)
+    _health: dict[str, Any] = field(default_factory=dict)
+
+    def point(self, i_d: float, i_q: float, speed: float) -> None:
+        """Take an operating point: A, electrical rad/s."""
+        self._points.append((round(i_d, 3), round(i_q, 3)))
+        self._new["speed"] = speed
+
+    def state(self, name: str, values: dict[str, Any]) -> None:
+        """Take the present state of a node or of the drive."""
+        self._new[name] = _plain(values)
+
+    def health(self, node: str, level: int, message: str, values: dict[str, str], time: float) -> None:
+        """Take a diagnostic status, and the estimate of R that the identification node puts there."""
+        self._health[node] = {"level": level, "message": message}
+        self._new["nodes"] = self._health
+        wanted = ("fit: samples", "fit: resistance [ohm]", "fit: sigma of resistance [ohm]")
+        if not all(name in values for name in wanted):
+            return
+        samples, resistance, sigma = (float(values[name]) for name in wanted)
+        found = Estimate(time - float(values.get("fit: age [s]", 0.0)), int(samples), resistance, sigma)
+        if self._estimates and found.samples < self._estimates[-1].samples:
+            self._estimates.clear()  # another experiment
+        if not self._estimates or found.samples > self._estimates[-1].samples:
+            self._estimates.append(found)
+        told = [[e.samples, 1e3 * e.resistance, 1e3 * e.sigma] for e in self._estimates]
+        self._new["resistance"] = _plain({"estimates": told, "forecast": forecast(self._estimates)})
+
+    def flux_map(self, message: Any) -> None:
+        """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""
+        axes = (np.asarray(message.i_d), np.asarray(message.i_q))
+        names, shape = ("psi_d", "psi_q", "sigma_d", "sigma_q", "inside"), tuple(map(len, axes))
+        found = FluxMap(*axes, *(np.asarray(getattr(message, name)).reshape(shape) for name in names))
+        step = message.i_max / _CELLS
+        k_d, k_q = (axis.ravel() for axis in np.mgrid[-_CELLS : _CELLS + 1, -_CELLS : _CELLS + 1])
+        sigma = np.maximum(*found.sigma(step * k_d, step * k_q))
+        known = np.isfinite(sigma)
+        self._new["map"] = _plain({
+            "step": step, "i_max": message.i_max,
+            "cells": np.stack([k_d, k_q], axis=-1)[known].tolist(),
+            "sigma": (1e6 * sigma[known]).tolist(),
+            "psi_pm": [1e3 * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))],
+            "resistance": [1e3 * message.resistance, 1e3 * message.sigma_resistance],
+            "drop": [message.voltage_error, message.sigma_voltage_error],
+            "coverage": message.coverage, "provisional": message.provisional, "machine": message.machine,
+            "method": message.method, "warnings": list(message.warnings),
+        })  # fmt: skip
+
+    def take(self) -> dict[str, Any]:
+        """Return what is new since the last call; empty when nothing is."""
+        found, self._new = self._new, {}
+        if self._points:
+            found["points"] = list(self._points)
+            self._points.clear()
+        return found
+
+
+def _plain(value: Any) -> Any:
+    """Return a value whose numbers JSON can hold: null where they are not finite."""
+    if isinstance(value, dict):
+        return {name: _plain(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_plain(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,89 @@
+"""The certificate of a verification: one HTML page with figures, limits and verdict."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from drive_id.analysis.verification import Judgement, Verification
+from drive_id.fitting.result import Identification
+from drive_id.quantity import measured
+from drive_id.report.page.html import GENERATOR, environment
+from drive_id.report.panels import CURRENT, PSI, add_colour_bar, levels, name, place
+from drive_id.report.plots import rendered
+from drive_id.version import VERSION
+
+_WIDEST = 5.0
+"""End of the colour scale, standard errors."""
+_METHOD = (
+    "The voltage balance is integrated over windows of the recording in the stator frame, as in the fit; what the map "
+    "does not explain is attributed to cells of the current plane, to resistance and drop by least squares. "
+    "Standard errors are those of the recording (scatter between blocks of time) and of the map together. A gain error "
+    "that both recordings share is not seen, except by a measured torque."
+)
+
+
+def verdict(judged: Sequence[Judgement]) -> str:
+    """Return the verdict in a sentence."""
+    failed = [entry.name.lower() for entry in judged if entry.passed is False]
+    return f"Not passed: {'; '.join(failed)}." if failed else "Passed: all figures are within their limits."
+
+
+def row(entry: Judgement) -> tuple[str, str, str, str]:
+    """Return name, value, limit and verdict of a figure as texts."""
+    word = {True: "passed", False: "NOT PASSED", None: "not judged"}[entry.passed]
+    value = f"{entry.value:.3g} {entry.unit}" if np.isfinite(entry.value) else f"unknown {entry.unit}"
+    return entry.name, value, "" if entry.limit is None else f"{entry.limit:g}", word
+
+
+def certificate(
+    result: Identification, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]
+) -> str:
+    """Render the certificate.
+
+    Parameters
+    ----------
+    result : drive_id.Identification
+    found : Verification
+    judged : sequence of Judgement
+    recordings : sequence of str
+        Names of the recordings and their digests.
+    """
+    facts = {
+        "Machine": result.name or "unknown",
+        "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,
+        "Recording": "; ".join(recordings),
+        "Cells with data": f"{len(found.i_dq)}, {100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A",
+        "Change of the resistance": measured(100 * found.resistance[0], 100 * found.resistance[1], "%"),
+        "Change of the inverter's drop": measured(100 * found.drop[0], 100 * found.drop[1], "%"),
+    }
+    if found.torque is not None:
+        facts["Torque over that of the map"] = measured(found.torque.gain, found.torque.sigma_gain)
+        facts["Torque, rms difference"] = measured(found.torque.rms_map, unit="Nm")
+    return (
+        environment()
+        .get_template("certificate.html")
+        .render(
+            generator=f"{GENERATOR} {VERSION}",
+            title=f"Verification of the flux map: {result.name or 'unknown machine'}",
+            verdict=verdict(judged),
+            facts=facts,
+            rows=[row(entry) for entry in judged],
+            picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
+            note=_METHOD,
+        )
+    )
+
+
+def _picture(found: Verification) -> Figure:
+    figure = Figure(figsize=(8.6, 3.5))
+    for column, axis in enumerate("dq"):
+        panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), found.in_sigma[:, column]
+        i_d, i_q = found.i_dq.T
+        drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
+        name(panel, f"{PSI[axis]}, standard errors", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8))
+    return figure

@@ -1,0 +1,114 @@
+(() => {
+  const SILENT = 5000;  // ms without news after which the page says so
+  const MOST_POINTS = 20000;
+  let state = { points: [] };
+  let heard = null;
+  let drawn = true;
+
+  function tile(id, value, meaning, level) {
+    const [, shownValue, shownMeaning] = byId(id).children;
+    [shownValue.textContent, shownMeaning.textContent] = [value, meaning];
+    if (level) byId(id).className = level;
+  }
+
+  const measured = ([value, sigma], unit) => {
+    if (value === null) return "unknown";
+    if (!sigma) return `${shown(value, 5)} ${unit}`;
+    const digits = Math.max(0, 1 - Math.floor(Math.log10(sigma)));
+    return `${value.toFixed(digits)} ± ${sigma.toFixed(digits)} ${unit}`.replace("-", "\u2212");
+  };
+
+  function showStates() {
+    const { publisher, drive, speed } = state;
+    if (publisher) {
+      const course = Number.isFinite(publisher.duration) && publisher.duration > 0 ? `${shown(publisher.elapsed)} of ${shown(publisher.duration)} s` : `${shown(publisher.elapsed)} s`;
+      tile("publisher", publisher.state.replace("_", " "), [course, publisher.dry_run ? "dry run" : "", publisher.reason].filter(Boolean).join("; "),
+        publisher.state === "tripped" ? "weak" : publisher.state === "idle" ? "unknown" : "good");
+    }
+    if (drive) {
+      const known = [[(speed ?? drive.speed) * 30 / Math.PI, "rpm electrical"], [drive.dc_link_voltage, "V"], [drive.winding_temperature, "°C winding"]];
+      tile("drive", drive.fault ? "fault" : drive.enabled ? "enabled" : "not enabled",
+        [drive.fault, ...known.filter(([value]) => Number.isFinite(value)).map(([value, unit]) => `${shown(value)} ${unit}`)].filter(Boolean).join("; "),
+        drive.fault ? "weak" : drive.enabled ? "good" : "unknown");
+    }
+    const trouble = [publisher?.state === "tripped" ? `The publisher tripped: ${publisher.reason}` : "", drive?.fault ?? ""].filter(Boolean);
+    byId("safety").hidden = !trouble.length;
+    if (byId("safety").textContent !== trouble.join(" ")) byId("safety").textContent = trouble.join(" ");
+  }
+
+  function showEstimates() {
+    const { resistance, map } = state;
+    const last = resistance?.estimates.at(-1);
+    if (last) tile("R", measured(last.slice(1), "mΩ"), `from ${last[0]} samples`);
+    else if (map) tile("R", measured(map.resistance, "mΩ"), "");
+    if (map) {
+      tile("psi", measured(map.psi_pm, "mWb"), map.provisional ? "provisional" : "of the requested fit");
+      tile("drop", measured(map.drop, "V"), `method ${map.method}`);
+    }
+    byId("forecast").textContent = resistance?.forecast ?? "";
+    const points = (resistance?.estimates ?? []).filter((e) => e[2] !== null).map(([samples, y, sigma]) => ({ x: samples, y, sigma, at: `${samples} samples` }));
+    if (points.length > 1) byId("course").replaceChildren(drawTrend(points, "R / mΩ over the samples, bars: ±2 σ", (p) => measured([p.y, p.sigma], "mΩ")));
+  }
+
+  function showList(id, sentences) {
+    const now = [...byId(id).children].map((item) => item.textContent);
+    if (now.join("\n") !== sentences.join("\n")) byId(id).replaceChildren(...sentences.map((sentence) => made("li", {}, sentence)));
+  }
+
+  function showSentences() {
+    const nodes = Object.entries(state.nodes ?? {});
+    const said = nodes.filter(([, node]) => node.level > 0).map(([name, node]) => `${name}: ${node.message}`);
+    showList("warning-list", [...(state.map?.warnings ?? []), ...said, ...(state.feed ? [state.feed] : [])]);
+    showList("node-list", nodes.map(([name, node]) => `${name}: ${node.message}`));
+  }
+
+  function showDisc() {
+    const { points, map } = state;
+    const reach = map?.i_max ?? 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 1);
+    const values = map ? map.sigma.map((value) => Math.log10(Math.max(value, 1e-6))) : [];
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const { context, x, y } = drawDisc(byId("disc"), reach, map?.cells ?? [], map?.step ?? 1, values, (v) => shade(high > low ? (v - low) / (high - low) : 0));
+    context.strokeStyle = "#d5482a";
+    context.lineWidth = 0.8;
+    context.beginPath();
+    points.forEach(([d, q], n) => context[n ? "lineTo" : "moveTo"](x(d), y(q)));
+    context.stroke();
+    if (points.length) {
+      context.fillStyle = "#d5482a";
+      context.beginPath();
+      context.arc(x(points.at(-1)[0]), y(points.at(-1)[1]), 5, 0, 2 * Math.PI);
+      context.fill();
+    }
+    if (!map) return;
+    const range = `${shown(10 ** low, 2)} µWb (dark) to ${shown(10 ** high, 2)} µWb (light)`;
+    byId("disc-caption").textContent = `Measured currents; cells: the larger standard error of both fluxes, ${range}; ${shown(100 * map.coverage)} % of the disc has data.`;
+  }
+
+  function draw() {
+    drawn = true;
+    for (const act of [showStates, showEstimates, showSentences, showDisc]) act();
+    document.documentElement.dataset.points = state.points.length;
+  }
+
+  function take(news) {
+    if (news.reset) state = { points: [] };
+    const points = [...state.points, ...(news.points ?? [])].slice(-MOST_POINTS);
+    Object.assign(state, news, { points });
+    heard = Date.now();
+    if (drawn) { drawn = false; requestAnimationFrame(draw); }
+  }
+
+  const source = new EventSource("events");
+  let connected = false;
+  source.onmessage = (event) => take(JSON.parse(event.data));
+  source.onopen = () => { connected = true; };
+  source.onerror = () => { connected = false; };
+  setInterval(() => {
+    const age = Date.now() - heard;
+    const said = !connected ? "The server does not answer; this page shows what it knew last."
+      : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : "Live.";
+    if (byId("link").textContent !== said) byId("link").textContent = said;
+  }, 500);
+  dark.addEventListener("change", () => { applyTheme(); draw(); });
+  draw();
+})();

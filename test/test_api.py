@@ -329,7 +329,7 @@ def test_outside_of_the_data_there_is_nan_or_an_error(result):
     with pytest.raises(drive_id.DriveIdError, match="outside is 'zero': it must be 'nan' or 'raise'"):
         found.psi_dq(0, 0, outside="zero")
     for i_d, i_q in (([1, 2], [1, 2, 3]), ("a", 1), (None, {})):
-        with pytest.raises(drive_id.DriveIdError, match="are not currents of shapes that broadcast"):
+        with pytest.raises(drive_id.DriveIdError, match="are not real currents of shapes that broadcast"):
             found.psi_dq(i_d, i_q)
 
 

@@ -78,7 +78,8 @@ ROOMS = {
     "drive_id": Room.of(
         NOUNS
         | below("core", "fit_settings", "result", "steady")
-        | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        | {"drive_id.analysis", "drive_id.bench", "drive_id.core.planning", "drive_id.fitting", "drive_id.inspection"}
+        | {"drive_id.exchange", "drive_id.exchange.exports", "drive_id.exchange.imports"},
         set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
@@ -106,7 +107,7 @@ ROOMS = {
         )
         for name, rooms in FILES.items()
     },
-    "drive_id.fitting": Room.of(NOUNS | LIBRARY, {"numpy"}),
+    "drive_id.fitting": Room.of(NOUNS | LIBRARY, {"numpy", "pandas", "xarray"}),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),
@@ -146,7 +147,12 @@ ROOMS = {
 UPWARD = {
     ("drive_id.fitting.result", "drive_id.report.plots"),  # Identification.plot() and .save() draw when they are called
     ("drive_id.fitting.result", "drive_id.report.page.report"),  # likewise, Identification.report()
-    ("drive_id.fitting.result", "matplotlib.figure"),  # the type of what plot() returns
+    ("drive_id.fitting.result", "matplotlib.figure"),  # the types of what plot() takes and returns
+    ("drive_id.fitting.result", "matplotlib.axes"),
+    ("drive_id.analysis.folder", "drive_id.report.plots"),  # Analysis.plot(), likewise
+    ("drive_id.analysis.folder", "matplotlib.axes"),
+    ("drive_id.analysis.folder", "matplotlib.figure"),
+    ("drive_id.analysis.folder", "pandas"),
 }
 """Single arrows against the table, each with its reason."""
 

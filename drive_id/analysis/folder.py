@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,15 @@ from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
 from drive_id.fitting.result import Identification, InverterCurve
+from drive_id.fitting.tables import pandas_library
+from drive_id.quantity import measured
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
 
 FORMAT, MARKER = "drive_id/analysis", "analysis.json"
 FORMAT_VERSION = 1
@@ -116,6 +124,41 @@ class Analysis:
     def __repr__(self) -> str:
         torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
         return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the figures as rows: value, standard error, unit, and whether they rest on data.
+
+        Raises
+        ------
+        ConfigurationError
+            When pandas is not installed.
+        """
+        found: pd.DataFrame = pandas_library().DataFrame.from_dict(self.figures, "index", columns=Figure._fields)
+        return found
+
+    def _repr_html_(self) -> str:
+        """Return the figures as a table, for notebooks."""
+        cells = (
+            f"<tr><th>{name.replace('_', ' ')}</th><td>{measured(x.value, x.sigma, x.unit)}</td></tr>"
+            for name, x in self.figures.items()
+        )
+        return f"<table><caption>{html.escape(repr(self)[1:-1])}</caption>{''.join(cells)}</table>"
+
+    def plot(self, ax: Axes | None = None) -> Canvas:
+        """Draw the largest torque over the speed at each DC-link voltage, with the band of two standard errors.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Default: that of a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from drive_id.report.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
+
+        return draw_torque_speed(self, ax)
 
     def save(self, directory: str | Path, *, force: bool = False) -> None:
         """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.fitting.result import Identification
+from drive_id.fitting.result import Identification, load
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
@@ -139,13 +140,13 @@ class Comparison:
         return {name: _known(value) for name, value in tree.items()}
 
 
-def compare(first: Identification, second: Identification) -> Comparison:
+def compare(first: Identification | str | Path, second: Identification | str | Path) -> Comparison:
     """Compare two results.
 
     Parameters
     ----------
-    first, second : drive_id.Identification
-        A and B; differences are A minus B.
+    first, second : drive_id.Identification or path
+        A and B, or their folders; differences are A minus B.
 
     Returns
     -------
@@ -159,6 +160,7 @@ def compare(first: Identification, second: Identification) -> Comparison:
     ConfigurationError
         When all flux linkages of B are zero.
     """
+    first, second = (x if isinstance(x, Identification) else load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
     i_d, i_q = found.i_d, found.i_q
     grid = np.meshgrid(i_d, i_q, indexing="ij")

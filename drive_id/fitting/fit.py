@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
@@ -31,6 +31,7 @@ from drive_id.fitting.streaming import accumulate
 from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
+Method = Literal["full", "joint", "psm", "static"]
 StrPath = str | os.PathLike[str]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
@@ -40,7 +41,7 @@ _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 def fit(
     recordings: StrPath | Samples | OperatingData | Sequence[StrPath] | Sequence[Samples | OperatingData],
     *,
-    method: str | None = None,
+    method: Method | None = None,
     i_max: float | None = None,
     signals: StrPath | SignalMap | None = None,
     namespace: str = "",
@@ -95,6 +96,10 @@ def fit(
     >>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
     >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
     """
+    if not isinstance(settings, FitSettings | None):
+        raise ConfigurationError(
+            f"settings is a {type(settings).__name__}: give drive_id.FitSettings(method=..., ...)."
+        )
     single = isinstance(recordings, (str, os.PathLike, Samples, OperatingData))
     given = [recordings] if single else _listed(recordings)
     slow = any(isinstance(entry, OperatingData) for entry in given)

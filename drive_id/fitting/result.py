@@ -25,11 +25,15 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.advice import advice
 from drive_id.fitting.caption import Caption
+from drive_id.fitting.tables import map_dataset, pandas_library
 from drive_id.origins import Origin
 from drive_id.quantity import Quantity, measured
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from drive_id.core.accumulation.evidence import Evidence
@@ -331,8 +335,13 @@ class Identification:
 
         return write_report(self, Path(path), pdf=pdf)
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
+
+        Parameters
+        ----------
+        ax : two matplotlib.axes.Axes, optional
+            For psi_d and psi_q. Default: those of a new figure.
 
         Returns
         -------
@@ -341,7 +350,31 @@ class Identification:
         """
         from drive_id.report.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
-        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption())
+        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the map as a Dataset over ``i_d``, ``i_q``, A: fluxes, inductances, errors; NaN without data.
+
+        Raises
+        ------
+        ConfigurationError
+            When xarray is not installed.
+        """
+        known = self.provenance
+        told = {"machine": self.name, "method": self.method, "resistance": self.resistance, "i_max": self.i_max}
+        told |= {"pole_pairs": known.pole_pairs, "date": known.date}
+        return map_dataset(self.flux_map, {name: value for name, value in told.items() if value is not None})
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the points of the map with data as rows: currents, A, fluxes and errors, Wb, inductances, H.
+
+        Raises
+        ------
+        ConfigurationError
+            When pandas and xarray, which it needs, are not installed.
+        """
+        pandas_library()
+        return self.to_xarray().to_dataframe().dropna(subset=["psi_d", "psi_q"]).reset_index()
 
     def caption(self) -> Caption:
         """Return machine, method, date, R, speed and i_max."""

@@ -23,6 +23,7 @@ EXECUTABLES = [
     "trajectory_publisher = drive_id.nodes.trajectory_publisher:main",
     "recorder = drive_id.nodes.recorder:main",
     "identification = drive_id.nodes.identification:main",
+    "commissioning = drive_id.ros.commissioning:main",
     "characterize = drive_id.ros.characterize:main",
     "signal_bridge = drive_id.nodes.signal_bridge:main",
     "bench_simulator = drive_id.nodes.bench_simulator:main",

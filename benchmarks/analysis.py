@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from reporting import write_between
 
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
@@ -36,12 +37,11 @@ FILES = {
 }
 COLUMNS = (
     "Machine", "Largest torque error", "Rms torque error", "Largest MTPA angle error", "Torque coverage",
-    "Inductance coverage", "MTPA angle coverage",
+    "L_dd coverage", "L_qq coverage", "L_dq coverage", "MTPA angle coverage",
 )  # fmt: skip
 SYRE_POINTS = 256
 """Points of SyR-e's grid: along i_d over its whole range, along i_q from 0."""
 PAGE = Path(__file__).parent.parent / "docs" / "analysis.md"
-BEGIN, END = "<!-- benchmarks/analysis.py -->", "<!-- end -->"
 _STEP = 1e-3
 _SCAN = np.deg2rad(0.05)
 
@@ -56,7 +56,7 @@ class Figures:
         Largest and rms error over the points with data within the disc.
     angle : float
         Largest error of the MTPA angle, degrees.
-    torque_bands, inductance_bands, angle_bands : float
+    torque_bands, L_dd_bands, L_qq_bands, L_dq_bands, angle_bands : float
         Shares of the bands that contain the truth.
     """
 
@@ -64,7 +64,9 @@ class Figures:
     rms_torque: float
     angle: float
     torque_bands: float
-    inductance_bands: float
+    L_dd_bands: float
+    L_qq_bands: float
+    L_dq_bands: float
     angle_bands: float
 
 
@@ -103,7 +105,7 @@ def judge(model: MachineModel, machine: Machine) -> Figures:
     torque = true_torque(machine, i_d, i_q)
     error = model.torque(i_d, i_q) - torque
     slopes = model.inductances(i_d, i_q) - true_inductances(machine, i_d, i_q)
-    found = mtpa(model, i_max, POINTS)
+    sigmas, found = model.sigma_inductances(i_d, i_q), mtpa(model, i_max, POINTS)
     angle = (angles(found) - true_angles(machine, found.current))[1:]  # without zero current
     largest = np.abs(torque).max()
     return Figures(
@@ -111,7 +113,9 @@ def judge(model: MachineModel, machine: Machine) -> Figures:
         rms_torque=float(np.sqrt(np.mean(error**2)) / largest),
         angle=float(np.rad2deg(np.abs(angle).max())),
         torque_bands=held(error, model.sigma_torque(i_d, i_q)),
-        inductance_bands=held(slopes, model.sigma_inductances(i_d, i_q)),
+        L_dd_bands=held(slopes[..., 0, 0], sigmas[..., 0, 0]),
+        L_qq_bands=held(slopes[..., 1, 1], sigmas[..., 1, 1]),
+        L_dq_bands=held(slopes[..., 0, 1], sigmas[..., 0, 1]),
         angle_bands=held(angle, found.sigma_angle[1:]),
     )
 
@@ -139,7 +143,7 @@ def row(name: str, found: Sequence[Figures]) -> str:
     angle = f"{max(each.angle for each in found):.2f}°"
     bands = (
         f"{100 * np.mean([getattr(each, part) for each in found]):.0f} %"
-        for part in ("torque_bands", "inductance_bands", "angle_bands")
+        for part in ("torque_bands", "L_dd_bands", "L_qq_bands", "L_dq_bands", "angle_bands")
     )
     return f"| {' | '.join((name, *errors, angle, *bands))} |"
 
@@ -233,9 +237,7 @@ def main() -> None:
         print(line, flush=True)
         found.append(line)
     if options.write:
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        after = rest.partition(END)[2]
-        PAGE.write_text("\n".join([before + BEGIN, "", *found, "", END]) + after, encoding="utf-8")
+        write_between(PAGE, "benchmarks/analysis.py", "\n".join(found))
 
 
 if __name__ == "__main__":

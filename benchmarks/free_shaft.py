@@ -125,9 +125,31 @@ def measured(case: Case, seed: int) -> dict[str, Any]:
         wrong = mechanics.inertia - inertia
         row |= {"J": 100 * wrong / inertia, "J_z": wrong / mechanics.sigma_inertia}
         for name in ("viscous_friction", "coulomb_friction"):
-            value, true_value = getattr(mechanics, name.replace("coulomb_", "")), simulation.truth.details[name]
-            row[name] = None if value is None else 100 * (value / float(true_value) - 1)
+            own, true_value = name.replace("coulomb_", ""), float(simulation.truth.details[name])
+            value, sigma = getattr(mechanics, own), getattr(mechanics, f"sigma_{own}")
+            if value is not None:
+                row |= {name: 100 * (value / true_value - 1), f"{name}_z": (value - true_value) / sigma}
+        cogging = float(simulation.truth.details.get("cogging_torque", 0.0))
+        for found_one in mechanics.cogging:
+            row |= {"cogging": found_one.amplitude, "cogging_z": (found_one.amplitude - cogging) / found_one.sigma}
     return row
+
+
+def coverage(case: Case, seeds: int) -> list[str]:
+    """Return rows of a table over seeds: rms error, rms of the error in standard errors, and share within 1.96."""
+    rows = [measured(case, seed) for seed in range(1, seeds + 1)]
+    out = []
+    for name, unit in (("R", "%"), ("J", "%"), ("viscous_friction", "%"), ("coulomb_friction", "%"), ("cogging", "Nm")):
+        told = [row for row in rows if row.get(name) is not None]
+        z = np.array([row[f"{name}_z"] for row in told])
+        if len(z):
+            rms = math.sqrt(np.mean(z**2))
+            size = f"{np.mean([row[name] for row in told]):+.3g} ± {np.std([row[name] for row in told]):.2g} {unit}"
+            share = f"{100 * np.mean(np.abs(z) < BAND):.0f} % of {len(z)}"
+            out.append(f"| {case.name} | {name.replace('_', ' ')} | {size} | {rms:.2f} | {share} |")
+    bands = [row["band"] for row in rows if "band" in row]
+    out.append(f"| {case.name} | flux, all points | | | {np.mean(bands):.0f} % |")
+    return out
 
 
 def line(row: Mapping[str, Any]) -> str:
@@ -149,6 +171,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--only", nargs="*", default=[], help="parts of the names of cases")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--seeds", type=int, default=0, help="instead, how often standard errors of that many seeds hold"
+    )
     parser.add_argument("--machine", action="append", default=[], help="further machine file, at 5, 20 and 60 Hz")
     parser.add_argument("--page", type=Path, help="page whose figures to replace (Markdown)")
     options = parser.parse_args()
@@ -164,6 +189,9 @@ def main() -> None:
     said = []
     for case in (*CASES, *further):
         if options.only and not any(part in case.name for part in options.only):
+            continue
+        if options.seeds:
+            print(*coverage(case, options.seeds), sep="\n", flush=True)
             continue
         row = measured(case, options.seed)
         lines.append(line(row))

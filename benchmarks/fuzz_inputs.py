@@ -512,11 +512,6 @@ def _fifo_output(corpus: Path, folder: Path) -> tuple[str, ...]:
     return ("accumulate", str(corpus / "ours"), "--output", "x.info")
 
 
-def _fifo_checkpoint(corpus: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / ".out.checkpoint")
-    return ("fit", str(corpus / "ours"), *_FIT)
-
-
 def _device_metadata(_: Path, folder: Path) -> tuple[str, ...]:
     (folder / "bag").mkdir()
     (folder / "bag" / "metadata.yaml").symlink_to("/dev/zero")
@@ -696,7 +691,6 @@ BOMBS: dict[str, Bomb] = {
     "fifo as flux_map.npz": _fifo_map,
     "fifo as identification.json": _fifo_marker,
     "fifo as the output": _fifo_output,
-    "fifo as a checkpoint": _fifo_checkpoint,
     "metadata.yaml is /dev/zero": _device_metadata,
     "a signals file is /dev/zero": _device_signals,
     "a link to itself": _circular_link,

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Reader
 
 from drive_id.errors import DriveIdError, EmptyTopicError
 from drive_id.files.messages.block_codec import decode_block, read_head
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.nodes.support.qos import STREAM
 

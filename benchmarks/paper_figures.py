@@ -19,9 +19,9 @@ from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.core.result.identify import identify
 from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
-from drive_id.report.diagnostics import draw_inverter
-from drive_id.report.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
-from drive_id.report.plots import rendered, trajectory
+from drive_id.pictures.diagnostics import draw_inverter
+from drive_id.pictures.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
+from drive_id.pictures.plots import rendered, trajectory
 from drive_id.types import FloatArray, GroundTruth, Samples
 
 DPI = 140

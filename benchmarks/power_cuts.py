@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader
 import drive_id
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.files.messages.messages import CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.writer import write_recording

@@ -38,7 +38,7 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.writer import write_recording

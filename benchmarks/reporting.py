@@ -117,3 +117,12 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return ""
+
+
+def write_between(page: Path, name: str, text: str) -> None:
+    """Replace what stands in a page between the comment with this name and the next ``<!-- end -->``."""
+    begin, end = f"<!-- {name} -->", "<!-- end -->"
+    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    if not found:
+        raise SystemExit(f"{page} has no line {begin}: add it, and {end} below.")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{rest.partition(end)[2]}", encoding="utf-8")

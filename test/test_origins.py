@@ -15,8 +15,8 @@ from drive_id.errors import ConfigurationError, ResultError
 from drive_id.exchange.imports.importing import import_map
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.folder import MARKER
+from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
-from drive_id.fitting.provenance import provenance_of
 from drive_id.fitting.sources import Sources
 from drive_id.origins import METHODS, ORIGINS, origin_named
 from drive_id.report.page.content import Content, content_of
@@ -166,5 +166,5 @@ def test_an_unknown_origin_is_refused(results, tmp_path):
 )
 def test_a_setting_without_effect_is_named_with_the_methods_that_use_it(results, method, changed, sentence):
     settings = FitSettings(method=method, **changed)
-    known = provenance_of(results[method].drive, settings, excerpts=(), duration=1.0, last_stamp=0)
+    known = completed(results[method].drive, settings, excerpts=(), duration=1.0, last_stamp=0).provenance
     assert known.warnings == (sentence,)

@@ -15,18 +15,22 @@ from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, operations_with_errors
 from drive_id.types import BoolArray, FloatArray
 
-_LINES, _ROWS = 121, 61
-"""Candidates of i_d and of i_q."""
-_WIDTH, _SHRINK, _ROUNDS = 6, 0.6, 24
-"""Search for references: points to both sides, factor on their step in each round, rounds."""
-_NARROWINGS, _NARROW_LINES, _NARROW_ROWS = 11, 9, 41
-"""Search for the envelope: rounds, lines of i_d between the neighbours of the best one, and candidates of i_q."""
-_ROUGH_BISECTIONS, _MIDDLE_BISECTIONS, _BISECTIONS = 12, 20, 45
+_LINES = 121  # candidates of i_d, both signs
+_ROWS = 61  # candidates of i_q, one sign
+_WIDTH = 6  # points to both sides in the search for references
+_SHRINK = 0.6  # factor on their step in each round
+_ROUNDS = 24  # of this search: the step ends at 5e-6 of the first
+_NARROWINGS = 11  # rounds of the search for the envelope
+_NARROW_LINES = 9  # lines of i_d between the neighbours of the best one
+_NARROW_ROWS = 41  # candidates of i_q on each
+_ROUGH_BISECTIONS = 12  # of i_q on each line in the first round: to choose lines
+_MIDDLE_BISECTIONS = 20  # in the rounds between: to choose the best of them
+_BISECTIONS = 45  # in the last round: to rounding
 _NEWTON_STEPS = 4
 _IRON_REACH = 1.05
 """Largest current of the map relative to the limit of the stator current, with iron loss."""
-_TOLERANCE, _ACTIVE = 1e-9, 1e-4
-"""Relative excess of a limit that counts as kept, and relative distance within which it counts as active."""
+_TOLERANCE = 1e-9  # relative excess of a limit that counts as kept
+_ACTIVE = 1e-4  # relative distance within which a limit counts as active
 _SAME = 1e-6
 """Relative distance from the largest torque within which it is taken instead."""
 _BROKEN = 1e3

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-FORMAT, MARKER = "drive_id/analysis", "analysis.json"
+FORMAT = "drive_id/analysis"
+MARKER = "analysis.json"
 FORMAT_VERSION = 1
 _UNITS = {
     "current": "A", "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "torque": "Nm", "speed": "rad/s, mechanical",
@@ -156,9 +157,10 @@ class Analysis:
         -------
         matplotlib.figure.Figure
         """
-        from drive_id.report.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.pictures.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
 
-        return draw_torque_speed(self, ax)
+        found = {f"{x.u_dc:.4g} V": (x.motoring.speed, x.motoring.torque, x.sigma_torque) for x in self.speed_ranges}
+        return draw_torque_speed(found, ax)
 
     def save(self, directory: str | Path, *, force: bool = False) -> None:
         """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.

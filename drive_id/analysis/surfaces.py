@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from scipy.interpolate import RectBivariateSpline
     from scipy.spatial import KDTree
 
-_STEPS, _HALVINGS = 40, 12
-_CONVERGED, _ACCEPTED = 1e-10, 1e-6
-"""Distances of the fluxes relative to their ranges."""
+_STEPS = 40  # of Newton's method at most
+_HALVINGS = 12  # of a step that leads away
+_CONVERGED = 1e-10  # distance of the fluxes, by their ranges, at which a point is done
+_ACCEPTED = 1e-6  # the same, up to which a point without further progress counts
 _LEAST_DETERMINANT = 1e-3
 """Of the inductance matrix, relative to the square of its norm; below it Newton's step is damped."""
 

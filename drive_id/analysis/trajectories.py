@@ -13,11 +13,12 @@ from drive_id.types import BoolArray, FloatArray
 
 _ANGLES = 181
 """Candidates per half turn."""
-_ZOOMS, _WIDTH = 14, 4
-"""Rounds of search, each with half the step, over so many steps to both sides."""
-_BISECTIONS = 40
-_CIRCLES, _BETWEEN, _NARROWINGS = 61, 17, 4
-"""Where the MTPV locus begins: circles, circles between two of them, and how often those are refined."""
+_ZOOMS = 14  # rounds of search, each with half the step: down to 1e-6 rad
+_WIDTH = 4  # steps to both sides in each round
+_BISECTIONS = 40  # of the angle of an MTPV point: to rounding
+_CIRCLES = 61  # on which the beginning of the MTPV locus is looked for
+_BETWEEN = 17  # circles between the last one without and the first one with it
+_NARROWINGS = 4  # times that those are refined: to 3e-7 of i_max
 _ANGLE_STEP = np.deg2rad(1.0)
 """For differences of the torque along a circle."""
 

@@ -6,9 +6,9 @@ The tables are uniform cubic B-splines sum_j c_j b(x - j), whose value at node j
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from drive_id.bench.parameters import SplineTable
-from drive_id.core.numerics.bspline import interpolation_matrix
 from drive_id.types import FloatArray
 
 EXTENSION = 0.3
@@ -85,8 +85,7 @@ def resample(values: FloatArray, old: FloatArray, new: FloatArray, axis: int) ->
     """Move samples along ``axis`` from the nodes ``old`` to ``new`` by a cubic not-a-knot spline."""
     if new is old:
         return values
-    moved = np.tensordot(interpolation_matrix(old, new), np.moveaxis(values, axis, 0), axes=1)
-    return np.moveaxis(moved, 0, axis)
+    return np.asarray(make_interp_spline(old, values, axis=axis)(new))
 
 
 def build_table(i_d: FloatArray, i_q: FloatArray, theta: FloatArray | None, psi: FloatArray) -> SplineTable:

@@ -106,11 +106,9 @@ def main() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"The system refuses a file or the output ({error.strerror or error}): make room, or raise the limit.")
     except (KeyboardInterrupt, SystemExit) as end:
-        interrupt = _interrupt_behind(end)
-        if interrupt is None:
+        if not _is_interrupt(end):
             raise
-        said = str(interrupt) or "no output was left behind."
-        say(f"drive-id: interrupted; {said}", to=err)
+        say("drive-id: interrupted; no output was left behind.", to=err)
         raise SystemExit(130) from None
 
 
@@ -124,11 +122,11 @@ def _fail(sentence: str) -> NoReturn:
     raise SystemExit(1) from None
 
 
-def _interrupt_behind(end: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that typer turned into a silent exit."""
+def _is_interrupt(end: BaseException | None) -> bool:
+    """Tell whether an interrupt ended the work, which typer turns into a silent exit."""
     while end is not None and not isinstance(end, KeyboardInterrupt):
         end = end.__cause__ or end.__context__
-    return end
+    return end is not None
 
 
 def _print_version(wanted: bool) -> None:

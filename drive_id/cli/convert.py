@@ -22,7 +22,7 @@ def convert_log(
 ) -> None:
     """Convert a log to a bag with our messages, which needs no signals file. Loads the whole log into memory."""
     from drive_id.files.messages.signals_file import read_signals
-    from drive_id.files.read.reader import read_recording
+    from drive_id.files.read.several import read_recording
     from drive_id.files.results.folder import check_absent
     from drive_id.files.write.writer import write_recording
 

@@ -17,7 +17,7 @@ def export_result(
         str,
         typer.Option(
             "--format",
-            help="csv, netcdf, machine, motulator, gradnet, gradnet-data, syre, syre-model, simscape, simscape-2d, "
+            help="csv, netcdf, machine, motulator, gradnet-data, syre, syre-model, simscape, simscape-2d, "
             "motor-control, powertrain, powertrain-controller, c-header, fmu, fmu-2, plecs, modelica, vesc or odrive.",
         ),
     ],

@@ -48,7 +48,7 @@ def verify_result(
     """Judge a map by a recording that it was not fitted to, or a machine by a golden map. Exit code 3: not passed."""
     from drive_id.analysis.verification import VerificationLimits, verify
     from drive_id.files.messages.signals_file import read_signals
-    from drive_id.files.read.reader import read_recordings
+    from drive_id.files.read.several import read_recording
     from drive_id.files.results.folder import replace_file
     from drive_id.fitting.result import load
     from drive_id.report.page.certificate import certificate, row, verdict
@@ -62,7 +62,7 @@ def verify_result(
     result = load(directory)
     with working(quiet or as_json) as tell:
         tell("Reading", None)
-        recording = read_recordings(bags, read_signals(signals) if signals else None, namespace=namespace)
+        recording = read_recording(bags, read_signals(signals) if signals else None, namespace=namespace)
         if set(recording.digests.values()) & set(result.provenance.inputs.values()):
             raise ConfigurationError(f"The map in {directory} was fitted to this recording: give another one.")
         tell("Verifying", None)

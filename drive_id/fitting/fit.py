@@ -16,15 +16,13 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import COMPARED
 from drive_id.core.result.identify import identify
-from drive_id.core.result.mechanics import with_mechanics
-from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
 from drive_id.files.results.information import check_information_output, write_information
-from drive_id.fitting.provenance import known_pole_pairs, provenance_of
+from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
@@ -149,20 +147,14 @@ def _fit_samples(
     if output is not None:
         check_output(output, force=force)
     settings.check_recordings(len(samples))
-    truth = common_truth([part.truth for part in samples])
-    pole_pairs = known_pole_pairs(settings, truth)
-    drive = with_torque(identify(samples, settings, tell), samples, pole_pairs)
-    drive = with_mechanics(drive, samples, pole_pairs, settings)
-    last_stamp = int(samples[-1].stamp[-1])
-    provenance = provenance_of(
-        drive,
+    result = completed(
+        identify(samples, settings, tell),
         settings,
         excerpts=samples,
-        truth=truth,
+        truth=common_truth([part.truth for part in samples]),
         duration=sum(part.duration for part in samples),
-        last_stamp=last_stamp,
+        last_stamp=int(samples[-1].stamp[-1]),
     )
-    result = Identification(drive, provenance, tuple(samples), truth, last_stamp)
     if output is not None:
         result.save(output, force=force)
     return result
@@ -174,7 +166,6 @@ def fit_bags(
     settings: FitSettings,
     *,
     force: bool = False,
-    resumable: bool = True,
     tell: Progress = silent,
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results.
@@ -187,8 +178,6 @@ def fit_bags(
     settings : FitSettings
     force : bool
         Write into a folder that holds other files.
-    resumable : bool
-        Keep a checkpoint beside the output while long bags are read; the same call resumes from it after an interrupt.
     tell : callable, optional
 
     Returns
@@ -206,24 +195,17 @@ def fit_bags(
         check_output(output, force=force)
     if not sources.information:  # these know their own
         settings.check_recordings(len(sources.paths))
-    checkpoint = None
-    if output is not None and resumable:
-        checkpoint = output.absolute().with_name(f".{output.absolute().name}.checkpoint")
     with one_blas_thread(with_scipy=method_named(settings.method).windows):
-        recording = _accumulator(sources, checkpoint=checkpoint)(settings, tell=tell)
+        recording = _accumulator(sources)(settings, tell=tell)
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
-    evidence, truth = recording.evidence, recording.truth
+    evidence = recording.evidence
     warnings, statements = _on_checksums(recording)
-    drive = replace(drive, statements=(*drive.statements, *statements))
-    pole_pairs = known_pole_pairs(settings, truth, sources.signals)
-    drive = with_torque(drive, recording.validation, pole_pairs)
-    drive = with_mechanics(drive, recording.validation, pole_pairs, settings)
-    provenance = provenance_of(
-        drive,
+    result = completed(
+        replace(drive, statements=(*drive.statements, *statements)),
         settings,
         excerpts=recording.validation,
-        truth=truth,
+        truth=recording.truth,
         signals=sources.signals,
         duration=evidence.samples * evidence.sample_period,
         last_stamp=recording.last_stamp,
@@ -231,7 +213,7 @@ def fit_bags(
         warnings=(*recording.warnings, *warnings),
     )
     sums = evidence.copy(replace(evidence.settings, method=COMPARED[0]))  # without windows, which take memory
-    result = Identification(drive, provenance, recording.validation, truth, recording.last_stamp, evidence=sums)
+    result = replace(result, evidence=sums)
     if output is not None:
         tell("Writing", None)
         result.save(output, force=force)
@@ -306,12 +288,8 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
     return accumulated
 
 
-def _accumulator(
-    sources: Sources, *, apart: bool = False, checkpoint: Path | None = None
-) -> Callable[..., Accumulated]:
+def _accumulator(sources: Sources, *, apart: bool = False) -> Callable[..., Accumulated]:
     """Return what accumulates the sources: together, or each on its own."""
     if apart or sources.skip_bad or sources.information or sources.workers > 1:
         return partial(accumulate_sources, sources)
-    return partial(
-        accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace, checkpoint=checkpoint
-    )
+    return partial(accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace)

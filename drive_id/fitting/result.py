@@ -24,9 +24,9 @@ from drive_id.core.result.identification import (
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.advice import advice
-from drive_id.fitting.caption import Caption
 from drive_id.fitting.tables import map_dataset, pandas_library
 from drive_id.origins import Origin
+from drive_id.pictures.caption import Caption
 from drive_id.quantity import Quantity, measured
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
@@ -301,7 +301,7 @@ class Identification:
         judged = self.diagnostics if compared else self._judged(compared=False)
         files: dict[str, bytes] = {}
         if draw or report:
-            from drive_id.report.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+            from drive_id.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
             files |= result_pictures(self.drive, self.excerpts, self.caption(), figure_format=figure_format)
         if report:
@@ -348,7 +348,7 @@ class Identification:
         matplotlib.figure.Figure
             To be shown in a notebook, or saved by ``savefig``.
         """
-        from drive_id.report.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.pictures.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
         return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
 

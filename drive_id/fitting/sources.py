@@ -25,7 +25,8 @@ from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.read.column_stream import largest_reference
 from drive_id.files.read.extraction import extract_signals
-from drive_id.files.read.reader import find_topics, read_recordings
+from drive_id.files.read.reader import find_topics
+from drive_id.files.read.several import read_recording
 from drive_id.files.results.information import read_information
 from drive_id.files.results.information_name import is_information
 from drive_id.files.storage.bag import open_bag
@@ -122,7 +123,7 @@ def read_bag(
     """
     paths = [Path(bag)] if isinstance(bag, (str, os.PathLike)) else [Path(entry) for entry in bag]
     signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
-    recording = read_recordings(paths, signal_map, namespace=namespace)
+    recording = read_recording(paths, signal_map, namespace=namespace)
     for text in recording.warnings:
         warnings.warn(text, stacklevel=2)
     return replace(recording.samples, truth=recording.truth)

@@ -17,7 +17,7 @@ from drive_id.core.steady.operating_points import joined_points, operating_point
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.operating_log import OperatingLog, read_operating_log
-from drive_id.fitting.provenance import provenance_of
+from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.types import GroundTruth, Progress, Samples, silent
@@ -114,7 +114,7 @@ def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = s
     with one_blas_thread(with_scipy=True):
         points = joined_points([operating_points(part) for part in data])
         drive = identify_static(points, settings)
-    provenance = provenance_of(
+    result = completed(
         drive,
         settings,
         excerpts=(),
@@ -125,8 +125,8 @@ def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = s
         inputs=sources.digests,
         warnings=sources.warnings,
     )
-    provenance = replace(provenance, speed_range=(float(points.speed.min()), float(points.speed.max())))
-    return Identification(drive, provenance, (), sources.truth, sources.last_stamp)
+    speeds = (float(points.speed.min()), float(points.speed.max()))
+    return replace(result, provenance=replace(result.provenance, speed_range=speeds))
 
 
 def _prepared(data: OperatingData, settings: FitSettings, number: int) -> OperatingData:

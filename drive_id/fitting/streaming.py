@@ -8,7 +8,6 @@ For the MAD and for pictures, a short recording is kept whole, and eight evenly 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,19 +16,15 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.signals.join import Piece
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.several import SeveralBags, digests_of
-from drive_id.files.results.checkpoint import Checkpoint, Progressed
 from drive_id.types import Progress, silent
 
 WHOLE = SPAN * SPANS
 """Longest recording, in samples, that is kept whole."""
-
-
-class Interrupted(KeyboardInterrupt):
-    """Interrupted, but a checkpoint was kept: the same call resumes from it."""
 
 
 def accumulate(
@@ -38,8 +33,6 @@ def accumulate(
     *,
     signals: SignalMap | None = None,
     namespace: str = "",
-    i_max: float | None = None,
-    checkpoint: Path | None = None,
     threads: bool = True,
     tell: Progress = silent,
 ) -> Accumulated:
@@ -53,10 +46,6 @@ def accumulate(
         Where to find the signals in bags that are not ours.
     namespace : str
         Of the drive, when a bag holds several.
-    i_max : float, optional
-        Radius of the current disc, A, instead of that of the settings. Whatever is to be merged needs the same one.
-    checkpoint : Path, optional
-        File kept while long bags are read; after an interrupt the same call resumes from it.
     threads : bool
         Read in other threads; False where each process is confined to one core.
     tell : callable, optional
@@ -65,30 +54,16 @@ def accumulate(
     ------
     DriveIdError
         When a bag cannot be read, or its samples cannot give a map.
-    Interrupted
-        When interrupted with a checkpoint to resume from.
     """
     if not bags:
         raise ConfigurationError("No bag is given: name at least one.")
-    if i_max is not None:
-        settings = replace(settings, i_max=i_max)
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
-    saved = Checkpoint(checkpoint, bags, settings, signals, namespace) if checkpoint else None
-    try:
-        found = digests_of(bags)
-        gathering = _Gathering(reading, settings, saved, tell)
-        gathering.read()
-        gathering.accumulate()
-    except KeyboardInterrupt:
-        if saved and saved.saved:
-            raise Interrupted("run the same command again to resume where it stopped.") from None
-        raise
-    if saved:
-        saved.remove()
+    found = digests_of(bags)
+    evidence, spans = _gathered(reading, settings, tell)
     return Accumulated(
-        evidence=gathering.evidence,
-        validation=gathering.spans.samples(),
+        evidence=evidence,
+        validation=spans.samples(),
         warnings=reading.warnings,
         digests=found,
         truth=reading.truth,
@@ -98,96 +73,40 @@ def accumulate(
     )
 
 
-@dataclass(eq=False)
-class _Step:
-    """One pass over the bags.
+def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tuple[Evidence, Spans]:
+    """Prescan and accumulate: in one pass if i_max is set, else from the samples kept, or in a second pass."""
+    known = settings.i_max is not None
+    while True:
+        prescan, spans = Prescan(), Spans()
+        evidence = prescan.prepare(settings) if known else None
+        try:
+            for piece, begins in reading.pieces("Accumulating" if known else "Reading"):
+                prescan.add(piece.samples, continues=piece.continues)
+                spans.add(piece)
+                if evidence is not None:
+                    _add(evidence, piece, begins=begins)
+            break
+        except UnusualError:
+            reading.read_whole()
+    prescan.check()
+    if evidence is not None:
+        prescan.inform(evidence)
+        return evidence, spans
+    evidence = prescan.prepare(settings)
+    if spans.whole:
+        for samples in spans.samples():
+            evidence.add(samples, partial(_tell_done, tell, len(samples)))
+    else:
+        for piece, begins in reading.pieces("Accumulating"):
+            _add(evidence, piece, begins=begins and bool(settings.conditions))
+    return evidence, spans
 
-    Parameters
-    ----------
-    what : str
-        Name of the step, for the progress.
-    prescan : bool
-        Whether to prescan the samples.
-    evidence : Evidence or None
-        Where to accumulate them; None in a pass that only prescans.
-    done : int
-        Pieces that it holds already.
-    """
 
-    what: str
-    prescan: bool
-    evidence: Evidence | None = None
-    done: int = 0
+def _add(evidence: Evidence, piece: Piece, *, begins: bool) -> None:
+    if begins:
+        evidence.next_recording()
+    evidence.add(piece.samples, continues=piece.continues)
 
 
-class _Gathering:
-    """Reads the bags once or twice, and keeps prescan, evidence and the excerpt for the MAD."""
-
-    def __init__(self, reading: SeveralBags, settings: FitSettings, saved: Checkpoint | None, tell: Progress) -> None:
-        self._reading = reading
-        self._settings = settings
-        self._saved = saved
-        self._tell = tell
-        self._prescan = Prescan()
-        self.spans = Spans()
-        self._evidence: Evidence | None = None
-
-    @property
-    def evidence(self) -> Evidence:
-        assert self._evidence is not None
-        return self._evidence
-
-    def read(self) -> None:
-        """Read once and check; accumulate meanwhile if i_max is set or an interrupted call left a checkpoint."""
-        progressed = self._saved.load() if self._saved else None
-        while True:
-            self._prescan, self.spans = Prescan(), Spans()
-            step = self._first_step(progressed)
-            try:
-                self._take(step)
-                break
-            except UnusualError:
-                self._reading.read_whole()
-                progressed = None
-        self._evidence = step.evidence
-        if step.prescan:
-            self._prescan.check()
-            if self._evidence is not None:
-                self._prescan.inform(self._evidence)
-
-    def accumulate(self) -> None:
-        """Accumulate, unless the first pass did: the samples that were kept, or all of them in a second pass."""
-        if self._evidence is not None:
-            return
-        self._evidence = evidence = self._prescan.prepare(self._settings)
-        if not self.spans.whole:
-            self._take(_Step("Accumulating", prescan=False, evidence=evidence))
-            return
-        for samples in self.spans.samples():
-            evidence.add(samples, partial(self._tell_done, len(samples)))
-
-    def _tell_done(self, count: int, done: int) -> None:
-        self._tell("Accumulating", done / count)
-
-    def _first_step(self, progressed: Progressed | None) -> _Step:
-        known = self._settings.i_max is not None
-        if progressed is not None:
-            return _Step("Accumulating", prescan=known, evidence=progressed.evidence, done=progressed.pieces)
-        if known:
-            return _Step("Accumulating", prescan=True, evidence=self._prescan.prepare(self._settings))
-        return _Step("Reading", prescan=True)
-
-    def _take(self, step: _Step) -> None:
-        first_time = step.prescan or step.done
-        for number, (piece, begins) in enumerate(self._reading.pieces(step.what)):
-            if step.prescan:
-                self._prescan.add(piece.samples, continues=piece.continues)
-            if first_time:
-                self.spans.add(piece)
-            if step.evidence is None or number < step.done:
-                continue
-            if begins and (self._settings.i_max is not None or self._settings.conditions):
-                step.evidence.next_recording()
-            step.evidence.add(piece.samples, continues=piece.continues)
-            if self._saved:
-                self._saved.save(step.evidence, number + 1)
+def _tell_done(tell: Progress, count: int, done: int) -> None:
+    tell("Accumulating", done / count)

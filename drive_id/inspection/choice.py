@@ -10,70 +10,62 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.checks.readings import LikelyReading, likely_reading
-from drive_id.core.checks.recognition import AngleLike, angle_like, is_count, likely_counts, rotation_of
+from drive_id.core.checks.recognition import angle_like, is_count, likely_counts, rotation_of
 from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import NameGroup, name_groups, suggests
+from drive_id.inspection.names import name_groups, suggests
+from drive_id.inspection.points import (
+    AngleColumn,
+    PhaseGroup,
+    angle_points,
+    current_points,
+    dc_link,
+    voltage_points,
+)
 from drive_id.types import FloatArray, IntArray, Samples
 
 _SPAN = 1 << 13
+"""Samples of an excerpt by which a reading is judged: some tenths of a second."""
 _SPANS = 5
+"""Excerpts, spread over the log."""
 _FEWEST = 200
+"""Rows by which a column is recognized at least."""
 _BALANCED = 0.35
+"""Relative difference of the sizes of three phases, as gains of current sensors and a short log may cause."""
 _JITTER = 0.02
-_LARGEST_DUTY = 1.17
+"""Jitter of the stamps, by the period, from which they are replaced by equally spaced ones."""
+LARGEST_DUTY = 1.17
+"""Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
 _MOST_TRIED = 12
+"""Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
 _GOOD = 0.15
+"""Share of the voltage, unexplained, that a right choice hardly exceeds."""
 _NAME = 0.1
 """Share of the voltage, unexplained, that weighs as much as one hint of a name."""
 _PERIODS = (5e-7, 0.05)
-_LEAST_LINK = 5.0
-_COLUMN, _TABLE = 2.0, 1.0
-"""Points for a meaning that the name of a column suggests, and of its table: a column is named for what it holds."""
-_EXCLUDED = 4.0
-"""Points against what its names exclude: more than a column and a table together give."""
-_SURE = (1.5, 1.0)
-"""Points of currents and voltages whose names leave little doubt, so that a good fit of them ends the search."""
-_PREFERRED, _PER_COLUMN = 0.5, 0.1
-"""Points that decide among equals only: for phase quantities, and for each column that is there."""
+"""Shortest and longest plausible sample period, s."""
+SURE_CURRENT = 1.5
+"""Points of currents whose names leave little doubt, so that a good fit of them ends the search."""
+SURE_VOLTAGE = 1.0
+"""The same of voltages, whose sum cannot speak for them as it does for currents."""
 _MOST_THERE = 0.8
 """Least share of rows with a value for which missing values of a column are interpolated."""
 _REGULAR = 1e-3
+"""Relative spread of the steps of a column that may be a time without a name."""
 _LINES = np.exp(-1j * np.pi / 6) / np.sqrt(3)
+"""Space vector of the phases by that of voltages between them."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
-INDEX, GUESSED_PERIOD = "index", 1e-4
-"""Stamp source for row numbers, and the period, s, that the draft assumes for a log without a time column."""
+INDEX = "index"
+"""Stamp source for row numbers."""
+GUESSED_PERIOD = 1e-4
+"""Period that the draft assumes for a log without a time column, s."""
 
 
 class NoAngleError(ConfigurationError):
     """The log holds components in d and q, and no angle."""
-
-
-@dataclass(frozen=True, eq=False)
-class PhaseGroup:
-    """Phase quantities or components in one table."""
-
-    table: Table
-    group: NameGroup
-    values: FloatArray
-
-    @property
-    def label(self) -> str:
-        """What the names of the table and of the columns have in common."""
-        return f"{self.table.name} {self.group.stem}"
-
-
-@dataclass(frozen=True, eq=False)
-class AngleColumn:
-    """A column that moves like the angle of a rotor."""
-
-    table: Table
-    name: str
-    like: AngleLike
-    values: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +100,9 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
         tables = [_numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > _FEWEST and table.columns]
     groups = [found for table in tables for found in _groups(table)]
-    angles = sorted((found for table in tables for found in _angles(table)), key=_as_angle, reverse=True)
-    currents = sorted(groups, key=_as_current, reverse=True)
-    voltages = sorted(groups, key=_as_voltage, reverse=True)
+    angles = sorted((found for table in tables for found in _angles(table)), key=angle_points, reverse=True)
+    currents = sorted(groups, key=current_points, reverse=True)
+    voltages = sorted(groups, key=voltage_points, reverse=True)
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
     if missing and not angles and _has_components(contents):
@@ -218,51 +210,6 @@ def _angles(table: Table) -> Iterator[AngleColumn]:
             yield AngleColumn(table, name, like, x)
 
 
-def _hints(found: PhaseGroup, meaning: str) -> float:
-    return _COLUMN * suggests(found.group.stem, meaning) + _TABLE * suggests(found.table.name, meaning)
-
-
-def _as_current(found: PhaseGroup) -> float:
-    common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
-    score = _hints(found, "current") - _hints(found, "voltage") - 2 * _hints(found, "reference")
-    score -= _EXCLUDED * (found.group.frame == "line_to_line")
-    return score + (len(found.values.T) == 3) * (common < 0.05) + (found.group.frame == "abc")
-
-
-def _as_voltage(found: PhaseGroup) -> float:
-    score = _hints(found, "voltage") - _hints(found, "current")
-    return score + _PREFERRED * (found.group.frame == "abc") + _PER_COLUMN * len(found.values.T)
-
-
-def _as_angle(found: AngleColumn) -> float:
-    name = _COLUMN * suggests(found.name, "angle") + _TABLE * suggests(found.table.name, "angle")
-    return name + found.like.certain + found.like.wraps
-
-
-def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
-    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone."""
-    best: tuple[float, Table, str] | None = None
-    for table in tables:
-        for name, x in table.columns.items():
-            if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < 0.25 * x.mean()):
-                continue
-            named = suggests(name, "dc") or suggests(table.name, "dc")
-            likely = x.std() > 0 and suggests(name, "voltage")
-            alone = (
-                x.std() > 0 and x.min() > 0 and not any(suggests(name, what) for what in ("current", "speed", "time"))
-            )
-            score = 2 * (_COLUMN * suggests(name, "dc") + _TABLE * suggests(table.name, "dc"))
-            score += likely + _PREFERRED * alone
-            if (named or likely or alone) and score > 0 and (best is None or score > best[0]):
-                best = (score, table, name)
-    return best and (best[1], best[2])
-
-
-def is_named_link(table: Table, name: str) -> bool:
-    """Tell whether the names suggest that a column is the DC-link voltage."""
-    return suggests(name, "dc") or suggests(table.name, "dc")
-
-
 # -- choosing ------------------------------------------------------------------------------------------------------
 
 
@@ -280,7 +227,7 @@ def _chosen(
         if not set(zip([i.table.name] * 3, i.group.names, strict=False))
         & set(zip([u.table.name] * 3, u.group.names, strict=False))
     ]
-    pairs.sort(key=lambda pair: _as_current(pair[0]) + _as_voltage(pair[1]), reverse=True)
+    pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None
     tried = 0
     for i, u in pairs:
@@ -291,10 +238,14 @@ def _chosen(
             found = _read(i, u, angle, dc)
             if found is None:
                 continue
-            likely = found.reading.unexplained - _NAME * (_as_current(i) + _as_voltage(u) + _as_angle(angle))
+            likely = found.reading.unexplained - _NAME * (current_points(i) + voltage_points(u) + angle_points(angle))
             if best is None or likely < best[0]:
                 best = likely, found
-            if found.reading.unexplained < _GOOD and _as_current(i) > _SURE[0] and _as_voltage(u) > _SURE[1]:
+            if (
+                found.reading.unexplained < _GOOD
+                and current_points(i) > SURE_CURRENT
+                and voltage_points(u) > SURE_VOLTAGE
+            ):
                 return best[1]
     return best and best[1]
 
@@ -376,7 +327,7 @@ def _samples(
     at = regular_stamps(u.table)
     u_values = u.values if u.table is i.table and len(u.values) == len(clock) else u.values[nearest(clock, at)]
     u_s = _rotated(u, u_values, theta)
-    if dc is not None and np.abs(u.values).max() < _LARGEST_DUTY:
+    if dc is not None and np.abs(u.values).max() < LARGEST_DUTY:
         table, name = dc
         u_s = u_s * np.interp(
             (clock - clock[0]).astype(float), (table.stamp - clock[0]).astype(float), table.columns[name]

@@ -14,30 +14,30 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import (
     GUESSED_PERIOD,
     INDEX,
+    LARGEST_DUTY,
     Choice,
     NoAngleError,
-    PhaseGroup,
     choose,
-    dc_link,
-    is_named_link,
     regular_stamps,
     time_column,
 )
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import static_draft
 from drive_id.inspection.wording import listed, printable, quoted
 
 _JITTER = 0.02
 _SAME_RATE = 0.005
-_LARGEST_DUTY = 1.17
 _POOR = 0.35
 _LARGEST_CURRENT = 5000.0
 """Largest plausible current, A, the same as in the check ``current_scale``."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
-_COARSE, _SMOOTHING = 1e-3, 0.003
-"""Electrical angle of one count, rad, from which the angle is smoothed, and for how long, s."""
+_COARSE = 1e-3
+"""Electrical angle of one count, rad, from which the angle is smoothed."""
+_SMOOTHING = 0.003
+"""Time over which it is smoothed, s: short beside the acceleration of a shaft."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +183,8 @@ class _DraftText:
                 self._doubt("Currents and voltages have opposite signs: currents must be positive into the machine.")
         lines = [f"  fields: {listed(names)}", *_frame(u)]
         low, high = float(u.values.min()), float(u.values.max())
-        percent = low >= 0 and _LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
-        if max(-low, high) <= _LARGEST_DUTY or percent:
+        percent = low >= 0 and LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
+        if max(-low, high) <= LARGEST_DUTY or percent:
             share = 0.01 if percent else 1.0 if low >= -0.02 else 0.5
             range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
             if share == 0.5:

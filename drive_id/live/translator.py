@@ -21,7 +21,8 @@ from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import Samples
 
 SECTIONS = ("currents", "voltages", "resolver")
-_BATCH, _CAPACITY = 100, 50_000
+_BATCH = 100  # samples that are joined at once: 10 ms at 10 kHz
+_CAPACITY = 50_000  # samples of a signal that wait for the others
 _LONGEST_DELAY = 2.0  # s, between signals stamped by one clock
 _MOST_WAITING = 200_000
 """Messages of a signal that wait for :meth:`Translator.advance`; earlier ones are dropped beyond."""

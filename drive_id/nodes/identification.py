@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from drive_id_msgs.action import Identify as IdentifyGoal
 from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Command, Identify
 from rclpy.clock import Clock, ClockType
@@ -35,12 +36,12 @@ from drive_id.nodes.support.deferred_service import Reply as Answer
 from drive_id.nodes.support.diagnostics import Diagnostics
 from drive_id.nodes.support.displays import flux_map_points, operating_point_message
 from drive_id.nodes.support.foreign_topics import ForeignTopics
-from drive_id.nodes.support.identify_action import IdentifyAction
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM
 from drive_id.nodes.support.replies import fill, flux_map_message
+from drive_id.nodes.support.request_action import RequestAction
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS, Progress
 
@@ -87,7 +88,7 @@ class Identification(ManagedNode):
             DeferredService(self, Identify, "~/identify", self._on_identify),
             self.create_service(Command, "~/reset", self._on_reset, qos_profile=SERVICE),
         ]
-        self._action = IdentifyAction(self, "~/identify", self._requests, self._job, self._said)
+        self._action = RequestAction(self, IdentifyGoal, "~/identify", self._requests, self._job, self._said)
         self._request_timer = self.create_timer(
             _REQUEST_PERIOD, self._look_after_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -198,19 +199,17 @@ class Identification(ManagedNode):
         def finish(reply: Reply) -> None:
             answer(self._said(Identify.Response(), reply))
 
-        self._requests.submit(
-            Request(partial(self._job, request.bags, request.method, request.signals), finish), may_wait=False
-        )
+        self._requests.submit(Request(partial(self._job, request), finish), may_wait=False)
 
-    def _job(self, bags: Sequence[str], method: str, signals: str) -> Job:
+    def _job(self, request: Any) -> Job:
         """Return the job of a request whose turn has come."""
         if not self.active:
             raise InactiveError(self.inactive())
         dropped = ""
-        if not bags:
+        if not request.bags:
             self._inbox.empty()
             dropped = self._inbox.warning
-        job, life = self._identifier.job(bags, method, signals), self._life
+        job, life = self._identifier.job(request.bags, request.method, request.signals), self._life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:

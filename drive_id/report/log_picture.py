@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drive_id.core.checks.overview import Overview
-from drive_id.report.panels import NORMAL, name
-from drive_id.report.plots import rendered
+from drive_id.pictures.panels import NORMAL, name
+from drive_id.pictures.plots import rendered
 
 
 def overview_picture(view: Overview, figure_format: str = "png") -> bytes:

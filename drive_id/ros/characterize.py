@@ -32,10 +32,11 @@ from rich.progress import Progress as Bar
 
 from drive_id.errors import DriveIdError, ExperimentError
 from drive_id.files.machines.ground_truth import decode_truth
+from drive_id.fitting.result import load
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.ros.bench import Bench, Identified, Progress
 from drive_id.ros.comparison import comparison
-from drive_id.ros.first_start import PARAMETERS, commission, swing_up
+from drive_id.ros.first_start import commission, swing_up
 from drive_id.types import GroundTruth
 
 REQUESTS = {"recording": (True, "")}
@@ -130,6 +131,8 @@ def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: P
         document = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
         for sentence in document["statements"]:
             stated.setdefault(sentence, []).append(title)
+        if len(results) == 1:
+            load(folder).report(folder / "report.html")
     print_sentences("What the fits state:", stated)
     say(f"Results: {', '.join(str(plain_folder(output, title)) for title in results)}")
 
@@ -151,11 +154,14 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
     signals = ""
     if options.first_start:
         say("   All nodes are ready: first start.")
-        commissioned = commission(bench, options.output, options.recording or time.strftime("%Y%m%d_%H%M%S"), say)
+        name = options.recording or time.strftime("%Y%m%d_%H%M%S")
+        commissioned = commission(
+            bench, options.output, name, lambda _, sentence: say(f"   {sentence}"), angle_known=options.angle_known
+        )
         say(f"   {commissioned.sentence()}")
         signals = str(commissioned.signals.resolve())
         if not options.free_shaft:
-            say(f"Results: {options.output / PARAMETERS}, {commissioned.signals}")
+            say(f"Results: {commissioned.parameters}, {commissioned.signals}")
             return 0
     elif options.free_shaft:
         swing_up(bench)
@@ -193,6 +199,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--compare", action="store_true", help="identify live and recorded, by all methods")
     parser.add_argument(
         "--first-start", action="store_true", help="find angle and acceleration of a drive without load machine first"
+    )
+    parser.add_argument(
+        "--angle-known", action="store_true", help="with --first-start: angle_offset is set already, only shake"
     )
     parser.add_argument("--free-shaft", action="store_true", help="trajectory free_shaft: without load machine")
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -36,6 +37,10 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     if truth is not None:
         errors = [flux_errors(m, truth) for m in maps]
         rows.insert(2, ("NRMSE of psi_d / psi_q", [f"{100 * d:.3f} / {100 * q:.3f} %" for d, q in errors], ""))
+    if any(math.isfinite(report.inertia) for report in reports):
+        true_inertia = math.nan if truth is None else float(truth.details.get("inertia", math.nan))
+        found = [measured(r.inertia, r.sigma_inertia, unit="kg m²") for r in reports]
+        rows.append(("J", found, measured(true_inertia, unit="kg m²")))
     for name, values, true in rows:
         table.add_row(name, *values, *([true or ""] if truth else []))
     return table

@@ -34,17 +34,23 @@ class Commissioned:
     start : FirstStart
     acceleration : float
         Electrical, by the largest current, T_max p / J, rad/s^2.
-    signals : Path
-        Signals file for its recordings.
+    signals, parameters : Path
+        Signals file for its recordings, and parameters of the publisher.
     """
 
     start: FirstStart
     acceleration: float
     signals: Path
+    parameters: Path
 
     def sentence(self) -> str:
         """Return the result as one sentence."""
         start = self.start
+        if math.isnan(start.angle_sigma):
+            return (
+                f"The largest torque accelerates the rotor by {self.acceleration:.4g} rad/s^2 (electrical); its angle, "
+                f"{math.degrees(start.angle_offset):.2f} degrees ahead of the magnet axis, was known."
+            )
         return (
             f"The angle is {math.degrees(start.angle_offset):.2f} ± {math.degrees(start.angle_sigma):.2f} degrees "
             f"ahead of the magnet axis; friction holds the rotor back by {math.degrees(start.load_angle):.1f} degrees; "
@@ -52,7 +58,9 @@ class Commissioned:
         )
 
 
-def commission(bench: Bench, folder: Path, name: str, say: Callable[[str], None]) -> Commissioned:
+def commission(
+    bench: Bench, folder: Path, name: str, say: Callable[[str, str], None], *, angle_known: bool = False
+) -> Commissioned:
     """Run the first start, configure the publisher by its result, and write the files of the result.
 
     Parameters
@@ -64,7 +72,9 @@ def commission(bench: Bench, folder: Path, name: str, say: Callable[[str], None]
     name : str
         Of the recordings, to which ``_first_start``, ``_shake_1`` and ``_shake_2`` are added.
     say : callable
-        Called with sentences on what is done.
+        Called with a word, Turning or Shaking, and a sentence on what is done.
+    angle_known : bool
+        The publisher's ``angle_offset`` is right already: only shake.
 
     Raises
     ------
@@ -77,10 +87,13 @@ def commission(bench: Bench, folder: Path, name: str, say: Callable[[str], None]
             "trajectory_publisher has no shaft_speed_max: set the highest electrical speed of the free shaft, rad/s."
         )
     kept = {key: bench.publisher_value(key) for key in ("duration", "i_max", "mean_speed")}
-    say("   The current vector turns slowly, forwards and backwards.")
-    bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
-    start = first_start(read_bag(bench.run_experiment(f"{name}_first_start").uri))
-    _require_plain(start)
+    if angle_known:
+        start = FirstStart((0.0,) * 3, 1, 1, bench.publisher_value("angle_offset"), math.nan, math.nan)
+    else:
+        say("Turning", "The current vector turns slowly, forwards and backwards.")
+        bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
+        start = first_start(read_bag(bench.run_experiment(f"{name}_first_start").uri))
+        _require_plain(start)
     acceleration = _shaken(bench, start, name, kept["i_max"], limit, say)
     found = {"angle_offset": start.angle_offset, "shaft_acceleration": acceleration, "shaft_speed_max": limit}
     swing_up(bench, duration=kept["duration"], mean_speed=kept["mean_speed"], **found)
@@ -88,7 +101,7 @@ def commission(bench: Bench, folder: Path, name: str, say: Callable[[str], None]
         folder / PARAMETERS, {"/**": {"ros__parameters": {"trajectory": FREE_SHAFT, "i_max": kept["i_max"], **found}}}
     )
     _write(folder / SIGNALS, signals_of(start))
-    return Commissioned(start, acceleration, folder / SIGNALS)
+    return Commissioned(start, acceleration, folder / SIGNALS, folder / PARAMETERS)
 
 
 def swing_up(bench: Bench, **changes: Any) -> None:
@@ -105,13 +118,13 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 
 
 def _shaken(
-    bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str], None]
+    bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
 ) -> float:
     """Shake the shaft, gently first; return its electrical acceleration by the full current, rad/s^2."""
     acceleration, allowed = 0.0, 1.0
     for number, amplitude in enumerate(_SHAKES, 1):
         share = min(amplitude, allowed)
-        say(f"   The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
+        say("Shaking", f"The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
         swing_up(
             bench,
             angle_offset=start.angle_offset,

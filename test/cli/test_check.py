@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from drive_id.cli.app import app, main
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.signals_file import read_signals
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
 

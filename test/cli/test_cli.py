@@ -765,21 +765,6 @@ def test_an_interrupt_ends_without_a_traceback_and_leaves_nothing(tmp_path):
     assert tree(tmp_path) == []
 
 
-def test_an_interrupt_from_which_a_second_call_goes_on_says_so(bag, tmp_path, monkeypatch, capsys):
-    from drive_id.cli import app as cli
-    from drive_id.fitting import fit, streaming
-
-    def interrupted(*_args, **_options):
-        raise streaming.Interrupted("the same call once more goes on.")
-
-    monkeypatch.setattr(fit, "fit_bags", interrupted)
-    monkeypatch.setattr(sys, "argv", ["drive-id", "fit", str(bag), "--output", str(tmp_path / "out"), "--quiet"])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code == 130
-    assert "interrupted; the same call once more goes on." in capsys.readouterr().err
-
-
 # -- plans -----------------------------------------------------------------------------------------------------------
 
 

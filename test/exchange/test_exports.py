@@ -20,7 +20,6 @@ from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
 from drive_id.exchange.exports.formats import ALIASES, EXPORTS, ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.writers.gradnet import GradNet
 from drive_id.exchange.imports.importing import ImportOptions, import_map
 from drive_id.exchange.imports.source import Source
 
@@ -128,44 +127,6 @@ def test_training_data_for_gradnets():
     slope = 6 * 3e-3 * (-(i_d * i_q / 36) * np.sin(6 * theta) + i_q * np.cos(6 * theta))
     per_pair = 1.5 * (psi.real * i_q - psi.imag * i_d + slope)
     np.testing.assert_allclose(file["tau_m"], per_pair, atol=1e-6)
-
-
-def test_gradnet_function():
-    """Evaluated here by the formula of its paper, apart from the code that fitted it."""
-    file = npz("gradnet")
-    assert str(file["activation"]) == "PNormGradient"
-    assert file["W"].shape == (1, 12, 2)
-
-    def net(x):
-        beta, p = np.exp(file["beta_log"][0]), int(file["p"])
-        z = beta * (file["W"][0] @ x + file["b"][0])
-        return (
-            np.exp(file["mu_log"]) * x
-            + file["bias"]
-            + file["W"][0].T @ (z ** (p - 1) / (1 + np.sum(z**p)) ** ((p - 1) / p))
-        )
-
-    flip = np.array([1.0, -1.0])
-    for i_d, i_q in zip(*AT, strict=True):
-        x = np.array([i_d, i_q]) / file["i_base"]
-        psi = 0.5 * (net(x) + flip * net(flip * x)) * file["psi_base"]
-        np.testing.assert_allclose(psi, flux(i_d, i_q, skew=0.0), atol=4e-3)
-
-
-def test_gradnet_derivatives():
-    rng = np.random.default_rng(1)
-    vector, x = rng.normal(size=3 * 4 + 5), rng.normal(size=(6, 2))
-    steps = 1e-6 * np.eye(len(vector))
-    numeric = [(GradNet.of(vector + h).symmetric(x) - GradNet.of(vector - h).symmetric(x)) / 2e-6 for h in steps]
-    np.testing.assert_allclose(GradNet.of(vector).symmetric_jacobian(x), np.stack(numeric, -1), atol=1e-7)
-
-
-def test_a_map_that_no_gradnet_fits():
-    psi_d, psi_q = flux(*grids(), skew=6e-3)
-    drive = result()
-    lopsided = replace(drive, drive=replace(drive.drive, flux_map=replace(drive.flux_map, psi_d=psi_d, psi_q=psi_q)))
-    with pytest.raises(ConfigurationError, match=r"differs from this map by .* %"):
-        content("gradnet", drive=lopsided)
 
 
 def test_syre_flux_file():
@@ -374,8 +335,8 @@ def test_points_without_data_are_marked(name):
 def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
     drive = on_disc()
     for name, entry in EXPORTS.items():
-        if name in ("gradnet", "powertrain-controller") or not entry.grid:
-            continue  # the second holds the tables of motor-control
+        if name == "powertrain-controller" or not entry.grid:
+            continue  # it holds the tables of motor-control
         choice = SYMMETRIC if name == "simscape" else CHOICE
         if name == "machine":
             with pytest.raises(ConfigurationError, match="points have no data, which a machine file cannot hold"):
@@ -383,7 +344,8 @@ def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
         else:
             _, exported = content_of(drive, name, choice)
             assert exported.missing > 0
-            assert ("left out" if name == "gradnet-data" else "marked as NaN") in exported.warnings[0]
+            told = {"gradnet-data": "left out", "fmu": "a continuation", "fmu-2": "a continuation"}
+            assert told.get(name, "marked as NaN") in exported.warnings[0]
         _, exported = content_of(drive, name, replace(choice, filled=True))
         assert "continuation" in exported.warnings[0]
 

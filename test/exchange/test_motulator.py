@@ -59,11 +59,3 @@ def test_it_simulates_the_drive():
     torque = 1.5 * PAIRS * (psi_d * current.imag - psi_q * current.real)
     assert torque == pytest.approx(load, rel=0.02)
     assert float(np.mean(end.machine.tau_M[-200:])) == pytest.approx(load, rel=0.02)
-
-
-def test_it_evaluates_the_gradnet(tmp_path):
-    gradnet = pytest.importorskip("motulator.drive.gradnet", reason="this motulator is older than its GradNets")
-    (tmp_path / "net.npz").write_bytes(exported("gradnet").read())
-    net = gradnet.FluxMap(gradnet.load_gradnet(tmp_path / "net.npz"))
-    psi_d, psi_q = flux(*AT, skew=0.0)  # a GradNet is symmetric about the d axis
-    np.testing.assert_allclose(net(AT[0] + 1j * AT[1]), psi_d + 1j * psi_q, atol=4e-3)

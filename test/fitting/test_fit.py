@@ -16,7 +16,7 @@ from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError, ResultError
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag

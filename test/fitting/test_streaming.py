@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
-import tracemalloc
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,17 +21,15 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
-from drive_id.files.messages.signals_file import SignalMap, parse_signals
+from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
-from drive_id.files.read.reader import read_recordings
-from drive_id.files.results import checkpoint
-from drive_id.files.results.checkpoint import Checkpoint
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.sources import Sources
-from drive_id.fitting.streaming import Interrupted, accumulate
+from drive_id.fitting.streaming import accumulate
 
 SETTINGS = FitSettings(method="joint")
 
@@ -60,7 +56,7 @@ def assert_same(found: Evidence, expected: Evidence, accuracy: float = 1e-12) ->
 
 def assert_same_as_in_memory(bags, settings=SETTINGS, signals=None, **options):
     found = accumulate(bags, settings, signals=signals, **options)
-    recording = read_recordings(bags, signals)
+    recording = read_recording(bags, signals)
     assert_same(found.evidence, gather([recording.samples], settings))
     assert found.warnings == recording.warnings
     assert found.digests == recording.digests
@@ -89,9 +85,7 @@ def test_a_long_recording_is_accumulated_as_in_memory(bag, method, i_max):
 
 
 @pytest.mark.usefixtures("long")
-def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypatch):
-    """After an interrupt, too, but for the few windows that were open."""
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+def test_the_windows_of_method_full_are_those_in_memory(bag):
     settings = FitSettings(method="full")
     found, recording = assert_same_as_in_memory([bag], settings)
     expected = gather([recording.samples], settings).windows.finished()
@@ -99,10 +93,6 @@ def test_the_windows_of_method_full_are_those_in_memory(bag, tmp_path, monkeypat
     assert mine.windows == expected.windows
     for one, other in zip(mine.folds, expected.folds, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
-    with pytest.raises(Interrupted):
-        accumulate([bag], settings, checkpoint=tmp_path / "kept", tell=Stop(7))
-    resumed = accumulate([bag], settings, checkpoint=tmp_path / "kept").evidence.windows.finished()
-    assert 0.98 * expected.windows < resumed.windows <= expected.windows
 
 
 def test_a_short_recording_is_fitted_from_exactly_the_same_numbers(bag):
@@ -162,12 +152,12 @@ def test_one_recording_without_references_gives_one_radius_on_every_way_in(
     if parts == "long":
         request.getfixturevalue("long")
     bags = one_without_references[order]
-    samples = [read_recordings([bag]).samples for bag in bags]
+    samples = [read_recording([bag]).samples for bag in bags]
     further = samples[bags[0].name == "known"]
     reached = np.quantile(np.hypot(*frames.to_dq(further.i_abc, further.angle).T), 0.999)
     found = [
         gather(samples, SETTINGS).i_max,
-        gather([read_recordings(bags).samples], SETTINGS).i_max,
+        gather([read_recording(bags).samples], SETTINGS).i_max,
         fit_bags(Sources(bags), None, SETTINGS).drive.i_max,
     ]
     assert found == pytest.approx([found[0]] * 3, rel=1e-14)
@@ -181,7 +171,7 @@ def test_one_radius_that_is_set_is_that_of_every_way_in(one_without_references, 
         accumulate_bags(Sources([known, without]), tmp_path / "both.info", SETTINGS)
     settings = replace(SETTINGS, i_max=311.0)
     accumulate_bags(Sources([without]), tmp_path / "one.info", settings)
-    samples = [read_recordings([bag]).samples for bag in (known, without)]
+    samples = [read_recording([bag]).samples for bag in (known, without)]
     found = [
         identify(samples, settings),
         fit_bags(Sources([known, without]), None, settings).drive,
@@ -201,7 +191,7 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
     ).replace("}", ", sample_period: 0.0001}")
     assert_same_as_in_memory([bag], signals=parse_signals(text, "test"))
     monkeypatch.setattr(bag_pieces, "CAPACITY", 3000)
-    blocks = dict(reversed(blocks_of(read_recordings([bag]).samples).items()))
+    blocks = dict(reversed(blocks_of(read_recording([bag]).samples).items()))
     for number, parts in enumerate(blocks.values()):
         for block in parts:
             block["first"] += 10**6 * number
@@ -213,7 +203,7 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("long")
 def test_the_radius_may_come_from_the_caller(bag):
-    assert accumulate([bag], SETTINGS, i_max=320.0).evidence.settings.i_max == 320.0
+    assert accumulate([bag], replace(SETTINGS, i_max=320.0)).evidence.settings.i_max == 320.0
 
 
 @pytest.mark.usefixtures("long")
@@ -228,10 +218,10 @@ def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
         path = tmp_path / kind.__name__
         write_recording(path, wrong)
         with pytest.raises(kind) as expected:
-            gather([read_recordings([path]).samples], SETTINGS)
+            gather([read_recording([path]).samples], SETTINGS)
         for i_max in (None, 310.0):
             with pytest.raises(kind) as found:
-                accumulate([path], SETTINGS, i_max=i_max)
+                accumulate([path], replace(SETTINGS, i_max=i_max))
             assert str(found.value) == str(expected.value)
     with pytest.raises(NotABagError, match="does not exist"):
         accumulate([tmp_path / "none"], SETTINGS)
@@ -268,101 +258,9 @@ class Stop:
             raise KeyboardInterrupt
 
 
-def added(monkeypatch):
-    """Count the calls that accumulate."""
-    calls = []
-    add = Evidence.add
-    monkeypatch.setattr(Evidence, "add", lambda self, *args, **named: (calls.append(1), add(self, *args, **named))[1])
-    return calls
-
-
-@pytest.mark.parametrize("i_max", [None, 310.0])
-@pytest.mark.usefixtures("long")
-def test_a_second_call_goes_on_where_the_first_was_interrupted(bag, tmp_path, monkeypatch, i_max):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    settings, kept = FitSettings("joint", i_max=i_max), tmp_path / "kept"
-    expected = accumulate([bag], settings)
-    with pytest.raises(Interrupted, match="run the same command again"):
-        accumulate([bag], settings, checkpoint=kept, tell=Stop(7))
-    assert kept.stat().st_size < 2e7
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-    calls = added(monkeypatch)
-    told = []
-    found = accumulate([bag], settings, checkpoint=kept, tell=lambda what, _: told.append(what))
-    assert 0 < len(calls) < 0.8 * sum(what.startswith("Accumulating") for what in told)
-    assert "Reading" not in told
-    np.testing.assert_array_equal(found.evidence.information.blocks, expected.evidence.information.blocks)
-    np.testing.assert_array_equal(found.evidence.visits.count, expected.evidence.visits.count)
-    assert found.evidence.noise_share == expected.evidence.noise_share
-    assert [part.stamp.tolist() for part in found.validation] == [part.stamp.tolist() for part in expected.validation]
-    assert (found.samples, found.last_stamp, found.warnings) == (
-        expected.samples, expected.last_stamp, expected.warnings
-    )  # fmt: skip
-    assert not kept.exists()
-
-
-@pytest.mark.usefixtures("long")
-def test_a_checkpoint_of_something_else_is_none(bag, simulation, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    kept = tmp_path / "kept"
-    with pytest.raises(Interrupted):
-        accumulate([bag], SETTINGS, checkpoint=kept, tell=Stop(7))
-    data = kept.read_bytes()
-    expected = accumulate([bag], SETTINGS).evidence.information.blocks
-    write_recording(tmp_path / "other", replace(simulation.samples, u_abc=1.01 * simulation.samples.u_abc))
-    other = accumulate([tmp_path / "other"], SETTINGS).evidence.information.blocks
-    found = accumulate([tmp_path / "other"], SETTINGS, checkpoint=kept)
-    np.testing.assert_array_equal(found.evidence.information.blocks, other)
-    for damaged in (data[:1000], data[:-10], b"", b"PK\3\4", np.random.default_rng(0).bytes(500)):
-        kept.write_bytes(damaged)
-        found = accumulate([bag], SETTINGS, checkpoint=kept)
-        np.testing.assert_array_equal(found.evidence.information.blocks, expected)
-
-
-@pytest.mark.usefixtures("long")
-def test_without_room_for_a_checkpoint_the_work_goes_on(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    found = accumulate([bag], SETTINGS, checkpoint=tmp_path / "no folder" / "kept")
-    assert found.samples == 20_000
-    (tmp_path / "folder").mkdir()
-    accumulate([bag], SETTINGS, checkpoint=tmp_path / "folder")
-    assert list((tmp_path / "folder").iterdir()) == []
-    np.savez(tmp_path / "mine.npz", header=np.asarray(json.dumps({"format": "mine"})))
-    before = (tmp_path / "mine.npz").read_bytes()
-    accumulate([bag], SETTINGS, checkpoint=tmp_path / "mine.npz")
-    assert (tmp_path / "mine.npz").read_bytes() == before
-
-
-def test_a_checkpoint_is_written_without_a_copy_in_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    evidence = Evidence.within(SETTINGS, 300.0)
-    monkeypatch.setattr(evidence, "state", lambda: {f"sums_{k}": np.ones(1 << 18) for k in range(16)})  # 2 MB each
-    kept = Checkpoint(tmp_path / "kept", [], SETTINGS, SignalMap(), "")
-    tracemalloc.start()
-    kept.save(evidence, 1)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert kept.saved
-    assert peak < 1.5 * 16 * 2**21
-
-
-@pytest.mark.usefixtures("long")
-def test_an_interrupted_fit_leaves_its_checkpoint_beside_the_output_only(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    output = tmp_path / "out"
-    with pytest.raises(Interrupted):
-        fit_bags(Sources([bag]), output, SETTINGS, tell=Stop(7))
-    assert [path.name for path in tmp_path.iterdir()] == [".out.checkpoint"]
-    fit = fit_bags(Sources([bag]), output, SETTINGS)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    again = fit_bags(Sources([bag]), None, SETTINGS)
-    assert fit.resistance == again.resistance
-
-
-def test_a_short_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
-    with pytest.raises(KeyboardInterrupt) as caught:
+def test_a_fit_that_is_interrupted_leaves_nothing(bag, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
         fit_bags(Sources([bag]), tmp_path / "out", SETTINGS, tell=Stop(1))
-    assert not isinstance(caught.value, Interrupted)
     assert list(tmp_path.iterdir()) == []
 
 

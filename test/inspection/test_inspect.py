@@ -19,7 +19,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.files.messages.signals_file import parse_signals
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import Topics, write_recording
 from drive_id.fitting.simulated import run_experiment
 from drive_id.inspection.inspect import inspect_log

@@ -14,7 +14,7 @@ import pytest
 from ros_bench import DEADLINE, require_ros, ros_bench
 from simulated_time import SimulatedTime, end_of, stamp_of
 
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 
 ROOT = Path(__file__).parent.parent.parent
 NODES = "drive_id.nodes."

@@ -155,7 +155,7 @@ def test_blocks_out_of_order_are_neither_lost_by_the_recorder_nor_by_the_fit(ros
     bench.wait_until_delivered()
     reply = ros.call(StopRecording, "/recorder/stop")
     assert (reply.success, reply.code, reply.samples, reply.dropped) == (True, "ok", 125_700, 0)
-    from drive_id.files.read.reader import read_recording
+    from drive_id.files.read.several import read_recording
 
     recording = read_recording(ros.folder / "bag")
     assert (len(recording.samples), recording.samples.run_starts.tolist()) == (125_700, [0])

@@ -17,7 +17,7 @@ from recorder_blocks import PERIOD, START, TOPICS, block
 from ros_bench import DEADLINE, require_ros, ros_bench
 from rosbags.rosbag2 import Reader
 
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.live.recording.recording_settings import RecordingSettings
 

@@ -63,6 +63,48 @@ def test_a_new_drive_is_characterized_by_one_command(ros):
     assert abs(mechanics.inertia / known.details["inertia"] - 1) < 0.005
 
 
+def test_a_first_start_is_a_service_and_an_action_that_can_be_cancelled(ros):
+    from drive_id_msgs.action import FirstStart as Goal
+    from drive_id_msgs.msg import PhaseCurrents
+    from drive_id_msgs.srv import FirstStart
+    from rclpy.action import ActionClient
+
+    currents, stages = [], []
+    ros.node.create_subscription(PhaseCurrents, "phase_currents", lambda m: currents.append(np.abs(m.a).max()), 1000)
+    data = {"data_directory": str(ros.folder)}
+    ros.start(NODES + "recorder", parameters=data)
+    ros.start(NODES + "identification", parameters=data | {"i_max": I_MAX})
+    ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER | {"angle_offset": OFFSET})
+    ros.start(NODES + "bench_simulator", parameters=DRIVE)
+    folder = ros.folder / "first_starts"
+    ros.start("drive_id.ros.commissioning", parameters={"output_directory": str(folder), "timeout": DEADLINE})
+
+    reply = ros.call(FirstStart, "/commissioning/first_start", name="shaken", angle_known=True)
+    assert (reply.success, reply.code) == (True, "ok"), reply.message
+    assert np.isnan(reply.sigma_angle_offset)
+    found = yaml.safe_load((folder / "shaken" / "trajectory_publisher.yaml").read_text())["/**"]["ros__parameters"]
+    assert found["angle_offset"] == OFFSET
+    # SPM of 3 pole pairs: 4000 rad/s^2 by the largest torque, and what little reluctance adds
+    assert found["shaft_acceleration"] == pytest.approx(reply.shaft_acceleration) == pytest.approx(12_000, rel=0.05)
+    assert set(yaml.safe_load((folder / "shaken" / "signals.yaml").read_text())) >= {"currents", "resolver"}
+    assert ros.call(FirstStart, "/commissioning/first_start", name="shaken").code == "output"
+
+    client = ActionClient(ros.node, Goal, "/commissioning/first_start")
+    ros.wait(client.server_is_ready, "the action server")
+    sent = client.send_goal_async(Goal.Goal(name="cut"), feedback_callback=lambda m: stages.append(m.feedback))
+    ros.wait(sent.done, "the acceptance of the goal")
+    ros.wait(lambda: max(currents[-50:], default=0.0) > 0.1 * I_MAX, "the current vector")
+    assert ros.call(FirstStart, "/commissioning/first_start").code == "busy"
+    sent.result().cancel_goal_async()
+    result = sent.result().get_result_async()
+    ros.wait(result.done, "the end of the goal")
+    assert (result.result().status, result.result().result.code) == (5, "cancelled")
+    assert {entry.stage for entry in stages} == {"Turning"}
+    ros.wait(lambda: max(currents[-50:]) < 0.02 * I_MAX, "zero current")
+    assert not (folder / "cut").exists()
+    client.destroy()
+
+
 def test_a_swing_beyond_its_band_trips_and_ends_at_zero_current(ros):
     from drive_id_msgs.msg import PhaseCurrents, PublisherState, Resolver
     from std_srvs.srv import Trigger

@@ -145,7 +145,8 @@ def _judged(offset: tuple[float, float, float], direction: int, pairs: int, turn
     if abs(apart) > _AGREEMENT + 3 * math.hypot(error_1, error_2):
         raise ExperimentError(
             f"At two currents the angle's offset differs by {math.degrees(abs(apart)):.1f} degrees: saliency holds the "
-            "rotor, not the magnets (the current must be below psi_PM / |L_q - L_d|); reduce first_start_current."
+            "rotor, not the magnets (the current must be below psi_PM / |L_q - L_d|); reduce first_start_current, or "
+            "find angle_offset by the voltages of the machine driven with open terminals."
         )
     offset_angle = float(_wrapped(np.array(first + 0.5 * apart)))
     sigma = max(0.5 * math.hypot(error_1, error_2), 0.5 * abs(apart))

@@ -32,7 +32,8 @@ DEGREE = 4
 FEWEST_POINTS = 8
 REACH = 1.3
 MARGIN = 0.01
-_FEWEST_CELLS, _MOST_CELLS = 10, 20
+_FEWEST_CELLS = 10  # along an axis: a bridge that saturates takes some
+_MOST_CELLS = 20  # the time of a constrained fit grows with the sixth power of them
 _CELLS_PER_ROOT = 1.0
 """Cells along an axis per root of the number of points."""
 _BENDS = (1.0, 2.0, 3.0, 4.0)
@@ -40,9 +41,10 @@ _WEIGHTS = np.geomspace(1e-11, 1e-1, 11)
 _FINER = np.geomspace(0.1, 10, 5)[1:-1]
 DECLINE = 0.5
 """Beyond the points, slopes tend to fall with this power of the distance from zero current."""
-_LEAST_BEYOND, _BEYOND = 1e-8, 3.0
-"""Weight of the slopes beyond the points: at least, and relative to that of the roughness. Weak enough not to move the
-map within the points, strong enough to hold beyond them."""
+_LEAST_BEYOND = 1e-8
+"""Least weight of the slopes beyond the points: strong enough to hold there."""
+_BEYOND = 3.0
+"""The same relative to that of the roughness: weak enough not to move the map within the points."""
 _SITES = 2
 _STEP = 0.05
 _ROUNDING = 1e-13

@@ -50,8 +50,11 @@ class Axis:
 
     def collocation(self, points: FloatArray) -> FloatArray:
         """Return the dense matrix (len(points), count) of all functions at points within the range."""
+        from scipy.interpolate import BSpline  # noqa: PLC0415  # takes 250 ms, and only a few maps need it
+
         knots = self.low + self.width * np.arange(-3, self.count + 1)
-        return basis_matrix(np.clip(points, knots[3], knots[-4]), np.asarray(knots, np.float64))
+        found: FloatArray = BSpline.design_matrix(np.clip(points, knots[3], knots[-4]), knots, 3).toarray()
+        return found
 
 
 @compiled("f8, f8, f8, i8")
@@ -84,53 +87,6 @@ def slopes(t: float, width: float, w: FloatArray) -> None:
     w[1] = (1.5 * t - 2.0) * t / width
     w[2] = -(1.5 * s - 2.0) * s / width
     w[3] = 0.5 * t * t / width
-
-
-def basis_matrix(points: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return all cubic B-splines of the knots at points between ``knots[3]`` and ``knots[-4]``, by de Boor's recursion.
-
-    Parameters
-    ----------
-    points : (N,) float
-    knots : (n + 4,) float
-        In ascending order.
-
-    Returns
-    -------
-    (N, n) float
-    """
-    count = len(knots) - 4
-    cell = np.clip(np.searchsorted(knots, points, side="right") - 1, 3, count - 1)
-    value = np.ones((1, len(points)))
-    for degree in range(1, 4):
-        below = np.array([knots[cell - j] for j in range(degree - 1, -1, -1)])
-        above = np.array([knots[cell + j] for j in range(1, degree + 1)])
-        share = value / (above - below)
-        value = np.zeros((degree + 1, len(points)))
-        value[:-1] = share * (above - points)
-        value[1:] += share * (points - below)
-    out = np.zeros((len(points), count))
-    out[np.arange(len(points))[:, None], cell[:, None] + np.arange(-3, 1)] = value.T
-    return out
-
-
-def interpolation_matrix(nodes: FloatArray, points: FloatArray) -> FloatArray:
-    """Return the weights of the values at the nodes in the not-a-knot cubic spline through them.
-
-    Parameters
-    ----------
-    nodes : (n,) float
-        Increasing, at least 4.
-    points : (N,) float
-        Within the nodes.
-
-    Returns
-    -------
-    (N, n) float
-    """
-    knots = np.concatenate([np.repeat(nodes[0], 4), nodes[2:-2], np.repeat(nodes[-1], 4)])
-    weights = np.linalg.solve(basis_matrix(nodes, knots).T, basis_matrix(points, knots).T)
-    return np.asarray(weights.T)
 
 
 @compiled("const f8[::1], const f8[::1], i8, i8[::1], f8[:, ::1]")

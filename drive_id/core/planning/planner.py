@@ -41,9 +41,11 @@ _SHORTEST = 4.0
 _FIRST_GUESS = 10.0  # s
 _RESERVE = 1.05
 _WEIGHTS = np.array([2.0, 2.0, 1.0, 1.0, 1.0])
-_MARGIN, _LOSS = 0.95, 20.0
-_COARSE, _MIDDLE, _FINE = (8, 2000), (12, 3000), (16, 6000)
-"""Cells of the map along each axis, and windows."""
+_MARGIN = 0.95  # standard error by the paper's that no plan should exceed
+_LOSS = 20.0  # cost of exceeding it, by its logarithm: no gain of another makes up for it
+_COARSE = (8, 2000)  # cells of the map along each axis, and windows, to choose speeds
+_MIDDLE = (12, 3000)  # to choose the figure
+_FINE = (16, 6000)  # to predict the standard errors
 LONGEST_FIGURE = 10.0
 """s; longer experiments repeat the figure."""
 

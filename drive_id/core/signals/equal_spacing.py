@@ -9,8 +9,10 @@ import numpy as np
 from drive_id.errors import SamplePeriodError
 from drive_id.types import FloatArray, IntArray
 
-_WINDOW, _FEWEST = 128, 16
-"""Most and fewest messages on each side of a suspected gap over which delays are compared."""
+_WINDOW = 128
+"""Messages on each side of a suspected gap over which delays are compared."""
+_FEWEST = 16
+"""Least number of them: their median must not be that of a few late ones."""
 _SUSPECT = 1.5
 """Samples of time without a message from which a gap is suspected."""
 _OUTLYING = 4.0

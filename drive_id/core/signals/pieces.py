@@ -1,4 +1,4 @@
-"""Several recordings of one drive, put one behind the other: at once or piece by piece."""
+"""Several recordings of one drive, put one behind the other: piece by piece."""
 
 from __future__ import annotations
 
@@ -8,47 +8,21 @@ from dataclasses import replace
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.period import PERIOD_TOLERANCE, period_text
 from drive_id.errors import DataError, SamplePeriodError
-from drive_id.types import GroundTruth, Samples
+from drive_id.types import GroundTruth
 
 _DISTANCE = 1_000_000_000
 """Put between recordings that overlap, ns."""
 
 
-def merge(parts: Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
-    """Put recordings one behind the other; each begins a new run.
-
-    Parameters
-    ----------
-    parts : sequence of Samples
-        At least one, of equal sample period.
-
-    Returns
-    -------
-    samples : Samples
-    moved : tuple of int
-        Parts that began before an earlier one had ended, as simulations do, and were moved behind it.
-
-    Raises
-    ------
-    SamplePeriodError
-        When the periods differ by more than 1 %.
-    """
-    several, placed = SeveralRecordings(), []
-    for part in parts:
-        several.begin()
-        placed.append(several.placed(Piece(part, continues=False)).samples)
-    return Samples.joined(placed), tuple(several.moved)
-
-
 class SeveralRecordings:
-    """Does piece by piece what :func:`merge` does to whole recordings.
+    """Puts recordings one behind the other, piece by piece; one that overlaps those before is moved behind them.
 
     Attributes
     ----------
     end : int or None
         Stamp of the last sample so far, ns.
     moved : list of int
-        See :func:`merge`.
+        Numbers of the recordings that were moved.
     """
 
     def __init__(self) -> None:

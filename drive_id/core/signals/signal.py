@@ -18,9 +18,10 @@ _FEWEST_BLOCKS = 3
 """Blocks that begin with sample 0 before their publisher is said not to count."""
 LATEST = 0.5
 """Time by which a block may arrive behind later ones and still be put in its place, s: networks delay some."""
-_OPEN_LOSSES, _OPEN_SAMPLES = 100, 50_000
-"""Losses that a late block may still fill, and how many samples ago they may lie; beyond, a count that runs backwards
-is that of another publisher."""
+_OPEN_LOSSES = 100
+"""Losses that a late block may still fill."""
+_OPEN_SAMPLES = 50_000
+"""Samples since such a loss: beyond, a count that runs backwards is that of another publisher."""
 
 
 @dataclass(frozen=True, eq=False)

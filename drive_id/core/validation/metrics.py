@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core.numerics.bspline import interpolation_matrix
 from drive_id.types import FloatArray, GroundTruth
-
-_CHUNK = 8192
 
 
 def mean_absolute_deviation(simulated: FloatArray, measured: FloatArray) -> tuple[float, float]:
@@ -18,18 +15,13 @@ def mean_absolute_deviation(simulated: FloatArray, measured: FloatArray) -> tupl
 
 def true_flux(truth: GroundTruth, i_dq: FloatArray) -> FloatArray:
     """Interpolate the true flux linkages, Wb, cubically at currents (..., 2), A; NaN beyond the true map."""
+    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # only simulations have a truth
+
     low, high = np.array([truth.i_d[0], truth.i_q[0]]), np.array([truth.i_d[-1], truth.i_q[-1]])
     known = ((i_dq >= low) & (i_dq <= high)).all(axis=-1)
-    points = i_dq[known]
-    found = np.empty_like(points)
-    for start in range(0, len(points), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        weights_d = interpolation_matrix(truth.i_d, points[part, 0])
-        weights_q = interpolation_matrix(truth.i_q, points[part, 1])
-        for component, flux in enumerate((truth.psi_d, truth.psi_q)):
-            found[part, component] = np.sum(weights_d @ flux * weights_q, axis=1)
     psi = np.full(i_dq.shape, np.nan)
-    psi[known] = found
+    for component, flux in enumerate((truth.psi_d, truth.psi_q)):
+        psi[known, component] = RectBivariateSpline(truth.i_d, truth.i_q, flux).ev(*i_dq[known].T)
     return psi
 
 

@@ -13,7 +13,8 @@ from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.table import MapTable
 from drive_id.types import FloatArray
 
-_SPEEDS, _TORQUES = 25, 10
+_SPEEDS = 25  # of the table
+_TORQUES = 10  # of the table, on each side of zero
 _WEAKENING = 4.0
 """Highest speed, in corner speeds."""
 

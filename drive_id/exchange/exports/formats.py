@@ -15,7 +15,6 @@ from drive_id.exchange.exports.writers import (
     controllers,
     csv_file,
     fmu,
-    gradnet,
     machine_file,
     modelica,
     motor_control,
@@ -66,9 +65,6 @@ EXPORTS: Mapping[str, ExportFormat] = {
     "motulator": ExportFormat("flux map of motulator", ".npz", motulator.write),
     "gradnet-data": ExportFormat(
         "training data of motulator-gradnet", ".npz", motulator.write_samples, gaps="they are left out"
-    ),
-    "gradnet": ExportFormat(
-        "GradNet function of motulator", ".npz", gradnet.write, gaps="the network continues the map"
     ),
     "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", syre.write_flux),
     "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", syre.write_model),

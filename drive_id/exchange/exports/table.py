@@ -15,9 +15,10 @@ from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.fitting.result import Identification
 from drive_id.types import BoolArray, FloatArray
 
-_PER_PERIOD, _LEAST_ANGLES = 12, 4
-_NEGLIGIBLE = 0.01
-_MARGIN = 1.25
+_PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
+_LEAST_ANGLES = 4
+_NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
+_MARGIN = 1.25  # reach of the harmonics, in i_max
 
 
 @dataclass(frozen=True, eq=False)

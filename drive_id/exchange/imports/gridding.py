@@ -20,7 +20,8 @@ _SAME = 1e-6
 _FEWEST = 4
 _COMPLETE = 0.09
 """Share of the nodes of a grid that must be there: polar grids and scattered points have far more nodes than points."""
-_MOST_NODES, _MOST_SCATTERED = 4_000_000, 30_000
+_MOST_NODES = 4_000_000  # of a grid: 32 MB for each array
+_MOST_SCATTERED = 30_000  # points of a spline fit, whose time grows with them
 _SMALL = 5e-4
 """Amplitude of a harmonic, relative to the largest flux, below which it is left out."""
 _MOST_PERIODS = 6

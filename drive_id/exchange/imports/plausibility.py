@@ -13,7 +13,8 @@ from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.types import FloatArray
 
-_MOST_POINTS, _NEIGHBOURS = 1500, 9
+_MOST_POINTS = 1500  # at which slopes are estimated
+_NEIGHBOURS = 9  # through which a plane is fitted: a node of a grid and those around it
 _RISING = 0.95
 """Share of points at which each flux must rise with the current of its axis."""
 _ASYMMETRY = 0.25
@@ -25,8 +26,8 @@ _TORQUE = 0.1
 _INDUCTANCE = (1e-6, 5.0)  # H
 _LARGEST_FLUX = 50.0
 """Wb; ship drives reach 30, and 50 mWb are a small machine."""
-_OFF_NEIGHBOURS, _OFF = 5.0, 0.03
-"""Distance of an outlier from the plane through its neighbours, by theirs, and by the largest flux."""
+_OFF_NEIGHBOURS = 5.0  # distance of an outlier from the plane through its neighbours, by the distances of those
+_OFF = 0.03  # the same by the largest flux
 _TIME_CONSTANT = (3e-5, 20.0)  # s
 _AMPLITUDES = ("current", "flux")
 

@@ -31,7 +31,8 @@ RATIO = 16
 LARGEST = 1 << 30
 """Bytes to which none may unpack."""
 _LARGEST_DIRECTORY = 1 << 20
-_END, _END_SIZE = b"PK\5\6", 22
+_END = b"PK\5\6"  # of the end record of a zip archive
+_END_SIZE = 22  # bytes, without its comment
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 

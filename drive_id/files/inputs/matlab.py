@@ -9,9 +9,13 @@ from pathlib import Path
 from drive_id.files.inputs.archive import unpacked_limit
 from drive_id.files.inputs.input_file import read_input, shown_size
 
-_HEADER, _TAG = 128, 8
-_MATRIX, _COMPRESSED = 14, 15
-_LARGEST, _MOST_MATRICES, _DEEPEST = 1 << 27, 50_000, 20
+_HEADER = 128  # bytes
+_TAG = 8  # bytes before each element
+_MATRIX = 14  # miMATRIX
+_COMPRESSED = 15  # miCOMPRESSED
+_LARGEST = 1 << 27  # bytes
+_MOST_MATRICES = 50_000  # scipy makes an object of each
+_DEEPEST = 20  # structs within structs
 
 
 def check_unpacked_size(path: Path, limit: int | None = None) -> None:

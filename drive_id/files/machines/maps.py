@@ -22,8 +22,9 @@ from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
-_LARGEST, _MOST_POLE_PAIRS = 1 << 28, 1000
+_LARGEST = 1 << 28
 """Bytes of a machine file, and of its arrays."""
+_MOST_POLE_PAIRS = 1000  # the largest ring generators have some hundred
 _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
 
 

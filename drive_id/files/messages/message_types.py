@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,3}", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _ERRORS = (TypesysError, ValueError, LookupError, TypeError, AssertionError, RecursionError, SyntaxError, struct.error)
-_LONGEST, _MOST_FIELDS = 1 << 19, 10_000
-"""Characters of a definition, and its lines or semicolons: all messages of ROS have a hundredth of either."""
+_LONGEST = 1 << 19
+"""Characters of a definition: all messages of ROS have a hundredth of that."""
+_MOST_FIELDS = 10_000
+"""Lines or semicolons of a definition: likewise."""
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 

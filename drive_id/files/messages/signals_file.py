@@ -36,7 +36,8 @@ __all__ = ["SignalMap", "our_scalar", "parse_signals", "read_signals"]
 
 Source = TypeVar("Source", bound=TimeSource)
 
-_LARGEST_FILE, _MOST_ENTRIES = 1 << 20, 10_000
+_LARGEST_FILE = 1 << 20  # bytes: a file with embedded definitions has some kB
+_MOST_ENTRIES = 10_000  # aliases followed
 _BY_DC_LINK = "dc_link_voltage"
 DEFAULTS = "defaults"
 """Section with what all others share: topic or group, stamps and sample period."""

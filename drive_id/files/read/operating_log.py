@@ -14,7 +14,8 @@ from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError, DataError, NoOverlapError
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
-from drive_id.files.read.reader import read_recording, read_signals_only
+from drive_id.files.read.reader import read_signals_only
+from drive_id.files.read.several import read_recording
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
 
 _TEMPERATURE = "winding_temperature"

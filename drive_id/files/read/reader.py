@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +12,6 @@ from typing import TypeVar
 
 from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
-from drive_id.core.signals.join_report import JoinReport
-from drive_id.core.signals.pieces import common_truth, merge, overlap_warning
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.logs.log_kind import log_kind
@@ -27,7 +25,7 @@ from drive_id.files.read.extraction import INTERPOLATED, LogSignals, SignalPart,
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
-from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray, Samples
+from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 REQUIRED = ("currents", "voltages", "resolver")
 CAPACITY = 1 << 20
@@ -37,63 +35,6 @@ _AHEAD = 2
 _WAIT = 0.1
 
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedLog:
-    """The content of one bag or of several.
-
-    Parameters
-    ----------
-    samples : Samples
-        Joined; each bag begins a new run.
-    reports : tuple of JoinReport
-        One per bag.
-    truth : GroundTruth or None
-        Of the simulation; None unless all bags have one.
-    digests : dict of str to str
-        Storage file to its sha256.
-    topics : dict of str to str
-        Section of the signal map (``currents``, ...) to topic, of the first bag.
-    warnings : tuple of str
-        Sentences, those of the reports included.
-    """
-
-    samples: Samples
-    reports: tuple[JoinReport, ...]
-    truth: GroundTruth | None
-    digests: dict[str, str]
-    topics: dict[str, str]
-    warnings: tuple[str, ...]
-
-
-def read_recording(path: Path, signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
-    """Read one bag.
-
-    Parameters
-    ----------
-    path : Path
-        Storage file or folder.
-    signals : SignalMap, optional
-        Default: our own messages.
-    namespace : str
-        Of the drive, when a bag holds several.
-
-    Raises
-    ------
-    BagError
-        When the bag, a topic or a message cannot be read.
-    DataError
-        When its samples cannot be joined.
-    ConfigurationError
-        When it holds several drives and none was chosen.
-    """
-    with _opened(path, signals or SignalMap(), namespace) as (bag, topics, truth, stream):
-        result = _joined_at_once(path, stream, signals or SignalMap())
-        digests = {str(file): file_digest(file) for file in bag.files}
-        names = {section: topic.name for section, topic in topics.items()}
-        warnings = (*bag.warnings, *result.report.warnings)
-    return JoinedLog(result.samples, (result.report,), truth, digests, names, warnings)
 
 
 def read_signals_only(
@@ -112,43 +53,11 @@ def read_signals_only(
     Raises
     ------
     BagError, DataError, ConfigurationError
-        See :func:`read_recording`.
+        See :func:`~drive_id.files.read.several.read_recording`.
     """
     with _opened(path, signals, namespace, angle=False) as (bag, _, _, stream):
         found = stream.whole()
         return found, {str(file): file_digest(file) for file in bag.files}, (*bag.warnings, *stream.remarks())
-
-
-def read_recordings(paths: Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
-    """Read several bags of one drive as one recording, each joined on its own; see :func:`read_recording`.
-
-    Raises
-    ------
-    ConfigurationError
-        When no bag is given, or the same one twice.
-    """
-    if not paths:
-        raise ConfigurationError("No bag is given: name at least one.")
-    recordings = [read_recording(path, signals, namespace=namespace) for path in paths]
-    if len(recordings) == 1:
-        return recordings[0]
-    seen: dict[str, str] = {}
-    for recording in recordings:
-        for file, digest in recording.digests.items():
-            if digest in seen:
-                raise ConfigurationError(f"{file} and {seen[digest]} are the same recording: give each bag once.")
-            seen[digest] = file
-    samples, moved = merge([recording.samples for recording in recordings])
-    warnings = [f"{path}: {text}" for path, rec in zip(paths, recordings, strict=True) for text in rec.warnings]
-    warnings += [overlap_warning(paths[k]) for k in moved]
-    return JoinedLog(
-        samples,
-        tuple(report for recording in recordings for report in recording.reports),
-        common_truth([recording.truth for recording in recordings]),
-        {file: digest for digest, file in seen.items()},
-        recordings[0].topics,
-        tuple(warnings),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +108,7 @@ def bag_pieces(
     UnusualError
         When the bag must be read as a whole; discard the pieces yielded so far.
     BagError, DataError, ConfigurationError
-        See :func:`read_recording`.
+        See :func:`~drive_id.files.read.several.read_recording`.
     """
     with _opened(path, signals, namespace) as (bag, topics, truth, stream):
         if whole or not stream.continuous:

@@ -1,9 +1,10 @@
-"""Several bags of one drive as one stream of joined samples, which can be read more than once."""
+"""Bags of one drive as joined samples: in memory, or as one stream that can be read more than once."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from drive_id.core.signals.join import Piece
@@ -12,10 +13,62 @@ from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.reader import BagFacts, bag_pieces
 from drive_id.files.storage.bag import file_digest, storage_files
-from drive_id.types import GroundTruth, Progress
+from drive_id.types import GroundTruth, Progress, Samples, silent
 
 _LONG = 1 << 18
 """Number of samples after which the progress includes the reading rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedLog:
+    """The content of one bag or of several.
+
+    Parameters
+    ----------
+    samples : Samples
+        Joined; each bag begins a new run.
+    truth : GroundTruth or None
+        Of the simulation; None unless all bags have one.
+    digests : dict of str to str
+        Storage file to its sha256.
+    warnings : tuple of str
+        Sentences about the recordings.
+    """
+
+    samples: Samples
+    truth: GroundTruth | None
+    digests: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+def read_recording(paths: Path | Sequence[Path], signals: SignalMap | None = None, *, namespace: str = "") -> JoinedLog:
+    """Read one or several bags of one drive into memory, one behind the other.
+
+    Parameters
+    ----------
+    paths : Path or sequence of Path
+        Storage files or folders.
+    signals : SignalMap, optional
+        Default: our own messages.
+    namespace : str
+        Of the drive, when a bag holds several.
+
+    Raises
+    ------
+    BagError
+        When a bag, a topic or a message cannot be read.
+    DataError
+        When its samples cannot be joined.
+    ConfigurationError
+        When none is given, one is given twice, or one holds several drives and none was chosen.
+    """
+    bags = [paths] if isinstance(paths, Path) else paths
+    if not bags:
+        raise ConfigurationError("No bag is given: name at least one.")
+    reading = SeveralBags(bags, signals or SignalMap(), namespace, silent, threads=False, whole=True)
+    parts = [piece.samples for piece, _ in reading.pieces("Reading")]
+    samples = parts[0] if len(parts) == 1 else Samples.joined(parts)
+    return JoinedLog(samples, reading.truth, digests_of(bags), reading.warnings)
 
 
 class SeveralBags:
@@ -31,10 +84,19 @@ class SeveralBags:
         Called with the progress.
     threads : bool
         Read ahead in other threads.
+    whole : bool
+        Read each bag at once.
     """
 
     def __init__(
-        self, bags: Sequence[Path], signals: SignalMap, namespace: str, tell: Progress, *, threads: bool = True
+        self,
+        bags: Sequence[Path],
+        signals: SignalMap,
+        namespace: str,
+        tell: Progress,
+        *,
+        threads: bool = True,
+        whole: bool = False,
     ) -> None:
         self.samples = 0
         """Samples read since :meth:`pieces` was called."""
@@ -43,7 +105,7 @@ class SeveralBags:
         self._namespace = namespace
         self._tell = tell
         self._threads = threads
-        self._whole: set[int] = set()
+        self._whole: set[int] = set(range(len(bags))) if whole else set()
         self._number = 0
         self._facts: list[BagFacts] = []
         self._several = SeveralRecordings()

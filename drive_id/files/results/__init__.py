@@ -1,1 +1,1 @@
-"""Results, information files, checkpoints and plans on disk."""
+"""Results, information files and plans on disk."""

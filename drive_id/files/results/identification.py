@@ -44,7 +44,8 @@ from drive_id.version import VERSION
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
 _PICTURES |= {"report.html", "report.pdf"}
-_NPZ, _HARMONICS = "flux_map.npz", "harmonics.npz"
+_NPZ = "flux_map.npz"
+_HARMONICS = "harmonics.npz"
 _DEPENDENCIES = ("numpy", "scipy", "numba", "rosbags", "mcap")
 _UNITS = {
     "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "sigma_d": "Wb", "sigma_q": "Wb", "resistance": "ohm",

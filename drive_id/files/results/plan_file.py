@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from drive_id.core.planning.free_shaft import AMPLITUDE, FreeShaftPlan
 from drive_id.core.planning.planner import Plan, PlannedExperiment
@@ -15,8 +16,13 @@ from drive_id.files.results.folder import check_absent, replace_file
 
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05
+"""Limit of the slew rate by the steepest slope of the figure: rounding must not trip it."""
 _SPEED_RESERVE = 1.1
-_LEAD_TIME, _MOST_AHEAD = 0.3, 50_000  # s, set-points
+"""Band of the speed by the planned speeds: a load machine overshoots them."""
+_LEAD_TIME = 0.3
+"""s that set-points are published ahead of time."""
+_MOST_AHEAD = 50_000
+"""Set-points that are published ahead at most."""
 
 
 def plan_tree(plan: Plan) -> dict[str, Any]:
@@ -47,43 +53,32 @@ def plan_yaml(plan: Plan, machine: str = "") -> str:
     machine : str
         For the simulated bench: a shipped machine by name, or a machine file.
     """
-    experiment, trajectory, settings = plan.experiment, plan.experiment.trajectory, plan.settings
+    experiment, trajectory = plan.experiment, plan.experiment.trajectory
     electrical = [plan.machine.electrical(speed) for speed in experiment.speeds]
-    band = [min(electrical) * (_SPEED_RESERVE if min(electrical) < 0 else 1 / _SPEED_RESERVE)]
-    band += [max(electrical) * (_SPEED_RESERVE if max(electrical) > 0 else 1 / _SPEED_RESERVE)]
-    speeds = ", ".join(_number(speed) for speed in experiment.speeds)
-    shares = ", ".join([_number(experiment.share)] * len(experiment.speeds))
-    lines = [
+    speeds = ", ".join(f"{speed:g}" for speed in experiment.speeds)
+    said = [
         f"{_HEADER}: {experiment.duration:g} s in all, {experiment.share:g} s at each of {speeds} rpm.",
         "# Start trajectory and recorder together, and change the speed of the load machine on the way. For instance:",
         "#   ros2 run drive_id trajectory_publisher --ros-args --params-file THIS_FILE",
-        "",
-        "/**/trajectory_publisher:",
-        "  ros__parameters:",
-        "    trajectory: lissajous",
-        f"    i_max: {_number(trajectory.i_max)}",
-        f"    frequency_d: {_number(trajectory.frequency_d)}",
-        f"    frequency_q: {_number(trajectory.frequency_q)}",
-        f"    form: {trajectory.form}",
-        f"    duration: {_number(experiment.duration)}",
-        "    repeat: 1",
-        f"    slew_rate: {_number(math.ceil(_SLEW_RESERVE * trajectory.slope))}",
-        f"    sample_period: {_number(settings.sample_period)}",
-        f"    lead_time: {_number(min(_LEAD_TIME, _MOST_AHEAD * settings.sample_period))}",
-        "    # Band of the electrical speed, rad/s.",
-        f"    speed_min: {_number(band[0])}",
-        f"    speed_max: {_number(band[1])}",
-        "",
-        "# Where there is a simulated bench in place of the load machine; its speeds begin when it starts.",
-        "/**/bench_simulator:",
-        "  ros__parameters:",
-        *([f"    machine: {json.dumps(machine)}"] if machine else []),
-        f"    i_max: {_number(trajectory.i_max)}",
-        f"    sample_period: {_number(settings.sample_period)}",
-        f"    speeds: [{speeds}]",
-        f"    segment_durations: [{shares}]",
+        "# speed_min and speed_max are the band of the electrical speed, rad/s.",
     ]
-    return "\n".join(lines) + "\n"
+    publisher = {
+        "trajectory": "lissajous",
+        "i_max": trajectory.i_max,
+        "frequency_d": trajectory.frequency_d,
+        "frequency_q": trajectory.frequency_q,
+        "form": trajectory.form,
+        **_timing(experiment.duration, trajectory.slope, plan.settings.sample_period),
+        "speed_min": min(electrical) * (_SPEED_RESERVE if min(electrical) < 0 else 1 / _SPEED_RESERVE),
+        "speed_max": max(electrical) * (_SPEED_RESERVE if max(electrical) > 0 else 1 / _SPEED_RESERVE),
+    }
+    bench = {
+        "i_max": trajectory.i_max,
+        "sample_period": plan.settings.sample_period,
+        "speeds": list(experiment.speeds),
+        "segment_durations": [experiment.share] * len(experiment.speeds),
+    }
+    return _parameters(said, publisher, bench, machine)
 
 
 def free_shaft_tree(plan: FreeShaftPlan) -> dict[str, Any]:
@@ -108,35 +103,55 @@ def free_shaft_tree(plan: FreeShaftPlan) -> dict[str, Any]:
 def free_shaft_yaml(plan: FreeShaftPlan, machine: str = "") -> str:
     """Write a plan for a free shaft as ROS parameters, see :func:`plan_yaml`."""
     pairs, figure = plan.machine.pole_pairs, plan.figure
-    return "\n".join([
+    said = [
         f"{_HEADER}: a free shaft of {plan.inertia:.4g} kg m^2 swings for {figure.duration:.4g} s.",
         "# Better let a first start measure shaft_acceleration: characterize --first-start --free-shaft.",
-        "",
-        "/**/trajectory_publisher:",
-        "  ros__parameters:",
-        "    trajectory: free_shaft",
-        f"    i_max: {_number(plan.machine.i_max)}",
-        f"    amplitude: {_number(AMPLITUDE)}",
-        "    # Electrical, rad/s^2 (by i_max) and rad/s.",
-        f"    shaft_acceleration: {_number(plan.acceleration / AMPLITUDE * pairs)}",
-        f"    shaft_speed_max: {_number(plan.speed_max * pairs)}",
-        f"    mean_speed: {_number(plan.mean_speed * pairs)}",
-        f"    swing_frequency: {_number(plan.frequency)}",
-        f"    duration: {_number(plan.duration)}",
-        "    repeat: 1",
-        f"    slew_rate: {_number(math.ceil(_SLEW_RESERVE * figure.slope))}",
-        f"    sample_period: {_number(plan.settings.sample_period)}",
-        f"    lead_time: {_number(min(_LEAD_TIME, _MOST_AHEAD * plan.settings.sample_period))}",
-        "",
-        "# Where there is a simulated bench in place of the drive.",
-        "/**/bench_simulator:",
-        "  ros__parameters:",
-        *([f"    machine: {json.dumps(machine)}"] if machine else []),
-        f"    i_max: {_number(plan.machine.i_max)}",
-        f"    sample_period: {_number(plan.settings.sample_period)}",
-        "    free_shaft: true",
-        f"    inertia: {_number(plan.inertia)}",
-    ]) + "\n"  # fmt: skip
+        "# shaft_acceleration (by i_max, rad/s^2), shaft_speed_max and mean_speed (rad/s) are electrical.",
+    ]
+    publisher = {
+        "trajectory": "free_shaft",
+        "i_max": plan.machine.i_max,
+        "amplitude": AMPLITUDE,
+        "shaft_acceleration": plan.acceleration / AMPLITUDE * pairs,
+        "shaft_speed_max": plan.speed_max * pairs,
+        "mean_speed": plan.mean_speed * pairs,
+        "swing_frequency": plan.frequency,
+        **_timing(plan.duration, figure.slope, plan.settings.sample_period),
+    }
+    bench = {
+        "i_max": plan.machine.i_max,
+        "sample_period": plan.settings.sample_period,
+        "free_shaft": True,
+        "inertia": plan.inertia,
+    }
+    return _parameters(said, publisher, bench, machine)
+
+
+def _timing(duration: float, slope: float, sample_period: float) -> dict[str, Any]:
+    return {
+        "duration": duration,
+        "repeat": 1,
+        "slew_rate": math.ceil(_SLEW_RESERVE * slope) * 1.0,
+        "sample_period": sample_period,
+        "lead_time": min(_LEAD_TIME, _MOST_AHEAD * sample_period),
+    }
+
+
+def _parameters(said: list[str], publisher: dict[str, Any], bench: dict[str, Any], machine: str) -> str:
+    """Write the parameters of the publisher, and of a simulated bench in place of the load machine, below comments."""
+    bench = ({"machine": machine} if machine else {}) | bench
+    nodes = {"/**/trajectory_publisher": publisher, "/**/bench_simulator": bench}
+    tree = {node: {"ros__parameters": _rounded(values)} for node, values in nodes.items()}
+    return "\n".join([*said, "", yaml.safe_dump(tree, sort_keys=False)])
+
+
+def _rounded(value: Any) -> Any:
+    """Return parameters with their numbers to nine digits."""
+    if isinstance(value, dict):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_rounded(entry) for entry in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 def check_plan_output(path: Path) -> None:
@@ -178,10 +193,3 @@ def _experiment_tree(experiment: PlannedExperiment) -> dict[str, Any]:
         "duration_per_speed": experiment.share,
         "duration": experiment.duration,
     }
-
-
-def _number(value: float) -> str:
-    """Write a number so that YAML and ROS take it for a floating-point one."""
-    text = f"{value:.9g}"
-    mantissa, exponent, power = text.partition("e")
-    return (mantissa if "." in mantissa else f"{mantissa}.0") + exponent + power

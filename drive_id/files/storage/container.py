@@ -23,8 +23,10 @@ TRUTH_ATTACHMENT = "ground_truth.npz"
 
 LARGEST_CHUNK = 1 << 27
 """Largest chunk, message or record that is unpacked or read at once, bytes."""
-_UNPACKED, _RATIO = 1 << 28, 100
-"""A recording may unpack to so many bytes, and to so many more for each of its own."""
+_UNPACKED = 1 << 28
+"""Bytes that a recording of any size may unpack to."""
+_RATIO = 100
+"""Further bytes for each of its own: constant samples are packed well."""
 _LZ4_FLAGS = 4
 _PIECE = 1 << 20
 _AT_ONCE = 1 << 24

@@ -18,7 +18,8 @@ from drive_id.files.storage.durable import sync_folder, write_synced
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _LARGEST = 1 << 23
-_MOST_FILES, _MOST_TOPICS = 20_000, 20_000
+_MOST_FILES = 20_000  # a file a minute for two weeks
+_MOST_TOPICS = 20_000  # far more than any robot has
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, TopicInf
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16
 _LONGEST_TEXT = 1 << 22
-_STEPS, _PATIENCE, _BYTES_PER_SECOND = 100_000, 20.0, 1e7
-"""Steps of sqlite between two looks at the clock while the file is opened, and how long that may take, s."""
+_STEPS = 100_000  # of sqlite between two looks at the clock: some milliseconds
+_PATIENCE = 20.0  # s that opening a file of any size may take
+_BYTES_PER_SECOND = 1e7  # further time by the size: a slow network disk
 
 
 class SqliteStorage:

@@ -12,8 +12,6 @@ from pathlib import Path
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.result.mechanics import with_mechanics
-from drive_id.core.result.torque import with_torque
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
@@ -21,8 +19,8 @@ from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_sig
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.storage.bag import open_bag
+from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
-from drive_id.fitting.provenance import known_pole_pairs, provenance_of
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
@@ -88,7 +86,7 @@ class Reply:
 
 
 Job = Callable[[Progress], Reply]
-BUSY = Reply("busy", "A fit is under way: ask again when it is done.")
+BUSY = Reply("busy", "A request is under way: ask again when it is done.")
 CANCELLED = Reply("cancelled", "The request was cancelled; nothing was written.")
 DEACTIVATED = Reply("inactive", "The node was deactivated, so the request was ended; nothing was written.")
 VANISHED = Reply("cancelled", "The client of the request is gone, so the request was cancelled.")
@@ -338,7 +336,7 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, resumable=False, tell=tell)
+    result = fit_bags(sources, output, fit, tell=tell)
     if settings.picture:
         result.save(output, draw=True)
     return _reply(result, output)
@@ -369,21 +367,17 @@ def _fit_live(
         refit = of_snapshot(snapshot, earlier)
     except DriveIdError as error:
         return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
-    tell("Writing", None)
-    excerpts, evidence = snapshot.validation(), snapshot.gathered.evidence
-    pole_pairs = known_pole_pairs(fit)
-    identification = with_mechanics(with_torque(refit.drive, excerpts, pole_pairs), excerpts, pole_pairs, fit)
-    stamp = snapshot.join.last_stamp or 0
-    provenance = provenance_of(
-        identification,
+    evidence = snapshot.gathered.evidence
+    result = completed(
+        refit.drive,
         fit,
-        excerpts=excerpts,
+        excerpts=snapshot.validation(),
         duration=evidence.samples * evidence.sample_period,
-        last_stamp=stamp,
+        last_stamp=snapshot.join.last_stamp or 0,
         warnings=snapshot.report.warnings,
     )
-    result = Identification(identification, provenance, excerpts, last_stamp=stamp, evidence=evidence)
-    result.save(output, draw=settings.picture)
+    tell("Writing", None)
+    replace(result, evidence=evidence).save(output, draw=settings.picture)
     return replace(_reply(result, output, snapshot.report), refit=refit)
 
 

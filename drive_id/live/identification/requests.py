@@ -17,7 +17,10 @@ PATIENCE = 1.0
 MOST_ABANDONED = 4
 """Cancelled fits that may still be running; with more, requests are refused."""
 _PERIOD = 1.0  # s between feedbacks that say nothing new
-_STAGES: Final = {"Reading": (0.0, 0.05), "Accumulating": (0.05, 0.6), "Solving": (0.6, 0.95), "Writing": (0.95, 1.0)}
+_STAGES: Final = {
+    "Reading": (0.0, 0.05), "Accumulating": (0.05, 0.6), "Solving": (0.6, 0.95), "Writing": (0.95, 1.0),
+    "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
+}  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
 WAITING = "Waiting"
 
@@ -205,8 +208,8 @@ class Requests:
             self._begin(request)
 
     def _feed_back(self, running: _Running, now: float) -> None:
-        before, stage = running.stage, running.look()
-        if running.request.tell is not None and (stage != before or now - running.told > _PERIOD):
+        before, stage, begun = running.stage, running.look(), bool(running.worker.progress[0])
+        if running.request.tell is not None and begun and (stage != before or now - running.told > _PERIOD):
             running.told = now
             running.request.tell(stage)
         waiting = self._waiting

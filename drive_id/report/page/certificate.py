@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from drive_id.analysis.verification import Judgement, Verification
 from drive_id.fitting.result import Identification
+from drive_id.pictures.panels import CURRENT, PSI, add_colour_bar, levels, name, place
+from drive_id.pictures.plots import rendered
 from drive_id.quantity import measured
 from drive_id.report.page.html import GENERATOR, environment
-from drive_id.report.panels import CURRENT, PSI, add_colour_bar, levels, name, place
-from drive_id.report.plots import rendered
 from drive_id.version import VERSION
 
 _WIDEST = 5.0

@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from drive_id.fitting.result import Identification
+from drive_id.pictures.panels import COLOURS
 from drive_id.report.page.content import map_difference
 from drive_id.report.page.operation import TorqueMap
-from drive_id.report.panels import COLOURS
 from drive_id.types import BoolArray, FloatArray
 
 MOST_POINTS = 97

@@ -16,10 +16,13 @@ from drive_id.report.page.html import GENERATOR
 from drive_id.report.page.wording import SECTIONS
 from drive_id.version import VERSION
 
-_WIDTH, _HEIGHT, _MARGIN = 8.27, 11.69, 0.7
-"""Of a page (A4), inches."""
-_TEXT, _HEADING, _TITLE, _SMALL = 8.5, 12.0, 17.0, 7.0
-"""Sizes of text, points."""
+_WIDTH = 8.27  # of a page (A4), inches
+_HEIGHT = 11.69  # likewise
+_MARGIN = 0.7  # inches
+_TEXT = 8.5  # size of text, points
+_HEADING = 12.0
+_TITLE = 17.0
+_SMALL = 7.0  # tables
 _CHARACTER = 0.55
 """Mean width of a character over its size."""
 _DPI = 180

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.fitting.result import Identification
-from drive_id.report.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
+from drive_id.pictures.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
+from drive_id.pictures.panels import CURRENT, PSI, SMALL, Disc, draw_field, name, place
+from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.report.page.content import map_difference
 from drive_id.report.page.operation import TorqueMap
-from drive_id.report.panels import CURRENT, PSI, SMALL, Disc, draw_field, name, place
-from drive_id.report.plots import WIDTH, draw_flux_maps
 
 _COLOURS = {"d": DARK, "q": LIGHT}
 

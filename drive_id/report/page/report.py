@@ -8,13 +8,13 @@ from pathlib import Path
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.fitting.result import Identification
+from drive_id.pictures.plots import rendered
 from drive_id.report.page.charts import charts_of
 from drive_id.report.page.content import content_of
 from drive_id.report.page.html import GENERATOR, rendered_page
 from drive_id.report.page.operation import torque_map
 from drive_id.report.page.pdf import rendered_pdf
 from drive_id.report.page.pictures import figures_of
-from drive_id.report.plots import rendered
 
 _DPI, _PDF = 110, ".pdf"
 _BEGINNING = 2000

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
-from drive_id.core.maps.coverage import Visits, disc_coverage
+from drive_id.core.maps.coverage import Visits, _dilated, disc_coverage
 
 AXIS = np.linspace(-10, 10, 21)
 
@@ -155,3 +156,13 @@ def test_the_mask_does_not_depend_on_rounding(nodes, scale):
             masks.append(visits.inside(np.ptp(axis) / 16, np.ptp(axis) / 16))  # a whole number of nodes
         differ += bool((masks[0] != masks[1]).any())
     assert not differ
+
+
+@given(seed=st.integers(0, 10**6), radii=st.tuples(st.floats(1, 9), st.floats(1, 9)), share=st.floats(0, 1))
+def test_dilation(seed, radii, share):
+    random = np.random.default_rng(seed)
+    reach = [int(radius) for radius in radii]
+    mask = np.pad(random.random(random.integers(1, 20, 2)) < share**2, [(r, r) for r in reach])
+    grid = np.ogrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
+    ball = (grid[0] / radii[0]) ** 2 + (grid[1] / radii[1]) ** 2 <= 1.0
+    np.testing.assert_array_equal(_dilated(mask, ball), ndimage.binary_dilation(mask, structure=ball))

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from drive_id.core.signals.join import join
 from drive_id.core.signals.period import check_agreement, measured_period
-from drive_id.core.signals.pieces import merge
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import (
     DataError,
@@ -284,16 +283,3 @@ def test_ten_seconds_take_milliseconds():
     start = time.process_time()  # whatever else the machine does
     join(*signals)
     assert time.process_time() - start < 0.5
-
-
-def test_merged_recordings_keep_apart():
-    first, second = join(*three(100)).samples, join(*three(50)).samples
-    merged, moved = merge([first, second])
-    assert moved == (1,)
-    assert merged.run_starts.tolist() == [0, 100]
-    assert len(merged) == 150
-    later, moved = merge([first, replace(second, stamp=second.stamp + 10**10)])
-    assert moved == ()
-    assert later.stamp[100] == second.stamp[0] + 10**10
-    with pytest.raises(SamplePeriodError, match="number 2"):
-        merge([first, replace(second, sample_period=2e-4)])

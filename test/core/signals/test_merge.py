@@ -1,4 +1,4 @@
-"""Several recordings piece by piece against all at once."""
+"""Several recordings, one behind the other."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ import pytest
 from synthetic import record
 
 from drive_id.core.signals.join import Piece
-from drive_id.core.signals.pieces import SeveralRecordings, merge
+from drive_id.core.signals.pieces import SeveralRecordings
 from drive_id.errors import SamplePeriodError
 
 
-def test_pieces_are_moved_as_whole_recordings_are():
+def test_recordings_that_overlap_are_moved_behind_those_before():
     part = record(duration=0.05)
     later = replace(part, stamp=part.stamp + 10**12, sample_period=1.001e-4)
     parts = [part, part, later, part]
-    expected, moved = merge(parts)
+    length = int(part.stamp[-1] - part.stamp[0])
+    starts = [int(part.stamp[0]), int(part.stamp[-1]) + 10**9, int(later.stamp[0]), int(later.stamp[-1]) + 10**9]
+    expected = np.concatenate([start + part.stamp - part.stamp[0] for start in starts])
     several, found = SeveralRecordings(), []
     for recording in parts:
         several.begin()
@@ -26,9 +28,9 @@ def test_pieces_are_moved_as_whole_recordings_are():
         for arrays, continues in ((half, False), (rest, True)):
             found.append(several.placed(Piece(replace(recording, **arrays), continues)))
     stamps = np.concatenate([piece.samples.stamp[int(piece.continues) :] for piece in found])
-    np.testing.assert_array_equal(stamps, expected.stamp)
-    assert tuple(several.moved) == moved == (1, 3)
-    assert several.end == expected.stamp[-1]
+    np.testing.assert_array_equal(stamps, expected)
+    assert several.moved == [1, 3]
+    assert several.end == starts[-1] + length
     assert {piece.samples.sample_period for piece in found} == {1e-4}
 
 

@@ -31,7 +31,8 @@ from drive_id.files.logs.open_log import open_log
 from drive_id.files.logs.tables import csv_dialect
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import bag_pieces, read_recording
+from drive_id.files.read.reader import bag_pieces
+from drive_id.files.read.several import read_recording
 from drive_id.fitting.sources import Job, Sources, radius_of
 
 N = 5000

@@ -18,7 +18,8 @@ from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as module
 from drive_id.files.read.extraction import UnusualError
-from drive_id.files.read.reader import bag_pieces, prefetched, read_recording
+from drive_id.files.read.reader import bag_pieces, prefetched
+from drive_id.files.read.several import read_recording
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording

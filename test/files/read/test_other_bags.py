@@ -15,7 +15,8 @@ from drive_id.core.signals.join import joined
 from drive_id.errors import TruncatedBagError
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import bag_pieces, read_recording
+from drive_id.files.read.reader import bag_pieces
+from drive_id.files.read.several import read_recording
 from drive_id.inspection.contents import read_contents
 
 N = 300

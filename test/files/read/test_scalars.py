@@ -17,7 +17,8 @@ from drive_id.core.signals.join import joined
 from drive_id.errors import MissingTopicError
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
-from drive_id.files.read.reader import bag_pieces, read_recording
+from drive_id.files.read.reader import bag_pieces
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import Topics, write_recording
 from drive_id.types import SCALARS
 

@@ -14,7 +14,8 @@ from drive_id.core import frames
 from drive_id.core.signals.join import joined
 from drive_id.errors import ConfigurationError, MissingTopicError
 from drive_id.files.messages.signals_file import parse_signals
-from drive_id.files.read.reader import bag_pieces, read_recording
+from drive_id.files.read.reader import bag_pieces
+from drive_id.files.read.several import read_recording
 
 N = 400
 STEP = 100_000

@@ -35,7 +35,7 @@ from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, message_typestore
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 

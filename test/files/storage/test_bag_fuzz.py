@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.messages import message_typestore
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 
 LARGE = [b"\xff" * 8, bytes(8), (1 << 40).to_bytes(8, "little"), (1 << 31).to_bytes(8, "little")]

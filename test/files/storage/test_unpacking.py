@@ -16,7 +16,7 @@ from mcap.writer import Writer as McapWriter
 from drive_id.errors import BagError, MessageTypeError, TruncatedBagError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, schema_text
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.storage import container
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.recover import recover_bag

@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 from drive_id.cli.app import app
 from drive_id.errors import BagError, EmptyTopicError, NotABagError, OutputError, TruncatedBagError
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording

@@ -19,7 +19,8 @@ from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.message_reader import block_columns
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, schema_text
 from drive_id.files.messages.signal_sources import SignalMap
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.info import bag_info
+from drive_id.files.read.several import read_recording
 from drive_id.files.storage.container import TopicInfo
 from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
 from drive_id.files.write.writer import Topics, write_recording
@@ -113,7 +114,7 @@ def test_start_stamp_and_namespace(tmp_path):
     samples = make_samples()
     write_recording(tmp_path / "bag", samples, topics=Topics(namespace="lab/drive_1"), start_stamp=5 * 10**9)
     recording = read_recording(tmp_path / "bag")
-    assert recording.topics["currents"] == "/lab/drive_1/phase_currents"
+    assert "/lab/drive_1/phase_currents" in {topic.name for topic in bag_info(tmp_path / "bag").topics}
     assert_equal_samples(recording.samples, replace(samples, stamp=samples.stamp - START + 5 * 10**9))
 
 

@@ -24,7 +24,7 @@ from drive_id.errors import ConfigurationError, OutputError
 from drive_id.files.messages.block_codec import decode_block, encode_block, read_head
 from drive_id.files.messages.messages import SCALAR_SAMPLES, type_hash
 from drive_id.files.read.info import bag_info
-from drive_id.files.read.reader import read_recording
+from drive_id.files.read.several import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recording import recording_session

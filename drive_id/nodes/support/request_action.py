@@ -1,14 +1,13 @@
-"""The action ``~/identify``: a request with progress, which can be cancelled."""
+"""An action whose goals are requests with progress, which can be cancelled."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from drive_id_msgs.action import Identify
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.node import Node
 
@@ -35,16 +34,18 @@ class _HoldingServer(ActionServer):
         super().notify_execute(goal_handle, callback)
 
 
-class IdentifyAction:
+class RequestAction:
     """Makes requests of goals.
 
     Parameters
     ----------
     node : Node
+    kind : type
+        Action type, whose feedback has ``stage``, ``progress`` and ``message``.
     name : str
     requests : Requests
     make : callable
-        Returns the job of recordings and method.
+        Returns the job of a goal's request.
     fill : callable
         Fills a result with a reply, and returns it.
     """
@@ -52,12 +53,14 @@ class IdentifyAction:
     def __init__(
         self,
         node: Node,
+        kind: Any,
         name: str,
         requests: Requests,
-        make: Callable[[Sequence[str], str, str], Job],
+        make: Callable[[Any], Job],
         fill: Callable[[Any, Reply], Any],
     ) -> None:
         self._node = node
+        self._kind = kind
         self._requests = requests
         self._make = make
         self._fill = fill
@@ -66,7 +69,7 @@ class IdentifyAction:
         self._last_seen: float | None = None  # when a client was last seen, s
         self._server = _HoldingServer(
             node,
-            Identify,
+            kind,
             name,
             lambda _: None,
             handle_accepted_callback=self._on_accepted,
@@ -92,7 +95,7 @@ class IdentifyAction:
     def _accept(self, goal: Any) -> None:
         def make() -> Job:
             goal.execute()
-            return self._make(goal.request.bags, goal.request.method, goal.request.signals)
+            return self._make(goal.request)
 
         request = Request(make, partial(self._finish, goal), partial(self._tell, goal))
         self._goals[_key(goal)] = request
@@ -108,7 +111,7 @@ class IdentifyAction:
             self._requests.cancel(request, CANCELLED)
 
     def _tell(self, goal: Any, stage: Stage) -> None:
-        goal.publish_feedback(Identify.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
+        goal.publish_feedback(self._kind.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
 
     def _finish(self, goal: Any, reply: Reply) -> None:
         del self._goals[_key(goal)]
@@ -116,8 +119,8 @@ class IdentifyAction:
             goal.execute()  # a goal that has not begun cannot be aborted
         self._server.conclude(goal, partial(self._conclude, reply))
 
-    def _conclude(self, reply: Reply, goal: Any) -> Identify.Result:
-        result = self._fill(Identify.Result(), reply)
+    def _conclude(self, reply: Reply, goal: Any) -> Any:
+        result = self._fill(self._kind.Result(), reply)
         if reply.success:
             goal.succeed()
         elif goal.is_cancel_requested:

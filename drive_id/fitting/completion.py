@@ -1,4 +1,4 @@
-"""What is known of an experiment besides the identified drive."""
+"""From an identified drive to a result: what the shaft tells, and what is known of the experiment."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import numpy as np
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import score
+from drive_id.core.result.mechanics import with_mechanics
+from drive_id.core.result.torque import with_torque
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.results.identification import Provenance
+from drive_id.fitting.result import Identification
 from drive_id.origins import METHODS, ORIGINS
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import GroundTruth, Samples
@@ -27,7 +30,7 @@ def known_pole_pairs(
     return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
 
 
-def provenance_of(
+def completed(
     drive: IdentifiedDrive,
     settings: FitSettings,
     *,
@@ -38,8 +41,8 @@ def provenance_of(
     signals: SignalMap | None = None,
     inputs: Mapping[str, str] | None = None,
     warnings: tuple[str, ...] = (),
-) -> Provenance:
-    """Gather what is known of an experiment besides the identified drive.
+) -> Identification:
+    """Return the result of a fit: what torque and motion of the shaft tell, and what is known of the experiment.
 
     Parameters
     ----------
@@ -62,15 +65,20 @@ def provenance_of(
 
     Returns
     -------
-    Provenance
+    Identification
         With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
     """
+    pole_pairs = known_pole_pairs(settings, truth, signals)
+    drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
     nrmse = score(drive, truth) if truth else None
     referred = "temperatures" not in ORIGINS[settings.method].ignores and (
         bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)
     )
     u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
     told = truth.details.get("u_dc") if truth else None
+    links = [part.dc_link_voltage for part in excerpts if part.dc_link_voltage is not None]
+    links = [known for link in links if (known := link[np.isfinite(link)]).size]
+    recorded = float(np.median(np.concatenate(links))) if links else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
     if idle := settings.idle():
         others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
@@ -79,14 +87,14 @@ def provenance_of(
         warnings += (f"Method {settings.method} ignores {', '.join(idle)}: remove {them}{remedy}.",)
     if nrmse and not np.isfinite(nrmse).all():
         warnings += ("The map has no data in the current disc of the ground truth: check the scale of the currents.",)
-    return Provenance(
+    provenance = Provenance(
         inputs=inputs or {},
         settings=settings,
         machine=settings.machine or (truth.machine if truth else ""),
         nrmse=nrmse,
         warnings=warnings,
-        pole_pairs=known_pole_pairs(settings, truth, signals),
-        u_dc=u_dc or (float(told) if told else None),
+        pole_pairs=pole_pairs,
+        u_dc=u_dc or (float(told) if told else recorded),
         speed_range=(
             min(float(part.speed.min()) for part in excerpts),
             max(float(part.speed.max()) for part in excerpts),
@@ -97,3 +105,4 @@ def provenance_of(
         date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
         temperature=REFERENCE_TEMPERATURE if referred else None,
     )
+    return Identification(drive, provenance, tuple(excerpts), truth, last_stamp)

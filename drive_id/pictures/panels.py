@@ -24,14 +24,17 @@ PSI = {"d": r"$\psi_\mathrm{d}$", "q": r"$\psi_\mathrm{q}$"}
 CURRENT = {"d": r"$i_\mathrm{d}$", "q": r"$i_\mathrm{q}$"}
 COLOURS = ListedColormap(colormaps["cividis"](np.linspace(0.3, 1.0, 256)), "light_cividis")
 """Readable for the colour-blind and in greyscale, and light enough for black lines and labels."""
-SMALL, NORMAL = 7.5, 8.5
-"""Sizes of text, points."""
+SMALL = 7.5  # size of ticks and keys, points
+NORMAL = 8.5  # size of titles and labels, points
 _LABEL = np.array([0.27, 0.12])
 """Width and height to keep free around the label of a level, relative to the disc's radius."""
 _FINE = 181
 """Points along each axis of the disc at which maps are drawn."""
-_FILL, _TRAJECTORY, _LINES, _BLANK, _BORDER = 1.0, 1.2, 1.4, 1.6, 1.8
-"""Drawing order in the disc."""
+_FILL = 1.0  # drawing order in the disc: from the filled contours
+_TRAJECTORY = 1.2
+_LINES = 1.4
+_BLANK = 1.6
+_BORDER = 1.8  # to its border
 
 
 class Disc:

@@ -16,10 +16,10 @@ from matplotlib.text import Text
 
 from drive_id.core.full.calibration import Calibration
 from drive_id.core.result.identification import HarmonicMap
-from drive_id.fitting.caption import Caption
-from drive_id.report.diagnostics import draw_diagnostics
-from drive_id.report.panels import Disc, levels
-from drive_id.report.plots import (
+from drive_id.pictures.caption import Caption
+from drive_id.pictures.diagnostics import draw_diagnostics
+from drive_id.pictures.panels import Disc, levels
+from drive_id.pictures.plots import (
     FORMATS,
     draw_flux_maps,
     rendered,

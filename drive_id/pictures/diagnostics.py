@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from drive_id.core.result.diagnostics import drive_residual
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.validation.residuals import AngleBins, over_angle
-from drive_id.report.panels import (
+from drive_id.pictures.panels import (
     COLOURS,
     CURRENT,
     NORMAL,
@@ -28,9 +28,12 @@ from drive_id.report.panels import (
 )
 from drive_id.types import BoolArray, FloatArray, GroundTruth, Samples
 
-DARK, LIGHT = "#00429d", "#d55e00"
-"""Two colours that differ in hue for the colour-blind and in lightness in greyscale."""
-_COLOUR, _DASHES = {"d": DARK, "q": LIGHT}, {"d": "solid", "q": "dashed"}
+DARK = "#00429d"
+"""Colour of the d axis, told from :data:`LIGHT` by the colour-blind and in greyscale."""
+LIGHT = "#d55e00"
+"""Colour of the q axis."""
+_COLOUR = {"d": DARK, "q": LIGHT}
+_DASHES = {"d": "solid", "q": "dashed"}
 Section = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
 """Current, A, flux and its standard error, in the figure's unit, and where there are data, (N,) each."""
 _Z = 1.96

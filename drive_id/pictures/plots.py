@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,13 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from drive_id.analysis.folder import Analysis
 from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
-from drive_id.fitting.caption import NO_CAPTION, Caption
-from drive_id.report.diagnostics import draw_diagnostics
-from drive_id.report.panels import NORMAL, Disc, add_key, draw_flux, name, place
+from drive_id.pictures.caption import NO_CAPTION, Caption
+from drive_id.pictures.diagnostics import draw_diagnostics
+from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
 from drive_id.types import FloatArray, Samples
 
 FORMATS = ("png", "svg", "pdf")
@@ -100,14 +99,13 @@ def draw_flux_maps(
     return figure
 
 
-def draw_torque_speed(analysis: Analysis, panel: Axes | None = None) -> Figure:
-    """Draw the largest torque over the speed at each DC-link voltage, on a panel or in a new figure."""
+def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | None = None) -> Figure:
+    """Draw by name speed (S,), rad/s, largest torque and its standard error, Nm, on a panel or in a new figure."""
     figure = Figure(figsize=(WIDTH, 3.75), layout="constrained") if panel is None else panel.figure
     axes = figure.add_subplot() if panel is None else panel
-    for entry in analysis.speed_ranges:
-        speed, torque = entry.motoring.speed * 30 / np.pi, entry.motoring.torque
-        axes.plot(speed, torque, label=f"{entry.u_dc:.4g} V")
-        axes.fill_between(speed, torque - 2 * entry.sigma_torque, torque + 2 * entry.sigma_torque, alpha=0.3)
+    for label, (speed, torque, sigma) in curves.items():
+        axes.plot(speed * 30 / np.pi, torque, label=label)
+        axes.fill_between(speed * 30 / np.pi, torque - 2 * sigma, torque + 2 * sigma, alpha=0.3)
     name(axes, "Largest torque, band of two standard errors", "Speed / rpm", "Torque / Nm")
     axes.legend(fontsize=NORMAL)
     return figure  # type: ignore[return-value]  # or the part of it that holds the panel

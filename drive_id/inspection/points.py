@@ -1,0 +1,146 @@
+"""Points by which columns are ranked: what their names and values say for and against each meaning.
+
+Only differences between candidates for one meaning count. A column that is named for its meaning outweighs one whose
+table is, and two hints of values; what names exclude outweighs all that speaks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from drive_id.core.checks.recognition import AngleLike
+from drive_id.inspection.contents import Table
+from drive_id.inspection.names import NameGroup, suggests
+from drive_id.types import FloatArray
+
+_BY_COLUMN = 2.0
+"""Points for a meaning that the name of a column suggests: it is named for what it holds."""
+_BY_TABLE = 1.0
+"""The same for the name of its table, which holds other columns as well."""
+_UNBALANCED = 0.05
+"""Sum of the phases, by their size, above which they are no currents of a machine without a neutral wire."""
+_LEAST_LINK = 5.0
+"""Mean, V, from which a nearly constant column may be the DC-link voltage; lower ones are supplies of electronics."""
+_STEADY = 0.25
+"""Standard deviation of a DC-link voltage by its mean."""
+
+Candidate = TypeVar("Candidate")
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGroup:
+    """Phase quantities or components in one table."""
+
+    table: Table
+    group: NameGroup
+    values: FloatArray
+
+    @property
+    def label(self) -> str:
+        """What the names of the table and of the columns have in common."""
+        return f"{self.table.name} {self.group.stem}"
+
+
+@dataclass(frozen=True, eq=False)
+class AngleColumn:
+    """A column that moves like the angle of a rotor."""
+
+    table: Table
+    name: str
+    like: AngleLike
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class _Rule(Generic[Candidate]):
+    """Points by the answer to a question, a number or a yes."""
+
+    points: float
+    answer: Callable[[Candidate], float]
+
+
+def _named(meaning: str) -> Callable[[PhaseGroup], float]:
+    return lambda found: _hints(found.group.stem, found.table.name, meaning)
+
+
+def _hints(column: str, table: str, meaning: str) -> float:
+    return _BY_COLUMN * suggests(column, meaning) + _BY_TABLE * suggests(table, meaning)
+
+
+def _sums_to_zero(found: PhaseGroup) -> bool:
+    common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
+    return len(found.values.T) == 3 and common < _UNBALANCED
+
+
+CURRENT: tuple[_Rule[PhaseGroup], ...] = (
+    _Rule(1.0, _named("current")),
+    _Rule(-1.0, _named("voltage")),
+    _Rule(-2.0, _named("reference")),  # named for currents, too
+    _Rule(-4.0, lambda found: found.group.frame == "line_to_line"),  # only voltages are measured so
+    _Rule(1.0, _sums_to_zero),
+    _Rule(1.0, lambda found: found.group.frame == "abc"),  # measured; d and q are often references or filtered
+)
+VOLTAGE: tuple[_Rule[PhaseGroup], ...] = (
+    _Rule(1.0, _named("voltage")),
+    _Rule(-1.0, _named("current")),
+    _Rule(0.5, lambda found: found.group.frame == "abc"),  # among equals: needs no angle
+    _Rule(0.1, lambda found: len(found.values.T)),  # among equals: three rather than two of them
+)
+ANGLE: tuple[_Rule[AngleColumn], ...] = (
+    _Rule(1.0, lambda found: _hints(found.name, found.table.name, "angle")),
+    _Rule(1.0, lambda found: found.like.certain),
+    _Rule(1.0, lambda found: found.like.wraps),
+)
+_LINK_NAMED = 2.0
+"""Points for each hint of the name: no other meaning is confused with it."""
+_LINK_VOLTAGE = 1.0
+"""Points for the name of a voltage."""
+_LINK_ALONE = 0.5
+"""Points for the values alone: a steady positive number of some size."""
+
+
+def _points(rules: Sequence[_Rule[Candidate]], found: Candidate) -> float:
+    return sum(rule.points * rule.answer(found) for rule in rules)
+
+
+def current_points(found: PhaseGroup) -> float:
+    """Return what speaks for currents."""
+    return _points(CURRENT, found)
+
+
+def voltage_points(found: PhaseGroup) -> float:
+    """Return what speaks for voltages."""
+    return _points(VOLTAGE, found)
+
+
+def angle_points(found: AngleColumn) -> float:
+    """Return what speaks for the angle of the rotor."""
+    return _points(ANGLE, found)
+
+
+def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
+    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone."""
+    found = [(_link_points(table, name), table, name) for table in tables for name in table.columns]
+    points, table, name = max(found, key=lambda entry: entry[0], default=(0.0, None, ""))
+    return (table, name) if table is not None and points > 0 else None
+
+
+def is_named_link(table: Table, name: str) -> bool:
+    """Tell whether the names suggest that a column is the DC-link voltage."""
+    return suggests(name, "dc") or suggests(table.name, "dc")
+
+
+def _link_points(table: Table, name: str) -> float:
+    x = table.columns[name]
+    if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < _STEADY * x.mean()):
+        return 0.0
+    points = _LINK_NAMED * _hints(name, table.name, "dc")
+    if x.std() > 0:  # measured, and no setting
+        points += _LINK_VOLTAGE * suggests(name, "voltage")
+        other = any(suggests(name, what) for what in ("current", "speed", "time"))
+        points += _LINK_ALONE * (x.min() > 0 and not other)
+    return points

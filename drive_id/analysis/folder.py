@@ -103,7 +103,7 @@ class Analysis:
         Single numbers by name.
     mtpa, mtpv : CurrentLocus
     speed_ranges : tuple of SpeedRange
-        One for each DC-link voltage.
+        One for each DC-link voltage; none where it is not known.
     maps : CurrentMaps
     compensation : InverterCurve
         Voltage to add to each phase over its current.
@@ -123,8 +123,9 @@ class Analysis:
     statements: tuple[str, ...]
 
     def __repr__(self) -> str:
-        torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
-        return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
+        corner = self.figures.get("corner_speed")
+        reach = "" if corner is None else f" up to {corner.value / _RPM:.4g} rpm"
+        return f"<Analysis: {self.result.caption()}, {self.figures['max_torque'].value:.4g} Nm{reach}>"
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the figures as rows: value, standard error, unit, and whether they rest on data.
@@ -204,7 +205,6 @@ def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) 
 def analysis_tree(analysis: Analysis) -> dict[str, Any]:
     """Return the content of ``analysis.json``; numbers that are not finite become null."""
     result, model, settings = analysis.result, analysis.model, analysis.settings
-    first = analysis.speed_ranges[0]
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -212,7 +212,7 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
         "method": result.method,
         "date": result.date,
         "pole_pairs": model.pole_pairs,
-        "i_max": first.limits.i_max,
+        "i_max": settings.i_max or result.i_max,
         "u_dc": [entry.u_dc for entry in analysis.speed_ranges],
         "u_max": [entry.limits.u_max for entry in analysis.speed_ranges],
         "temperature": model.temperature,
@@ -236,13 +236,19 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
 
 def tables(analysis: Analysis) -> dict[str, Columns]:
     """Return all tables by file name, each as columns by name."""
-    model = analysis.model
     return {
         "mtpa.csv": _trajectory(analysis.mtpa),
         "mtpv.csv": _trajectory(analysis.mtpv),
-        "field_weakening.csv": _joined([_references(model, entry) for entry in analysis.speed_ranges]),
-        "torque_speed.csv": _joined([_envelope(model, entry) for entry in analysis.speed_ranges]),
+        **(_over_speed(analysis) if analysis.speed_ranges else {}),
         "compensation.csv": _compensation(analysis),
+    }
+
+
+def _over_speed(analysis: Analysis) -> dict[str, Columns]:
+    model, ranges = analysis.model, analysis.speed_ranges
+    return {
+        "field_weakening.csv": _joined([_references(model, entry) for entry in ranges]),
+        "torque_speed.csv": _joined([_envelope(model, entry) for entry in ranges]),
     }
 
 

@@ -30,7 +30,7 @@ COLCON := $(RUN) AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURD
 endif
 # colcon as a program of this environment's Python, which has the dependencies, wherever colcon itself is installed.
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
-BASES := --base-paths . msg_defs --build-base build/$(DISTRO) --install-base install/$(DISTRO)
+BASES := --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
 .PHONY: help setup demo test bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
 

@@ -37,6 +37,8 @@ REST = 3.0
 """Current of a drive at rest, A: the ripple of the inverter."""
 QUIET = 0.7
 """Time without current after which a drive counts as at rest, s: more than messages are ever late."""
+OWNED = 0.6
+"""Time after a run in which a drive surely belongs to its publisher, s: its second, less what it takes to intrude."""
 _ATTEMPTS = 4
 PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
 SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "clear_fault": Command}
@@ -322,18 +324,16 @@ def react(cell: Cell, name: str, allowance: float = 0.0) -> float:
     return took
 
 
-def _makes_sense(cell: Cell, hazard: Hazard, acts: set[str]) -> bool:
-    """Return whether a hazard can happen after what has been done, and is one."""
+def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
+    """Return whether a hazard can happen after what has been done, and when, and is one."""
+    over = [when for name, when in done.items() if HAZARDS[name].act in {"stop", "kill", "suspend"}]
     if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
         return False
     if (hazard.faults or hazard.act == "overspeed") and DRIVE not in cell.nodes:
         return False
-    if "suspend" in acts and hazard.act in {"stop", "kill"}:
-        return False  # it does not answer
-    if hazard.act == "intrude" and acts & {"stop", "kill", "suspend"}:
-        return False  # it intrudes on nobody: the drive is at rest, and free for the next session
-    # Nor is anybody left then who keeps the intruder from a drive at rest.
-    return not (hazard.act in {"kill", "suspend"} and "intrude" in acts)
+    if hazard.act == "intrude" and over:  # without a trip, or with nobody left who keeps others away
+        return "drive restarts" not in done and time.monotonic() - min(over) < OWNED  # else the drive is free
+    return not ("publisher stopped (SIGSTOP)" in done and hazard.act in {"stop", "kill"})  # it does not answer
 
 
 def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
@@ -345,13 +345,12 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
     cell.graph.spin(rng.uniform(0.0, 0.8))
     since, alive = time.monotonic(), set(cell.nodes)
     deadline = 0.0
-    done: list[str] = []
+    done: dict[str, float] = {}
     for name in names:
         hazard = HAZARDS[name]
-        if not _makes_sense(cell, hazard, {HAZARDS[other].act for other in done}):
+        if not _makes_sense(cell, hazard, done):
             continue
-        begin = cell.inject(hazard)
-        done.append(name)
+        begin = done[name] = cell.inject(hazard)
         if len(done) == 1 or hazard.act in {"kill", "suspend"}:  # before it has acted upon the first one, perhaps
             deadline = max(deadline, begin - since + hazard.stated)
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
@@ -370,7 +369,7 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
         cell.findings.append("a node has died")
     cell.findings += [text for text in cell.graph.troubles() if text not in cell.findings]
     cell.findings[before:] = [f"{', '.join(done)}: {finding}" for finding in cell.findings[before:]]
-    return done
+    return list(done)
 
 
 def main() -> int:

@@ -190,7 +190,7 @@ def test_colcon_can_read_the_package(metadata, manifest):
 
 
 def test_colcon_lists_both_packages_of_a_workspace(tmp_path):
-    """It looks no further once it has found a package: as the docs say, the messages are linked beside it."""
+    """It looks no further once it has found a package: the docs tell to link the messages, or to call it here."""
     colcon = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     assert colcon, "colcon is missing: make setup installs it, or source a ROS 2"
     source = tmp_path / "src"
@@ -199,9 +199,14 @@ def test_colcon_lists_both_packages_of_a_workspace(tmp_path):
     docs = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
     (link,) = re.findall(r"^ +(ln -s .*)$", docs, re.MULTILINE)
     subprocess.run(link.split(), cwd=tmp_path, check=True)
-    listed = subprocess.run([colcon, "list"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
-    found = {tuple(line.split("\t")[:2]) for line in listed.splitlines()}
-    assert found == {("drive_id", "src/drive_id"), ("drive_id_msgs", "src/drive_id_msgs")}
+
+    def found(folder):
+        command = [colcon, "--log-base", str(tmp_path / "log"), "list"]
+        listed = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+        return {tuple(line.split("\t")[:2]) for line in listed.splitlines()}
+
+    assert found(tmp_path) == {("drive_id", "src/drive_id"), ("drive_id_msgs", "src/drive_id_msgs")}
+    assert found(ROOT) == {("drive_id", "."), ("drive_id_msgs", "msg_defs")}
 
 
 def test_whatever_a_node_reads_is_installed(metadata):

@@ -18,8 +18,10 @@ NANOSECONDS = 1_000_000_000
 _LARGEST = 5_000_000  # set-points in the buffer
 _EARLY = 0.1  # sample periods by which a set-point may come due after the sample that takes it
 _HOLD = 1.5  # periods for which the last set-point is held before the current goes to zero
-_QUIET = NANOSECONDS
-"""Time without references after which a fault is forgotten, ns: whoever caused it has gone."""
+_QUIET = 1.0
+"""Time at rest without a message after which the drive is free again, and a fault forgotten, s."""
+_RUN_BITS = 16
+"""Lowest bits of a session, which count the runs of one publisher."""
 
 
 @dataclass
@@ -56,8 +58,9 @@ class ReferenceBuffer:
         """Whether the references of this session are alpha and beta."""
         self._i_max = i_max
         self._slew_rate = slew_rate
+        self._owner = 0  # its last session; 0: the drive is free
+        self._silence = 0.0
         self._expected = 0
-        self._heard = 0
         self._taken: int | None = None
         self._due: IntArray
         self._hold: IntArray
@@ -98,10 +101,10 @@ class ReferenceBuffer:
         session, count, safe, stator_frame
             As in the message.
         """
+        self._silence = 0.0
         if safe:
             self._drop()
             return
-        self._heard = self._taken or 0
         if len(d) != len(q) or not 1e-9 <= sample_period <= 1e3 or len(d) + len(self) > _LARGEST:
             self.counts.unusable += max(len(d), len(q), 1)
             return
@@ -120,7 +123,8 @@ class ReferenceBuffer:
             self.counts.beyond += len(values)
             self.fail(f"Set-points of {amplitude:.4g} A exceed the limit of {self._i_max:.4g} A.")
             return
-        self.session, self._expected, self.stator_frame = session, count + len(values), stator_frame
+        self.session = self._owner = session
+        self._expected, self.stator_frame = count + len(values), stator_frame
         kept = int(np.searchsorted(self._due, stamp))
         hold = np.full(len(due), round(_HOLD * sample_period * NANOSECONDS), np.int64)
         self._due = np.concatenate((self._due[:kept], due))
@@ -129,25 +133,24 @@ class ReferenceBuffer:
         self._values = np.concatenate((self._values[:kept], values))
 
     def _is_foreign(self, session: int, count: int) -> bool:
-        """Return whether a block is to be ignored; one of another session beside that in force is a fault."""
+        """Return whether a block is to be ignored; one of another publisher than the drive belongs to is a fault."""
         if self.fault:
             return True
         if session == self.session:
             return count < self._expected
-        if self.session is not None and (np.any(self._values) or np.any(self.last)):
-            self.fail("Two publishers send references at the same time.")
+        if self._owner and session >> _RUN_BITS != self._owner >> _RUN_BITS:
+            self.fail("Two publishers send references.")
             return True
-        return count != 0
+        return count != 0 or session <= self._owner  # without its beginning, or of a run that is over
 
     def fail(self, reason: str) -> None:
         """End the session with a fault."""
         self.fault = reason
-        self._heard = self._taken or 0
         self._drop()
 
     def _drop(self) -> None:
         """End the session: the current goes to zero."""
-        self.session = None
+        self.session, self._silence = None, 0.0
         self._due = self._hold = self._count = np.zeros(0, np.int64)
         self._values = np.zeros((0, 2))
 
@@ -176,8 +179,9 @@ class ReferenceBuffer:
         done = max(int(index[-1]), 0)
         self._due, self._hold, self._values = self._due[done:], self._hold[done:], self._values[done:]
         self._count = self._count[done:]
-        if self.fault and self._taken - self._heard > _QUIET:
-            self.fault = ""
+        self._silence += len(stamps) * sample_period  # by its own samples, whatever becomes of the clock
+        if self.session is None and self._silence > _QUIET:
+            self.fault, self._owner = "", 0
         return out
 
 

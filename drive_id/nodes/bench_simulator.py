@@ -24,6 +24,7 @@ from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
 from drive_id.health import Health
 from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.experiment_messages import stamp_of, status_message
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
@@ -115,7 +116,7 @@ class BenchSimulator(Node):
             if isinstance(item, MessageBlock):
                 self._publish(item)
             else:
-                self._publish_status(item)
+                self._status_publisher.publish(status_message(item, self._settings.frame_id))
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
 
@@ -138,15 +139,6 @@ class BenchSimulator(Node):
             message.value = array.array("f", scalar.values.tobytes())
             self._scalar_publishers[name].publish(message)
 
-    def _publish_status(self, status: feedback.DriveStatus) -> None:
-        fields = vars(status).copy()
-        message = DriveStatus()
-        message.header.stamp = Time(nanoseconds=fields.pop("stamp")).to_msg()
-        message.header.frame_id = self._settings.frame_id
-        for name, value in fields.items():
-            setattr(message, name, value)
-        self._status_publisher.publish(message)
-
     def _on_reference(self, message: CurrentReference) -> None:
         self._follow([message])
 
@@ -155,13 +147,9 @@ class BenchSimulator(Node):
         for message in self._heard.carry(received, time.monotonic(), self._bench.faults):
             if self._bench.faults.ignore_references:
                 continue
-            stamp = Time.from_msg(message.header.stamp).nanoseconds
             d, q = (np.frombuffer(field, np.float32) for field in (message.d, message.q))
-            session, count, safe, stator = message.session, message.count, message.safe, message.stator_frame
-            references = self._bench.references
-            references.add(
-                stamp, message.sample_period, d, q, session=session, count=count, safe=safe, stator_frame=stator
-            )
+            rules = {name: getattr(message, name) for name in ("session", "count", "safe", "stator_frame")}
+            self._bench.references.add(stamp_of(message), message.sample_period, d, q, **rules)
 
     def _check(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:

@@ -39,7 +39,7 @@ from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM
+from drive_id.nodes.support.qos import LATCHED, STREAM
 from drive_id.nodes.support.replies import fill, flux_map_message
 from drive_id.nodes.support.request_action import RequestAction
 from drive_id.nodes.support.runtime import run
@@ -84,10 +84,8 @@ class Identification(ManagedNode):
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
-        self._services_kept = [
-            DeferredService(self, Identify, "~/identify", self._on_identify),
-            self.create_service(Command, "~/reset", self._on_reset, qos_profile=SERVICE),
-        ]
+        self._service = DeferredService(self.paced, Identify, "~/identify", self._on_identify)
+        self.paced.create(Command, "~/reset", self._on_reset)
         self._action = RequestAction(self, IdentifyGoal, "~/identify", self._requests, self._job, self._said)
         self._request_timer = self.create_timer(
             _REQUEST_PERIOD, self._look_after_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)

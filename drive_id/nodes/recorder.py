@@ -28,7 +28,6 @@ from drive_id.nodes.support.extra_topics import ExtraTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import SERVICE
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS
 
@@ -65,13 +64,14 @@ class Recorder(ManagedNode):
         self._extra.want(self._settings.extra_topics)
         on_change(self, RecordingSettings, self._check_settings, self._on_settings)
         self._optional = {self.resolve_topic_name(name) for name in SCALARS}
-        self._services_kept = [
-            self.create_service(StartRecording, "~/start", self._on_start, qos_profile=SERVICE),
-            self.create_service(StopRecording, "~/stop", self._on_stop, qos_profile=SERVICE),
-            self.create_service(Command, "~/pause", self._on_pause, qos_profile=SERVICE),  # as rosbag2 names them
-            self.create_service(Command, "~/resume", self._on_resume, qos_profile=SERVICE),
-            self.create_service(Command, "~/split_bagfile", self._on_split, qos_profile=SERVICE),
-        ]
+        for kind, name, handle in (
+            (StartRecording, "~/start", self._on_start),
+            (StopRecording, "~/stop", self._on_stop),
+            (Command, "~/pause", self._on_pause),  # as rosbag2 names them
+            (Command, "~/resume", self._on_resume),
+            (Command, "~/split_bagfile", self._on_split),
+        ):
+            self.paced.create(kind, name, handle)
         self._timer = self.create_timer(
             _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import array
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
 from drive_id_msgs.srv import Command, StartExperiment
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.time import Time
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger
 
-from drive_id.core.experiment import feedback
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.state_machine import NANOSECONDS, ExperimentState, ReferenceBlock
+from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
 from drive_id.core.experiment.watchdog import CURRENTS, ESTOP, RESOLVER, STATUS
 from drive_id.health import Health, Level
-from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.support.diagnostics import Diagnostics
-from drive_id.nodes.support.managed import guard_transitions
+from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
+from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import LATCHED, SERVICE, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -42,48 +38,38 @@ _NO_EVENTS = {"use_default_callbacks": False}
 """An event of a destroyed publisher or subscription kills the events executor of rclpy up to 9.1."""
 
 
-class TrajectoryPublisher(LifecycleNode):
+class TrajectoryPublisher(ManagedNode):
     """Publishes current references on request, supervises the drive, and always ends at zero current.
 
-    A managed node: it publishes only while it is active. With ``autostart`` it configures and activates itself.
+    It publishes only while it is active.
     """
 
     def __init__(self) -> None:
         super().__init__("trajectory_publisher")
-        guard_transitions(self)
         settings = declare_settings(self, ExperimentSettings, read_only=_READ_ONLY)
-        autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
         self._experiment = self._new_experiment(settings)
         self._frame_id = settings.frame_id
         self._logged = ""
         self._incompatible: list[str] = []
-        self._active = self._finalized = False
         self._published_state: tuple[Any, ...] = ()
         self._state_due = 0.0
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
-        self._services_kept = [
-            self.create_service(kind, name, handle, qos_profile=SERVICE)
-            for kind, name, handle in (
-                (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
-                (Trigger, "~/stop", self._on_stop),
-                (StartExperiment, "~/start_experiment", self._on_start_experiment),
-                (Command, "~/stop_experiment", self._on_stop_experiment),
-                (Command, "~/clear_fault", self._on_clear_fault),
-            )
-        ]
+        for kind, name, handle in (
+            (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
+            (Trigger, "~/stop", self._on_stop),
+            (StartExperiment, "~/start_experiment", self._on_start_experiment),
+            (Command, "~/stop_experiment", self._on_stop_experiment),
+            (Command, "~/clear_fault", self._on_clear_fault),
+        ):
+            self.paced.create(kind, name, handle)
         self._state_publisher = self.create_publisher(PublisherState, "~/state", LATCHED)
         self._heartbeats = self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
         on_change(self, ExperimentSettings, lambda _: None, self._on_settings)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(1.0 / settings.publish_rate, self._on_timer, clock=steady)
         self._diagnostics = Diagnostics(self, self._health)
-        if autostart:
-            self.trigger_configure()
-            self.trigger_activate()
-            self.get_logger().info(f"Ready: {self._experiment.plan()}")
-        else:
-            self.get_logger().info(f"Waiting to be configured and activated: {self._experiment.plan()}")
+        self.bring_up(f"Ready: {self._experiment.plan()}")
         if not settings.watch:
             self.get_logger().warning("watch is false: current will flow whatever the drive does.")
 
@@ -91,79 +77,46 @@ class TrajectoryPublisher(LifecycleNode):
         names = {name: self.resolve_topic_name(name) for name in (CURRENTS, RESOLVER, STATUS, ESTOP)}
         return SupervisedExperiment(settings, names)
 
-    # Transitions
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def connect(self) -> None:
         """Connect to the drive, without energising it."""
         self._publisher = self.create_lifecycle_publisher(
             CurrentReference, _REFERENCES, STREAM, event_callbacks=PublisherEventCallbacks(**_NO_EVENTS)
         )
-        options: Any = {"event_callbacks": SubscriptionEventCallbacks(**_NO_EVENTS)}
         self._subscriptions_kept = [  # best effort receives from any publisher; a lost block does no harm here
-            self.create_subscription(kind, name, handle, STREAM_BEST_EFFORT, **options)
-            for kind, name, handle in (
-                (PhaseCurrents, CURRENTS, self._on_currents),
-                (Resolver, RESOLVER, self._on_resolver),
-                (DriveStatus, STATUS, self._on_status),
-                (Bool, ESTOP, self._on_emergency_stop),
+            self.create_subscription(
+                kind, name, handle, profile, event_callbacks=SubscriptionEventCallbacks(**_NO_EVENTS)
+            )
+            for kind, name, handle, profile in (
+                (PhaseCurrents, CURRENTS, self._on_currents, STREAM_BEST_EFFORT),
+                (Resolver, RESOLVER, self._on_resolver, STREAM_BEST_EFFORT),
+                (DriveStatus, STATUS, self._on_status, STREAM_BEST_EFFORT),
+                (Bool, ESTOP, self._on_emergency_stop, STREAM_BEST_EFFORT),
+                (Bool, ESTOP, self._on_emergency_stop, STREAM),  # a single press is not lost,
+                (Bool, ESTOP, self._on_emergency_stop, LATCHED),  # nor one of before that its publisher keeps
             )
         ]
-        self._subscriptions_kept += [  # a single press is not lost, nor one of before that its publisher keeps
-            self.create_subscription(Bool, ESTOP, self._on_emergency_stop, profile, **options)
-            for profile in (STREAM, LATCHED)
-        ]
-        return super().on_configure(state)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Permit starts."""
-        self._active = True
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the current to zero."""
-        self._end_at_zero("Stopped, because the node was deactivated.")
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Disconnect from the drive."""
-        self._disconnect()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the current to zero and disconnect from the drive."""
-        self._end_at_zero("Stopped, because the node was shut down.")
-        self._disconnect()
-        self._finalized = True
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the current to zero and begin anew: unconfigured."""
-        self._end_at_zero("Stopped, because a transition failed.")
-        self._disconnect()
-        super().on_error(state)
-        return TransitionCallbackReturn.SUCCESS
-
-    def _end_at_zero(self, reason: str) -> None:
-        """Publish the references down to zero, while they can be."""
-        blocks = self._experiment.finish(self._now(), reason) if self._active else []
-        if blocks:
-            self._publish(blocks)
-            self.get_logger().info("Stopped to zero current.")
-        self._active = False
-
-    def _disconnect(self) -> None:
-        if self._publisher is not None:
-            self._publisher.wait_for_all_acked(_DELIVERY)
-            self.destroy_lifecycle_publisher(self._publisher)
-            self._publisher = None
+    def disconnect(self) -> None:
+        """Disconnect from the drive, once it has acknowledged the last references; this forgets a trip as well."""
+        self._publisher.wait_for_all_acked(_DELIVERY)
+        self.destroy_lifecycle_publisher(self._publisher)
+        self._publisher = None
         for subscription in self._subscriptions_kept:
             self.destroy_subscription(subscription)
         self._subscriptions_kept = []
         self._experiment = self._new_experiment(read_settings(self, ExperimentSettings))
 
+    def rest(self) -> bool:
+        """Publish the references down to zero."""
+        blocks = self._experiment.finish(self._now(), "Stopped, because the node was deactivated.")
+        if self.active and blocks:
+            self._publish(blocks)
+            self.get_logger().info("Stopped to zero current.")
+        return True
+
     def close(self) -> None:
         """Bring the current to zero before the process ends."""
-        self._end_at_zero("Stopped, because the node ends.")
+        self.rest()
         if self._publisher is not None:
             self._publisher.wait_for_all_acked(_DELIVERY)
 
@@ -172,10 +125,11 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _health(self) -> Health:
         health = self._experiment.health(self._now(), time.monotonic())
-        if self._active:
+        if self.active:
             waits = health.level is Level.OK and health.values["state"] == ExperimentState.IDLE.value
             return self._with_subscriptions(health) if waits else health  # no graph queries while current flows
-        return Health(Level.OK, self._inactive(), {**health.values, "lifecycle": self._stage()})
+        inactive = self.inactive_health()
+        return replace(inactive, values={**health.values, **inactive.values})
 
     def _with_subscriptions(self, health: Health) -> Health:
         """Add the subscriptions that cannot receive the references; a start is not refused: one may be a display."""
@@ -186,18 +140,8 @@ class TrajectoryPublisher(LifecycleNode):
         self._incompatible = found
         return Health.of(health.message, [(Level.OK, sentence) for sentence in found], health.values)
 
-    def _stage(self) -> str:
-        return "finalized" if self._finalized else "unconfigured" if self._publisher is None else "inactive"
-
-    def _inactive(self) -> str:
-        """Return a sentence on how to permit starts."""
-        if self._finalized:
-            return "The node was shut down and stays so: start its process again."
-        steps = "activate it" if self._publisher is not None else "configure and activate it"
-        return f"The node is {self._stage()}: {steps} (ros2 lifecycle set {self.get_fully_qualified_name()} ...)."
-
     def _on_timer(self) -> None:
-        if self._active:
+        if self.active:
             now, steady = self._now(), time.monotonic()
             self._publish(self._experiment.advance(now, steady, self.count_publishers(_REFERENCES)))
             reason = self._experiment.trip_reason
@@ -209,31 +153,22 @@ class TrajectoryPublisher(LifecycleNode):
     def _publish_state(self) -> None:
         now, steady = self._now(), time.monotonic()
         report = self._experiment.report(now, steady)
-        reason = report.reason if self._active else self._inactive()
-        shown = (report.state, reason.partition(":")[0], report.dry_run, self._active)  # not for each figure that grows
+        reason = report.reason if self.active else self.inactive()
+        shown = (report.state, reason.partition(":")[0], report.dry_run, self.active)  # not for each figure that grows
         runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
         if shown == self._published_state and not (runs and steady >= self._state_due):
             return
         self._published_state, self._state_due = shown, steady + _STATE_PERIOD
-        message = PublisherState(state=report.state.value, reason=reason, session=report.session)
-        message.dry_run = report.dry_run
-        message.header.stamp = Time(nanoseconds=now).to_msg()
-        message.header.frame_id = self._frame_id
-        message.elapsed, message.duration, message.coverage = report.elapsed, report.duration, report.coverage
-        message.i_d, message.i_q = report.i_dq.tolist()
-        message.mean_speed, message.mean_speed_reference = report.mean_speed, report.mean_speed_reference
-        message.bias = report.bias
-        self._state_publisher.publish(message)
+        self._state_publisher.publish(state_message(report, reason, now, self._frame_id))
 
     def _on_currents(self, message: PhaseCurrents) -> None:
-        self._judge(self._experiment.currents, _block(message, message.a, message.b, message.c))
+        self._judge(self._experiment.currents, sample_block(message, "a", "b", "c"))
 
     def _on_resolver(self, message: Resolver) -> None:
-        self._judge(self._experiment.resolver, _block(message, message.angle, message.speed))
+        self._judge(self._experiment.resolver, sample_block(message, "angle", "speed"))
 
     def _on_status(self, message: DriveStatus) -> None:
-        fields = {name: getattr(message, name) for name in feedback.DriveStatus.__dataclass_fields__ if name != "stamp"}
-        self._judge(self._experiment.status, feedback.DriveStatus(stamp=_stamp(message), **fields))
+        self._judge(self._experiment.status, drive_status(message))
 
     def _on_emergency_stop(self, message: Bool) -> None:
         self._judge(self._experiment.emergency_stop, message.data)
@@ -261,8 +196,8 @@ class TrajectoryPublisher(LifecycleNode):
         return self._coded(answer, response)
 
     def _start(self, **options: bool) -> Answer:
-        if not self._active:
-            return self._said("start", Answer("inactive", f"Not started. {self._inactive()}"))
+        if not self.active:
+            return self._said("start", Answer("inactive", f"Not started. {self.inactive()}"))
         publishers = self.count_publishers(_REFERENCES)
         return self._said("start", self._experiment.start(self._now(), time.monotonic(), publishers, **options))
 
@@ -298,28 +233,12 @@ class TrajectoryPublisher(LifecycleNode):
 
     def _publish(self, blocks: Iterable[ReferenceBlock]) -> None:
         for block in blocks:
-            message = CurrentReference(first_sample=block.first_sample, sample_period=block.sample_period)
-            message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
-            message.header.frame_id = self._frame_id
-            message.session, message.count, message.safe = block.session, block.count, block.safe
-            message.stator_frame = block.stator_frame
-            message.d, message.q = (array.array("f", column.tobytes()) for column in block.i_dq.T)
+            message = reference_message(block, self._frame_id)
             now = self._now()
             if self._experiment.withhold(now, block):  # and all that follow, but for the way to zero
                 self._publish(self._experiment.advance(now, time.monotonic(), self.count_publishers(_REFERENCES)))
                 return
             self._publisher.publish(message)
-
-
-def _stamp(message: PhaseCurrents | Resolver | DriveStatus) -> int:
-    """Return the stamp of a message, ns; rclpy's Time refuses negative ones, which a node may send nevertheless."""
-    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
-
-
-def _block(message: PhaseCurrents | Resolver, *fields: array.array[float]) -> feedback.SampleBlock:
-    """Return a received block without copying its arrays."""
-    values = tuple(np.frombuffer(field, np.float32) for field in fields)
-    return feedback.SampleBlock(_stamp(message), message.first_sample, message.sample_period, values)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from drive_id.errors import DriveIdError, OutputError
 from drive_id.live.data_directory import new_recording
 from drive_id.live.identification.identifier import Job, Reply, failed
 from drive_id.live.identification.requests import Request, Requests
-from drive_id.nodes.support.deferred_service import DeferredService, in_executor
+from drive_id.nodes.support.deferred_service import DeferredService, PacedServices, in_executor
 from drive_id.nodes.support.deferred_service import Reply as Answer
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.request_action import RequestAction
@@ -68,7 +68,7 @@ class Commissioning(Node):
         fields = CommissioningSettings.__dataclass_fields__
         self._settings = declare_settings(self, CommissioningSettings, read_only=fields)
         self._requests = Requests(0.0, partial(in_executor, self))
-        self._service = DeferredService(self, FirstStart, "~/first_start", self._on_request)
+        self._service = DeferredService(PacedServices(self), FirstStart, "~/first_start", self._on_request)
         self._action = RequestAction(self, FirstStartGoal, "~/first_start", self._requests, self._job, self._said)
         self._timer = self.create_timer(_REQUEST_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"Ready: the files go to {self._settings.output_directory}.")

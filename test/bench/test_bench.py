@@ -149,22 +149,57 @@ def test_a_straggler_is_ignored():
     np.testing.assert_array_equal(references.take(GRID[:60], T)[:, 0], [10.0] * 10 + [30.0] * 50)
 
 
+ONE, OTHER = 5 << 16, 6 << 16  # two publishers, before their first runs
+
+
 def test_two_publishers_bring_the_drive_to_zero_until_both_are_silent():
     references = buffer()
-    references.add(T0, T, *full(50), session=5)
+    references.add(T0, T, *full(50), session=ONE + 1)
     references.take(GRID[:10], T)
-    references.add(T0 + 1000 * US, T, *full(80), session=6)
+    references.add(T0 + 1000 * US, T, *full(80), session=OTHER + 1)
     taken = references.take(GRID[10:100], T)
     assert taken[0, 0] == pytest.approx(49.0)
     np.testing.assert_array_equal(taken[60:], 0.0)
-    assert references.fault == "Two publishers send references at the same time."
-    references.add(int(GRID[100]), T, *full(50), session=7)
+    assert references.fault == "Two publishers send references."
+    references.add(int(GRID[100]), T, *full(50), session=OTHER + 2)
     np.testing.assert_array_equal(references.take(GRID[100:110], T), 0.0)
-    later = GRID + 1100 * MS
-    references.take(later[:10], T)
+    references.take(GRID, T)
+    for end in (9000, 11_000):  # a second after the last message, and not before
+        assert references.fault
+        references.take(GRID[0] + np.arange(end - 2000) * 100 * US, T)
     assert references.fault == ""
-    references.add(int(later[10]), T, *full(50), session=8)
-    np.testing.assert_array_equal(references.take(later[10:20], T)[:, 0], 50.0)
+    references.add(int(GRID[10]), T, *full(50), session=OTHER + 3)
+    np.testing.assert_array_equal(references.take(GRID[10:20], T)[:, 0], 50.0)
+
+
+@pytest.mark.parametrize("end", ["safe", "run out", "at zero"])
+def test_a_drive_belongs_to_its_publisher_for_a_second_after_a_run(end):
+    """A publisher that has died after its trip cannot keep an intruder from the drive."""
+
+    def ended():
+        references = buffer()
+        references.add(T0, T, *full(0 if end == "at zero" else 50), session=ONE + 7)
+        references.take(GRID[:50], T)
+        if end == "safe":
+            references.add(T0, T, *full(0), session=ONE + 7, count=50, safe=True)
+        references.take(GRID[50:300], T)
+        return references
+
+    def follows(references, session):
+        references.add(int(GRID[300]), T, *full(20), session=session)
+        return references.take(GRID[300:310], T)[-1, 0] == 20.0
+
+    assert follows(ended(), ONE + 8)  # its next run
+    assert not follows(again := ended(), ONE + 7)  # the beginning of the last one, late
+    assert again.fault == ""
+    for delay in (0, 9000):
+        references = ended()
+        references.take(GRID[0] + np.arange(delay + 1) * 100 * US, T)
+        assert not follows(references, OTHER + 1)
+        assert references.fault == "Two publishers send references."
+    free = ended()
+    free.take(GRID[0] + np.arange(10_001) * 100 * US, T)
+    assert follows(free, OTHER + 1)
 
 
 def test_the_buffer_forgets():

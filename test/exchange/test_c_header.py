@@ -173,3 +173,18 @@ def test_gains_without_data_are_finite_and_without_a_resistance_they_need_none(t
     main = CONTROL.replace("drive_id_resistance(120.0)", "0.0")
     found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=main), [(-17.0, -14.5), (60.0, 0.0)])
     assert (found[:, :2] > 0).all()
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler 'c++'")
+@pytest.mark.parametrize("main", [MAIN, CONTROL], ids=["maps", "control"])
+def test_the_whole_disc_under_sanitizers_as_cpp(tmp_path, main):
+    """As C++17, with undefined behaviour and memory checked, over and beyond the disc."""
+    header, _ = content_of(result(drop=lambda i: 2.5 * np.tanh(i / 0.8)), "c-header", TableChoice(AXIS_D, AXIS_Q))
+    (tmp_path / "map.h").write_bytes(header)
+    (tmp_path / "main.cpp").write_text(main)
+    flags = ["-std=c++17", "-DDRIVE_ID_DOUBLE", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    subprocess.run(["c++", *flags, "main.cpp", "-o", "reader"], cwd=tmp_path, check=True, capture_output=True)
+    grid = np.stack(np.meshgrid(*[np.linspace(-25, 25, 101)] * 2), axis=-1).reshape(-1, 2)
+    points = [*grid, (np.nan, 1.0), (np.inf, -np.inf), (1e300, -1e300)]
+    assert len(read(tmp_path / "reader", points)) == len(points)

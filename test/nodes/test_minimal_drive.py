@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -68,34 +69,46 @@ def test_the_emergency_stop(ready):
     ready.start()
 
 
+def rival_of(drive, **fields):
+    """Return another publisher of references, and a block of 30 A for it."""
+    from drive_id_msgs.msg import CurrentReference
+
+    publisher = drive.ros.node.create_publisher(CurrentReference, "/current_reference", 10)
+    drive.ros.wait(lambda: publisher.get_subscription_count() >= 2, "the drive and the test as listeners")
+    return publisher, CurrentReference(d=[30.0] * 6000, q=[0.0] * 6000, **fields)
+
+
+def publish_now(drive, publisher, block):
+    block.header.stamp = drive.ros.node.get_clock().now().to_msg()
+    publisher.publish(block)
+
+
 def test_references_of_somebody_else(ready):
     """The drive itself notices that two sessions meet."""
-    from drive_id_msgs.msg import CurrentReference, DriveStatus
-
-    statuses = []
-    ready.ros.node.create_subscription(DriveStatus, "/drive_status", statuses.append, 10)
+    statuses = statuses_of(ready)
     ready.run_without_end(10.0)
-    rival = ready.ros.node.create_publisher(CurrentReference, "/current_reference", 10)
-    ready.ros.wait(lambda: rival.get_subscription_count() >= 2, "the drive and the test as listeners")
-    block = CurrentReference(session=4711, sample_period=1e-4, d=[30.0] * 5000, q=[0.0] * 5000)
-    block.header.stamp = ready.ros.node.get_clock().now().to_msg()
-    rival.publish(block)
+    rival, block = rival_of(ready, session=4711 << 16, sample_period=1e-4)
+    publish_now(ready, rival, block)
     ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
     ready.wait_for_state("tripped")
-    assert not any(status.session == 4711 for status in statuses)
+    assert not any(status.session == block.session for status in statuses)
     ready.ros.node.destroy_publisher(rival)
     ready.clear()
 
 
+def statuses_of(drive):
+    """Return a list to which what the drive says of itself is added."""
+    from drive_id_msgs.msg import DriveStatus
+
+    statuses = []
+    drive.ros.node.create_subscription(DriveStatus, "/drive_status", statuses.append, 10)
+    return statuses
+
+
 def test_references_in_the_stator_frame(ready):
     """As in the first start of a drive whose angle is not known: the phases stand still while the angle turns."""
-    from drive_id_msgs.msg import CurrentReference
-
-    publisher = ready.ros.node.create_publisher(CurrentReference, "/current_reference", 10)
-    ready.ros.wait(lambda: publisher.get_subscription_count() >= 2, "the drive and the test as listeners")
-    block = CurrentReference(session=4712, sample_period=1e-3, d=[30.0] * 6000, q=[0.0] * 6000, stator_frame=True)
-    block.header.stamp = ready.ros.node.get_clock().now().to_msg()
-    publisher.publish(block)
+    publisher, block = rival_of(ready, session=4712 << 16, sample_period=1e-3, stator_frame=True)
+    publish_now(ready, publisher, block)
     ready.ros.wait(lambda: ready.is_driven(20.0), "current")
     count = len(ready.messages["phase_currents"])
     ready.ros.wait(lambda: len(ready.messages["phase_currents"]) > count + 20, "more than a revolution")
@@ -106,9 +119,18 @@ def test_references_in_the_stator_frame(ready):
     assert "does not go to zero current" in ready.trigger("stop").message  # it does not know yet what this sends
     ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
     ready.ros.node.destroy_publisher(publisher)
+    until = time.monotonic() + 1.5  # then the drive is free for the next publisher
+    ready.ros.wait(lambda: time.monotonic() > until, "a while")
 
 
-def test_a_killed_publisher_leaves_no_current_behind(ready):
+def test_a_killed_publisher_leaves_no_current_behind_nor_a_drive_for_whoever_comes_first(ready):
     ready.run_without_end(10.0)
     ready.publisher.popen.kill()
+    rival, block = rival_of(ready, session=4713 << 16, sample_period=1e-4)
+    statuses = statuses_of(ready)
     ready.ros.wait(ready.is_at_zero, "zero current", 10.0)
+    for _ in range(3):
+        block.session += 1
+        publish_now(ready, rival, block)
+        ready.ros.wait(lambda: "Two publishers" in statuses[-1].fault, "a refusal", ON_RECEIPT)
+        assert ready.is_at_zero()

@@ -82,7 +82,7 @@ def test_it_opens_at_once(opened):
     assert paint < 2000
     assert opened.title == "Identified drive: <ipm> & co"
     assert WARNING in element(opened, "warnings").text
-    assert opened.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 6
+    assert opened.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 7
 
 
 def test_every_control_changes_what_it_controls(opened, result):
@@ -121,6 +121,26 @@ def test_every_control_changes_what_it_controls(opened, result):
     assert float(said.split("=")[1].split("±")[0]) == pytest.approx(psi_d, rel=1e-3), said
     fields = opened.find_elements("css selector", "select, input")
     assert used == {field.get_attribute("id") for field in fields}
+
+
+def test_a_click_sets_the_probe_and_marks_it_on_every_plane(opened):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    chart = element(opened, "chart-operation")
+    opened.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
+    x, y = opened.execute_script(
+        "const [{xaxis, yaxis}, box] = [arguments[0]._fullLayout, arguments[0].getBoundingClientRect()];"
+        "const [x, y] = [xaxis._offset + xaxis.c2p(-60), yaxis._offset + yaxis.c2p(75)];"
+        "return [x - box.width / 2, y - box.height / 2]",
+        chart,
+    )
+    ActionChains(opened).move_to_element_with_offset(chart, x, y).click().perform()
+    wait_for(opened, "return document.getElementById('probe-q').value !== '57'")
+    probed = [float(element(opened, name).get_attribute("value")) for name in ("probe-d", "probe-q")]
+    assert probed == pytest.approx([-60.0, 75.0], abs=8.0)  # the nearest node
+    mark = "const [{x, y}] = document.getElementById(arguments[0]).layout.annotations; return [x, y]"
+    for name in ("chart-operation", "chart-comparison"):
+        assert opened.execute_script(mark, name) == probed
 
 
 def test_the_surface_has_its_axes_in_order(opened, result):
@@ -182,12 +202,12 @@ def brightness(colour: str) -> float:
 
 def test_in_print_pictures_stand_for_the_charts(opened):
     shown = "return [...document.querySelectorAll(arguments[0])].filter((e) => e.offsetParent !== null).length"
-    assert opened.execute_script(shown, ".chart") == 6
+    assert opened.execute_script(shown, ".chart") == 7
     assert opened.execute_script(shown, ".picture") == 0
     element(opened, "theme").click()
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     assert opened.execute_script(shown, ".chart") == 0
-    assert opened.execute_script(shown, ".picture") == 6
+    assert opened.execute_script(shown, ".picture") == 7
     assert opened.execute_script(shown, "button, select, nav") == 0
     assert brightness(opened.execute_script("return getComputedStyle(document.body).backgroundColor")) > 250
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
@@ -208,7 +228,7 @@ def test_all_controls_are_reached_by_the_keyboard(opened):
 
     wanted = {field.get_attribute("id") for field in opened.find_elements("css selector", "select, input, button")}
     body, reached = opened.find_element(By.TAG_NAME, "body"), set()
-    for _ in range(80):
+    for _ in range(3 * len(wanted) + 60):
         body.send_keys(Keys.TAB) if not reached else opened.switch_to.active_element.send_keys(Keys.TAB)
         here = opened.switch_to.active_element
         reached.add(here.get_attribute("id"))

@@ -226,6 +226,7 @@ def test_an_imported_map_has_a_report(imported):
         "L_dq",
         "L_qd",
         "L_qq",
+        "saliency",
     ]
     assert charts["map"]["quantities"][0]["sigma"] is None
 
@@ -407,3 +408,35 @@ def test_the_pdf_is_one(fitted, tmp_path):
     written[1].write_bytes(b"%PDF-1.4 of someone else")
     with pytest.raises(OutputError, match="exists already"):
         check_report_output(written[0], pdf=True)
+
+
+def test_the_efficiency_is_that_of_the_power_balance(fitted):
+    """By brute force: the least current of the torque on a fine polar grid, and its losses."""
+    result = replace(fitted, provenance=replace(fitted.provenance, u_dc=400.0))
+    speeds = page_of(result).data("charts")["operation"]["speeds"]
+    column, row = 5, 9
+    torque, speed = speeds["torque"][row], speeds["speed"][column] * np.pi / 30
+    amplitude, angle = np.meshgrid(np.linspace(1.0, 300.0, 1200), np.linspace(np.pi / 2, np.pi, 400), indexing="ij")
+    i_d, i_q = amplitude * np.cos(angle), amplitude * np.sin(angle)
+    psi_d, psi_q = result.flux_map.psi_dq(i_d, i_q)
+    reached = 1.5 * result.pole_pairs * (psi_d * i_q - psi_q * i_d) >= torque
+    current = amplitude[reached].min()
+    theta = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
+    curve = result.inverter_curve
+    inverter = 3 * np.mean(np.interp(current * np.cos(theta), curve.current, curve.voltage) * current * np.cos(theta))
+    losses = 1.5 * result.resistance * current**2 + inverter
+    expected = 100 * torque * speed / (torque * speed + losses)
+    assert 50 < expected < 99.9
+    assert speeds["efficiency"][row][column] == pytest.approx(expected, abs=0.05)
+    assert speeds["iron"] is False
+
+
+def test_the_drop_is_told_as_a_dead_time(fitted):
+    """2 V of 400 V are 0.5 % of the period, 0.5 µs at 10 kHz."""
+    drive = replace(fitted.drive, voltage_error=2.0, sigma_voltage_error=0.02)
+    result = replace(fitted, drive=drive, provenance=replace(fitted.provenance, u_dc=400.0))
+    said = page_of(result).by_id("inverter").text()
+    assert "2.000 ± 0.020 V, is that of a dead time of 0.5 % of the switching period at 400 V, 0.5 µs at 10 kHz" in said
+    without = replace(result, provenance=replace(result.provenance, u_dc=None))
+    assert "dead time" not in page_of(without).by_id("inverter").text()
+    assert "efficiency over speed are not shown" in page_of(without).by_id("operation").text()

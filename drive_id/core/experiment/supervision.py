@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import secrets
 from collections.abc import Mapping
@@ -14,6 +15,8 @@ from drive_id.core.experiment.watchdog import Fault, Watchdog
 from drive_id.health import Health, Level
 from drive_id.types import FloatArray
 
+_SESSIONS = itertools.count((secrets.randbits(47) << 16) + 1)
+"""Sessions of this process: its runs are counted in the lowest 16 bits, the others tell whose they are."""
 _CLEAR = "Call ~/clear_fault when the cause is gone."
 
 
@@ -145,7 +148,7 @@ class SupervisedExperiment:
         if refused is not None:
             return Answer(*refused)
         self._leased, self._dry_run = leased, dry_run or self._settings.dry_run
-        self._experiment.start(now, secrets.randbits(63) | 1)
+        self._experiment.start(now, next(_SESSIONS))
         return Answer("ok", f"Started: {self.plan()}.")
 
     def _refused(self, now: int, steady: float) -> tuple[str, str] | None:

@@ -1,14 +1,26 @@
-"""Services that reply later without blocking the node."""
+"""Services that reply later without blocking the node, and not faster than clients take the replies."""
 
 from __future__ import annotations
 
+import time
 import traceback
+from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.service import Service
 
 from drive_id.nodes.support.qos import SERVICE
+
+_BURST = 5
+"""Replies sent at once: the queue of a client keeps ten, those to other clients of the service included."""
+_PAUSE = 0.02
+"""Time between two bursts, s: more than a client that waits takes for one."""
+_PATIENCE = 0.3
+"""Time before a further reply is sent, s: so long a client may go on sending requests before it listens."""
 
 
 def in_executor(node: Node, call: Callable[[], None]) -> None:
@@ -23,6 +35,43 @@ def in_executor(node: Node, call: Callable[[], None]) -> None:
     executor = node.executor
     if executor is not None:
         executor.create_task(guarded)
+
+
+class PacedServices:
+    """Creates services whose replies are all received, also those to a thousand requests at once.
+
+    With the default quality of service, a client loses the replies that arrive while ten others wait. So the first few
+    replies are sent at once, and what else is to be sent in the same moment waits for its turn.
+
+    Parameters
+    ----------
+    node : Node
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._waiting: deque[tuple[float, Callable[[], None]]] = deque()
+        self._free = _BURST
+        self._timer = node.create_timer(_PAUSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def create(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
+        """Create a service."""
+        service = self._node.create_service(kind, name, callback, qos_profile=SERVICE)
+        service.send_response = partial(self._offer, service.send_response)
+        return service
+
+    def _offer(self, send: Callable[[Any, Any], None], response: Any, header: Any) -> None:
+        if self._free and not self._waiting:
+            self._free -= 1
+            send(response, header)
+        else:
+            self._waiting.append((time.monotonic() + _PATIENCE, partial(send, response, header)))
+
+    def _on_timer(self) -> None:
+        self._free = _BURST
+        while self._free and self._waiting and self._waiting[0][0] <= time.monotonic():
+            self._free -= 1
+            self._waiting.popleft()[1]()
 
 
 class Reply:
@@ -55,7 +104,7 @@ class DeferredService:
 
     Parameters
     ----------
-    node : Node
+    services : PacedServices
     kind : type
         Service type.
     name : str
@@ -63,9 +112,9 @@ class DeferredService:
         Called with the request and its :class:`Reply`.
     """
 
-    def __init__(self, node: Node, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
+    def __init__(self, services: PacedServices, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
         self._callback = callback
-        self.service = node.create_service(kind, name, self._on_request, qos_profile=SERVICE)
+        self.service = services.create(kind, name, self._on_request)
         self._send_now = self.service.send_response
         self.service.send_response = self._send
 

@@ -1,4 +1,4 @@
-"""Managed nodes: what those without a drive to protect share, and requests for transitions that make no sense."""
+"""Managed nodes: what all of them share, and requests for transitions that make no sense."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from drive_id.health import Health, Level
 from drive_id.live.managed_settings import ManagedSettings
+from drive_id.nodes.support.deferred_service import PacedServices
 from drive_id.nodes.support.parameters import declare_settings
 
 
@@ -50,8 +51,8 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         guard_transitions(self)
-        self.active = False
-        self._connected = False
+        self.paced = PacedServices(self)
+        self.active = self._connected = self._finalized = False
         self._autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
 
     def bring_up(self, ready: str) -> None:
@@ -74,12 +75,17 @@ class ManagedNode(LifecycleNode):
 
     def inactive(self) -> str:
         """Return a sentence on how to activate the node."""
-        stage, steps = ("inactive", "activate") if self._connected else ("unconfigured", "configure and activate")
-        return f"The node is {stage}: {steps} it (ros2 lifecycle set {self.get_fully_qualified_name()} ...)."
+        if self._finalized:
+            return "The node was shut down and stays so: start its process again."
+        steps = "activate" if self._connected else "configure and activate"
+        return f"The node is {self._stage()}: {steps} it (ros2 lifecycle set {self.get_fully_qualified_name()} ...)."
 
     def inactive_health(self) -> Health:
         """Return the diagnostics of a node that is not active."""
-        return Health(Level.OK, self.inactive(), {"lifecycle": "inactive" if self._connected else "unconfigured"})
+        return Health(Level.OK, self.inactive(), {"lifecycle": self._stage()})
+
+    def _stage(self) -> str:
+        return "finalized" if self._finalized else "inactive" if self._connected else "unconfigured"
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe."""
@@ -108,6 +114,7 @@ class ManagedNode(LifecycleNode):
         """End what is under way, and all subscriptions."""
         self.rest()
         self._end()
+        self._finalized = True
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:

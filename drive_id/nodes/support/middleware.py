@@ -12,6 +12,8 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 _PROFILES_2, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 """Variables that Fast DDS 2 and 3 read."""
+_RECEIVE_BUFFER = 4 << 20
+"""Of a UDP socket, bytes, as far as net.core.rmem_max permits: some 270 messages fill the usual buffer of 208 KiB."""
 _RANGE, _ANYWHERE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"
 _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>{transports}
@@ -23,10 +25,16 @@ _NO_TYPE_LOOKUP = _PROFILE.format(
   <property><name>fastdds.type_propagation</name><value>disabled</value></property>
 </properties></propertiesPolicy>""",
 )
-_UDP = _PROFILE.format(transports="", settings="<builtinTransports>UDPv4</builtinTransports>")
+_UDP = _PROFILE.format(
+    transports="",
+    settings=f"""
+  <listenSocketBufferSize>{_RECEIVE_BUFFER}</listenSocketBufferSize>
+  <builtinTransports>UDPv4</builtinTransports>""",  # in this order: the second one takes the first one along
+)
 _UDP_LOCALHOST = _PROFILE.format(
-    transports="""<transport_descriptors><transport_descriptor>
+    transports=f"""<transport_descriptors><transport_descriptor>
   <transport_id>localhost</transport_id><type>UDPv4</type><maxInitialPeersRange>32</maxInitialPeersRange>
+  <receiveBufferSize>{_RECEIVE_BUFFER}</receiveBufferSize>
   <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
 </transport_descriptor></transport_descriptors>""",
     settings="""

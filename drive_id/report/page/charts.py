@@ -20,6 +20,7 @@ from drive_id.types import BoolArray, FloatArray
 MOST_POINTS = 97
 """Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
 _DIGITS = 5
+_RPM = 30 / np.pi
 
 
 def charts_of(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
@@ -55,7 +56,12 @@ def _map(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
         for column, current in enumerate("dq"):
             name, values = f"L_{flux}{current}", 1e3 * inductances[..., row, column]
             quantities.append(_quantity(name, f"{name} = ∂ψ_{flux}/∂i_{current}", "mH", values))
+    ratio = inductances[..., 1, 1] / inductances[..., 0, 0]
+    quantities.append(_quantity("saliency", "Saliency L_qq / L_dd", "", ratio))
     if operation is not None:
+        if operation.ripple is not None:
+            ripple = _quantity("ripple", "Torque ripple, peak to peak", "Nm", operation.ripple[at])
+            quantities.append(ripple)
         quantities.append(_quantity("torque", "Torque", "Nm", operation.torque[at]))
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
     return {
@@ -151,7 +157,16 @@ def _currents(result: Identification) -> dict[str, Any] | None:
 def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
     if operation is None:
         return None
+    speeds = operation.speeds
     return {
+        "speeds": speeds
+        and {
+            "iron": speeds.iron,
+            "speed": _listed(speeds.speed * _RPM),
+            "largest": _listed(speeds.largest),
+            "torque": _listed(speeds.torque),
+            "efficiency": _listed(100 * speeds.efficiency.T),
+        },
         "lines": [
             {
                 "name": line.name,
@@ -161,7 +176,7 @@ def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
                 "sigma": _listed(line.sigma_torque),
             }
             for line in operation.lines
-        ]
+        ],
     }
 
 

@@ -79,6 +79,8 @@ class Content:
     knowledge : dict of str to tuple of str
         Sentences by their heading: what the result states, what the data leave open, and what to do next.
     values, methods, operation, calibrations, settings, inputs, versions : TextTable
+    drop : str
+        What the inverter's drop amounts to; empty where the DC link is not known.
     comparison : str
         A sentence on what modelling the inverter changes; empty where it is not known.
     paragraph : str
@@ -103,6 +105,7 @@ class Content:
     inputs: TextTable
     versions: TextTable
     operation: TextTable
+    drop: str
     comparison: str
     paragraph: str
     missing: dict[str, str]
@@ -143,6 +146,7 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
             ("Software", "Version"),
             tuple((name, str(version)) for name, version in twin["versions"].items()),
         ),
+        drop=_drop(result),
         comparison=_comparison(result),
         paragraph=_paragraph(result),
         operation=_operation(operation),
@@ -422,12 +426,30 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
         missing["operation"] = (
             f"The number of pole pairs is unknown, and without it there is no torque: {result.origin.pole_pairs}."
         )
-    elif not any(line.name == "MTPV" for line in operation.lines):
+    elif operation.speeds is None:
+        missing["efficiency"] = (
+            "Torque and efficiency over speed are not shown: they need R, the DC-link voltage (the setting u_dc of the "
+            "fit), and a current that keeps it."
+        )
+    if operation is not None and not any(line.name == "MTPV" for line in operation.lines):
         missing["mtpv"] = (
             f"No MTPV is shown: it lies beyond {number(result.i_max)} A, or where there are no data. Within the data, "
             "the largest torque at a given flux is limited by the current."
         )
     return missing
+
+
+def _drop(result: Identification) -> str:
+    """Say of which dead time the drop is, if it is of nothing else: the dead time costs u_dc t_d / T_switching."""
+    if not result.origin.inverter or not result.u_dc or not math.isfinite(result.voltage_error):
+        return ""
+    share = result.voltage_error / result.u_dc
+    drop = measured(result.voltage_error, result.sigma_voltage_error, "V")
+    return (
+        f"The drop at large current, {drop}, is that of a dead time of {percent(share)} of the switching period at "
+        f"{number(result.u_dc)} V, {number(100 * share, 3)} µs at 10 kHz. The threshold voltages of the switches are "
+        "part of it, so that the dead time itself is shorter."
+    )
 
 
 def _paragraph(result: Identification) -> str:

@@ -1,15 +1,25 @@
-"""Torque over the current plane, and the lines of operation on it."""
+"""Torque over the current plane and the lines of operation on it; torque and efficiency over speed."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
 from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray
+
+_WEAKENING = 4.0
+"""Highest speed over the corner speed."""
+_SPEEDS, _TORQUES = 32, 20
+"""Points of the efficiency map: finer ones look the same, and take seconds."""
+_SAME = 1e-6
+"""Relative excess over the envelope within which a torque counts as reached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +43,34 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
+class SpeedMap:
+    """Efficiency over torque and speed, at the least stator current, within the limits of current and voltage.
+
+    Parameters
+    ----------
+    u_dc : float
+        V; the voltage is limited to u_dc / sqrt(3).
+    speed : (S,) float
+        Mechanical, rad/s.
+    largest : (S,) float
+        Torque of the envelope, Nm.
+    torque : (N,) float
+        Nm.
+    efficiency : (S, N) float
+        Shaft power, mechanical losses aside, over electrical power; NaN beyond the envelope and without data.
+    iron : bool
+        Whether the losses hold an identified iron loss, beside those of the winding and the inverter.
+    """
+
+    u_dc: float
+    speed: FloatArray
+    largest: FloatArray
+    torque: FloatArray
+    efficiency: FloatArray
+    iron: bool
+
+
+@dataclass(frozen=True, eq=False)
 class TorqueMap:
     """Torque and the lines of operation of a machine whose pole pairs are known.
 
@@ -42,10 +80,16 @@ class TorqueMap:
         On the grid of the flux map, Nm, NaN where there are no data.
     lines : tuple of Line
         MTPA in both directions of torque, and MTPV; those that lie in the data.
+    ripple : (D, Q) float or None
+        Peak to peak, Nm; None without rotor-position harmonics.
+    speeds : SpeedMap or None
+        None when the DC-link voltage or the resistance is unknown.
     """
 
     torque: FloatArray
     lines: tuple[Line, ...]
+    ripple: FloatArray | None
+    speeds: SpeedMap | None
 
 
 def torque_map(result: Identification) -> TorqueMap | None:
@@ -60,7 +104,38 @@ def torque_map(result: Identification) -> TorqueMap | None:
         "MTPV": mtpv(model, result.i_max),
     }
     lines = (_line(name, trajectory) for name, trajectory in trajectories.items())
-    return TorqueMap(np.where(found.inside, torque, np.nan), tuple(line for line in lines if len(line.i_d) > 1))
+    known = bool(result.u_dc) and math.isfinite(result.resistance)
+    return TorqueMap(
+        np.where(found.inside, torque, np.nan),
+        tuple(line for line in lines if len(line.i_d) > 1),
+        _ripple(result, model) if result.harmonics else None,
+        _speed_map(result, model) if known else None,
+    )
+
+
+def _ripple(result: Identification, model: MachineModel) -> FloatArray:
+    found = result.flux_map
+    ripple = TorqueRipple.of(model, found, result.harmonics, result.i_max)
+    values = ripple.peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
+    return np.where(found.inside, values, np.nan)
+
+
+def _speed_map(result: Identification, model: MachineModel) -> SpeedMap | None:
+    """Return the map up to four times the corner speed; None where no torque keeps the limits."""
+    u_dc = model.known_u_dc()
+    limits = DriveLimits(result.i_max, u_dc / math.sqrt(3))
+    corner = corner_speed(model, limits)
+    highest = top_speed(model, limits, _WEAKENING * corner) if corner > 0 else 0.0
+    if highest <= 0:
+        return None
+    speed = highest * np.arange(1, _SPEEDS + 1) / _SPEEDS
+    ends = [envelope(model, limits, speed, sign=sign) for sign in (1.0, -1.0)]
+    torque = np.nanmax(ends[0].torque) * np.arange(1, _TORQUES + 1) / _TORQUES
+    points = references(model, limits, torque, *ends)
+    kept = torque <= ends[0].torque[:, None] * (1 + _SAME)
+    known = kept & model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+    efficiency = np.where(known, points.efficiency, np.nan)
+    return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
 
 
 def _line(name: str, found: CurrentLocus) -> Line:

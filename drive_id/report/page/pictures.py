@@ -10,10 +10,10 @@ from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.fitting.result import Identification
 from drive_id.pictures.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
-from drive_id.pictures.panels import CURRENT, PSI, SMALL, Disc, draw_field, name, place
+from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.report.page.content import map_difference
-from drive_id.report.page.operation import TorqueMap
+from drive_id.report.page.operation import SpeedMap, TorqueMap
 
 _COLOURS = {"d": DARK, "q": LIGHT}
 
@@ -35,6 +35,8 @@ def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str,
         draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
     if operation is not None:
         found["operation"] = _draw_operation(result, operation)
+        if operation.speeds is not None:
+            found["efficiency"] = _draw_efficiency(operation.speeds)
     return found
 
 
@@ -93,6 +95,22 @@ def _draw_operation(result: Identification, operation: TorqueMap) -> Figure:
         axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=line.name, zorder=3)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
+    return figure
+
+
+def _draw_efficiency(speeds: SpeedMap) -> Figure:
+    figure = Figure(figsize=(WIDTH, 3.2))
+    axes, rpm = place(figure, 0.75, 0.5, 5.6, 2.3), speeds.speed * 30 / np.pi
+    name(axes, f"Efficiency / %, {speeds.u_dc:g} V", "speed / rpm", "torque / Nm")
+    values = 100 * speeds.efficiency.T
+    known = values[np.isfinite(values)]
+    steps = np.unique(np.quantile(known, np.linspace(0.05, 1.0, 9))) if known.size else known
+    if len(steps) > 1:
+        filled = axes.contourf(rpm, speeds.torque, values, levels=steps, cmap=COLOURS, extend="min")
+        add_colour_bar(axes, filled, steps, [f"{step:.1f}" for step in steps])
+    axes.plot(rpm, speeds.largest, color="black", linewidth=1.2, label="largest torque")
+    axes.set(xlim=(0, rpm[-1]), ylim=(0, 1.05 * np.nanmax(speeds.largest)))
+    axes.legend(fontsize=SMALL, loc="upper right")
     return figure
 
 

@@ -13,7 +13,7 @@
   let [sorted, rising] = [0, false];
 
   const named = (row) => [row.machine || row.folder, row.serial, (row.date ?? "").slice(0, 10)].filter(Boolean).join(", ");
-  const text = (row) => COLUMNS.map(([, value]) => value(row) ?? "").join(" ").toLowerCase();
+  const text = (row) => [row.date, row.machine, row.serial, row.method, row.folder, row.error].filter(Boolean).join(" ").toLowerCase();
 
   function cell([name, value, written], row) {
     const content = name === "Folder" && row.report ? made("a", { href: `${encodeURI(row.folder)}/report.html` }, row.folder)

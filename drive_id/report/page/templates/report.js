@@ -61,10 +61,20 @@
     };
   }
 
-  /** Axes of the current plane, both scaled alike, with the circle of i_max. */
+  const probed = () => ["probe-d", "probe-q"].map((id) => byId(id).valueAsNumber);
+
+  /** A cross at the probed current. */
+  function mark() {
+    const [x, y] = probed();
+    const known = Number.isFinite(x) && Number.isFinite(y);
+    return known ? [{ x, y, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" } }] : [];
+  }
+
+  /** Axes of the current plane, both scaled alike, with the circle of i_max and the probed current. */
   function planeLayout() {
     const reach = 1.05 * data.i_max;
     return layout({
+      annotations: mark(),
       margin: { l: 60, r: 20, t: 36, b: 50 },
       xaxis: axis(currentAxis("d"), { range: [-reach, reach], constrain: "domain" }),
       yaxis: axis(currentAxis("q"), { range: [-reach, reach], scaleanchor: "x", constrain: "domain" }),
@@ -175,7 +185,10 @@
   }
 
   function probe() {
-    const [d, q] = [byId("probe-d").valueAsNumber, byId("probe-q").valueAsNumber];
+    const [d, q] = probed();
+    for (const name of PLANES) {
+      if (byId(`chart-${name}`)?.layout?.xaxis) Plotly.relayout(`chart-${name}`, { annotations: mark() });
+    }
     const chosen = quantity();
     const there = interpolated(where(chosen.z, (k, j) => data.map.inside[k][j] === 1), d, q);
     const value = interpolated(chosen.z, d, q);
@@ -184,6 +197,12 @@
     byId("probe").textContent = there === null
       ? (value === null ? "no data there" : `no data there; continued to ${shown(value, 4)} ${chosen.unit}`)
       : `${chosen.label.split(" = ")[0]} = ${shown(value, 5)}${sigma === null ? "" : ` ± ${shown(sigma, 2)}`} ${chosen.unit}`;
+  }
+
+  /** Set the probe by a click on a chart over the current plane. */
+  function probeAt({ points: [{ x, y }] }) {
+    [byId("probe-d").value, byId("probe-q").value] = [x, y].map((value) => String(Number(value.toPrecision(5))));
+    probe();
   }
 
   // -- the other charts ----------------------------------------------------------------------------------------------
@@ -273,6 +292,20 @@
     return Plotly.react("chart-operation", traces, planeLayout(), config);
   }
 
+  function drawEfficiency() {
+    const { speed, torque, largest, efficiency } = data.operation.speeds;
+    const field = fieldTrace(speed, torque, efficiency, "efficiency", "%", {
+      hovertemplate: "%{x:.5g} rpm<br>%{y:.4g} Nm<br>%{z:.4g} %<extra></extra>",
+    });
+    const known = efficiency.flat().filter((value) => value !== null).sort((a, b) => a - b);
+    if (known.length) field.zmin = known[Math.floor(0.05 * known.length)];  // the edge near zero torque would take all colours
+    const edge = { type: "scatter", mode: "lines", x: speed, y: largest, name: "largest torque", showlegend: true,
+      line: { color: "#ff5a36", width: 3 }, hovertemplate: "%{x:.5g} rpm, %{y:.4g} Nm<extra></extra>" };
+    const axes = { xaxis: axis("speed / rpm", { rangemode: "tozero" }), yaxis: axis("torque / Nm", { rangemode: "tozero" }) };
+    return Plotly.react("chart-efficiency", [field, edge], layout(axes), config);
+  }
+
+  const PLANES = ["map", "comparison", "operation"];
   const charts = {
     map: [drawMap, ["map-quantity", "map-view", "map-continuation", "map-trajectory", "map-turn"]],
     comparison: [drawComparison, ["comparison-method", "comparison-flux"]],
@@ -280,6 +313,7 @@
     residuals: [drawResiduals, ["residuals-over", "residuals-statistic"]],
     currents: [drawCurrents, ["currents-show"]],
     operation: [drawOperation, []],
+    efficiency: [drawEfficiency, []],
   };
   const shown = () => Object.keys(charts).filter((name) => byId(`chart-${name}`) !== null);
 
@@ -297,6 +331,10 @@
     for (const name of others) {
       await idle();
       await charts[name][0]();
+    }
+    for (const name of PLANES.filter((plane) => shown().includes(plane))) {
+      byId(`chart-${name}`).removeAllListeners("plotly_click");
+      byId(`chart-${name}`).on("plotly_click", probeAt);
     }
     root.dataset.drawn = "true";
   }

@@ -15,7 +15,8 @@ CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>
 # For "drive-id serve".
 WEB = ["starlette>=0.36", "uvicorn>=0.27"]
 # Programs that the tests read exported maps with.
-READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"', "xarray>=2023.1"]
+READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"']
+TABLES = ["pandas>=2", "xarray>=2023.1"]
 
 # Executables: a command line tool, and ROS 2 nodes for ``ros2 run drive_id ...``.
 EXECUTABLES = [
@@ -109,6 +110,7 @@ setup(
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
     extras_require={
         "containers": CONTAINERS,
+        "tables": TABLES,
         "web": WEB,
         "test": [
             "httpx>=0.25",
@@ -119,6 +121,7 @@ setup(
             "selenium>=4.16",
             *CONTAINERS,
             *READERS,
+            *TABLES,
             *WEB,
         ],
     },

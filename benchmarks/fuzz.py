@@ -221,7 +221,7 @@ class Worker:
             name = "nocrc.mcap"
         target = self._scratch / f"{name.replace('/', '_')}_{method}"
         if not target.exists():
-            drive_id.fit(self._corpus / name, method=method).save(target)
+            drive_id.fit(self._corpus / name, settings=drive_id.FitSettings(method=method)).save(target)
         return target
 
     def close(self) -> None:

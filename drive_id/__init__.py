@@ -17,20 +17,30 @@ if TYPE_CHECKING:
     from drive_id.analysis.settings import AnalysisSettings
     from drive_id.bench.settings import SimulationSettings
     from drive_id.core.fit_settings import FitSettings
+    from drive_id.core.planning.planner import plan
+    from drive_id.core.planning.settings import PlanSettings
     from drive_id.core.result.identification import FluxMap
     from drive_id.core.steady.operating_data import OperatingData
     from drive_id.errors import DriveIdError
+    from drive_id.exchange.comparison import Comparison, compare
+    from drive_id.exchange.exports.exporting import export_map as export
+    from drive_id.exchange.imports.importing import import_map
     from drive_id.fitting.fit import fit
+    from drive_id.fitting.progress import on_bar
     from drive_id.fitting.result import Identification, load
     from drive_id.fitting.simulated import simulate
     from drive_id.fitting.sources import read_bag
+    from drive_id.fitting.tables import samples_frame
+    from drive_id.inspection.inspect import Inspection, check
     from drive_id.types import MachineMap, Samples
 
 __version__: str
+
 __all__ = [
-    "Analysis", "AnalysisSettings", "DriveIdError", "FitSettings", "FluxMap", "Identification", "MachineMap",
-    "MachineModel", "OperatingData", "Samples", "SimulationSettings", "analyze", "fit", "load", "read_bag",
-    "simulate",
+    "Analysis", "AnalysisSettings", "Comparison", "DriveIdError", "FitSettings", "FluxMap", "Identification",
+    "Inspection", "MachineMap", "MachineModel", "OperatingData", "PlanSettings", "Samples", "SimulationSettings",
+    "analyze", "check", "compare", "export", "fit", "import_map", "load", "on_bar", "plan", "read_bag",
+    "samples_frame", "simulate",
 ]  # fmt: skip
 
 
@@ -38,31 +48,45 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
     home: object
     if name in ("Analysis", "AnalysisSettings", "MachineModel", "analyze"):
         from drive_id.analysis import analyze as home
+    elif name in ("Comparison", "compare"):
+        from drive_id.exchange import comparison as home
     elif name == "DriveIdError":
         from drive_id import errors as home
-    elif name in ("MachineMap", "Samples"):
-        from drive_id import types as home
-    elif name == "SimulationSettings":
-        from drive_id.bench import settings as home
     elif name == "FitSettings":
         from drive_id.core import fit_settings as home
-    elif name == "OperatingData":
-        from drive_id.core.steady import operating_data as home
     elif name == "FluxMap":
         from drive_id.core.result import identification as home
     elif name in ("Identification", "load"):
         from drive_id.fitting import result as home
-    elif name == "read_bag":
-        from drive_id.fitting import sources as home
+    elif name in ("Inspection", "check"):
+        from drive_id.inspection import inspect as home
+    elif name in ("MachineMap", "Samples"):
+        from drive_id import types as home
+    elif name == "OperatingData":
+        from drive_id.core.steady import operating_data as home
+    elif name in ("PlanSettings", "plan"):
+        from drive_id.core.planning import planner as home
+    elif name == "SimulationSettings":
+        from drive_id.bench import settings as home
+    elif name == "export":
+        from drive_id.exchange.exports import exporting as home
     elif name == "fit":
         from drive_id.fitting import fit as home
+    elif name == "import_map":
+        from drive_id.exchange.imports import importing as home
+    elif name == "on_bar":
+        from drive_id.fitting import progress as home
+    elif name == "read_bag":
+        from drive_id.fitting import sources as home
+    elif name == "samples_frame":
+        from drive_id.fitting import tables as home
     elif name == "simulate":
         from drive_id.fitting import simulated as home
     elif name == "__version__":
         from drive_id import version as home
     else:
         raise AttributeError(f"module 'drive_id' has no attribute '{name}'")
-    found: object = getattr(home, "VERSION" if name == "__version__" else name)
+    found: object = getattr(home, {"__version__": "VERSION", "export": "export_map"}.get(name, name))
     globals()[name] = found
     return found
 

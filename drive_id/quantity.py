@@ -8,7 +8,7 @@ from dataclasses import dataclass
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
 _PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
-_SPELLED = {"ohm": "Ω", "1": ""}
+_SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}
 _DIGITS = 4
 """Significant digits of a value without a known standard error."""
 _LEAST_SHARE = 1e-8
@@ -50,7 +50,7 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     """
     if not math.isfinite(value):
         return "unknown"
-    unit = _SPELLED.get(unit, unit)
+    unit = spelled(unit)
     known = math.isfinite(sigma) and sigma > _LEAST_SHARE * abs(value)
     largest = max(abs(value), sigma if known else 0.0)
     exponent = 0
@@ -64,6 +64,11 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     else:
         text = f"{value:.{_DIGITS}g}"
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
+
+
+def spelled(unit: str) -> str:
+    """Return a unit as people write it: ``ohm`` of a file or setting is Ω."""
+    return _SPELLED.get(unit, unit)
 
 
 def _order(value: float, digits: int) -> int:

@@ -6,6 +6,7 @@ a, b, c; d is the magnet axis and q leads it by 90 degrees electrical.
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,11 +27,24 @@ _LARGEST_SQUARE = 1e100
 """Upper bound of the sum of squares of any realistic number of samples below :data:`_LARGEST`."""
 
 
+def ranges_table(caption: str, values: Mapping[str, NDArray[Any]]) -> str:
+    """Return an HTML table of the least and largest known value of arrays, for notebooks."""
+    known = {name: array[np.isfinite(array)] for name, array in values.items()}
+    rows = "".join(
+        f"<tr><th>{html.escape(name)}</th><td>{array.min():.5g}</td><td>{array.max():.5g}</td></tr>"
+        for name, array in known.items()
+        if array.size
+    )
+    heading = "<tr><th></th><th>least</th><th>largest</th></tr>"
+    return f"<table><caption>{html.escape(caption)}</caption>{heading}{rows}</table>"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """Equally sampled signals of one drive, the paper's ``eq:experiment``, without the gaps.
 
-    All sources (live topics, our bags, bags with other messages) end in this type.
+    All sources (live topics, our bags, bags with other messages) end in this type. Arrays that have the right type
+    already are not copied: do not change them afterwards, for then nothing checks them.
 
     Parameters
     ----------
@@ -86,14 +100,17 @@ class Samples:
         shapes: dict[str, tuple[int, ...]] = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
         if self.i_dq_reference is not None:
             shapes["i_dq_reference"] = (n, 2)
-        scalars = self.scalars()
-        shapes |= dict.fromkeys(scalars, (n,))
+        shapes |= dict.fromkeys(self.scalars(), (n,))
         for name, shape in shapes.items():
-            found = getattr(self, name).shape
-            if found != shape:
-                raise DataError(f"{name} has shape {found} where {n} stamps need {shape}: pass arrays of equal length.")
-            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))  # kernels want it so
+            values = np.asarray(getattr(self, name))
+            if values.dtype.kind not in "biuf":
+                raise DataError(f"{name} holds values of type {values.dtype}: pass real numbers.")
+            if values.shape != shape:
+                said = f"{name} has shape {values.shape} where {n} stamps need {shape}"
+                raise DataError(f"{said}: pass arrays of equal length.")
+            object.__setattr__(self, name, np.ascontiguousarray(values, np.float64))  # kernels want it so
         object.__setattr__(self, "stamp", np.ascontiguousarray(self.stamp, np.int64))
+        object.__setattr__(self, "run_starts", np.asarray(self.run_starts, np.int64))
         if not (np.isfinite(self.sample_period) and self.sample_period > 0):
             raise DataError(f"The sample period is {self.sample_period} s: it must be a positive number of seconds.")
         if n == 0:
@@ -103,7 +120,11 @@ class Samples:
         starts = self.run_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= n:
             raise DataError("run_starts must begin with 0 and increase strictly within the samples.")
-        for name, values in scalars.items():
+        self._check_values()
+
+    def _check_values(self) -> None:
+        n = len(self)
+        for name, values in self.scalars().items():
             if (np.abs(values) > _LARGEST).any():
                 raise NonFiniteError(f"{name} holds infinite values: use NaN where it is unknown.")
         for name in ("i_abc", "u_abc", "angle", "speed"):
@@ -130,6 +151,11 @@ class Samples:
         parts += [f"with {' and '.join(known)}"] if known else []
         parts += [f"truth of {self.truth.machine}"] if self.truth else []
         return f"<Samples: {', '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        """Return the ranges of the signals as a small table, for notebooks."""
+        ranges = {"i_abc, A": self.i_abc, "u_abc, V": self.u_abc, "speed, rad/s electrical": self.speed}
+        return ranges_table(repr(self)[1:-1], ranges | self.scalars())
 
     @property
     def duration(self) -> float:

@@ -231,6 +231,8 @@ def test_short_words_for_a_result(result, saved):
 def test_a_result_is_drawn(result, saved):
     for found in (result, drive_id.load(saved)):
         assert isinstance(found.plot(), matplotlib.figure.Figure)
+    assert not (saved / "flux_map.png").exists()  # nobody waits for pictures
+    result.save(saved, draw=True)
     assert (saved / "flux_map.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -327,7 +329,7 @@ def test_outside_of_the_data_there_is_nan_or_an_error(result):
     with pytest.raises(drive_id.DriveIdError, match="outside is 'zero': it must be 'nan' or 'raise'"):
         found.psi_dq(0, 0, outside="zero")
     for i_d, i_q in (([1, 2], [1, 2, 3]), ("a", 1), (None, {})):
-        with pytest.raises(drive_id.DriveIdError, match="are not currents of shapes that broadcast"):
+        with pytest.raises(drive_id.DriveIdError, match="are not real currents of shapes that broadcast"):
             found.psi_dq(i_d, i_q)
 
 

@@ -78,7 +78,8 @@ ROOMS = {
     "drive_id": Room.of(
         NOUNS
         | below("core", "fit_settings", "result", "steady")
-        | {"drive_id.analysis", "drive_id.bench", "drive_id.fitting"},
+        | {"drive_id.analysis", "drive_id.bench", "drive_id.core.planning", "drive_id.fitting", "drive_id.inspection"}
+        | {"drive_id.exchange", "drive_id.exchange.exports", "drive_id.exchange.imports"},
         set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
@@ -108,9 +109,11 @@ ROOMS = {
         for name, rooms in FILES.items()
     },
     "drive_id.pictures": Room.of(NOUNS | EVERY_CORE, {"numpy", "matplotlib"}),
-    "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id.pictures"}, {"numpy", "matplotlib"}),
+    "drive_id.fitting": Room.of(NOUNS | LIBRARY | {"drive_id.pictures"}, {"numpy", "matplotlib", "pandas", "xarray"}),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
-    "drive_id.analysis": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy", "scipy"}),
+    "drive_id.analysis": Room.of(
+        NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.pictures"}, {"numpy", "scipy", "matplotlib", "pandas"}
+    ),
     "drive_id.exchange": Room.of(NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}),
     "drive_id.report": Room.of(
         NOUNS

@@ -46,6 +46,7 @@ OPTIONAL = {
     "pyarrow": "containers",
     "starlette": "web",
     "uvicorn": "web",
+    "xarray": "tables",
 }
 """An import on demand: the extra that brings it."""
 

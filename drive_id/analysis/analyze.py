@@ -61,8 +61,8 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     Raises
     ------
     ConfigurationError
-        When pole pairs or DC-link voltage are neither in the result nor in the settings, or i_max is far beyond the
-        map.
+        When the pole pairs are neither in the result nor in the settings, or i_max is far beyond the map. Without a
+        DC-link voltage there are no figures and tables over speed.
     ResultError
         When the folder cannot be read.
     DataError
@@ -78,7 +78,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
         u_dc=chosen.u_dc[0] if chosen.u_dc else None,
     )
     model.known_pole_pairs()
-    voltages = chosen.u_dc or (model.known_u_dc(),)
+    voltages = chosen.u_dc or (() if model.u_dc is None else (model.u_dc,))
     i_max = chosen.i_max or found.i_max
     if i_max > _FURTHEST * found.i_max:
         raise ConfigurationError(
@@ -96,7 +96,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
         result=found,
         settings=chosen,
         model=model,
-        figures=_figures(model, found, at_most, ranges[0], chosen),
+        figures=_figures(model, found, at_most, ranges, chosen),
         mtpa=at_most,
         mtpv=beyond,
         speed_ranges=ranges,
@@ -149,7 +149,11 @@ def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, l
 
 
 def _figures(
-    model: MachineModel, found: Identification, at_most: CurrentLocus, of_speed: SpeedRange, settings: AnalysisSettings
+    model: MachineModel,
+    found: Identification,
+    at_most: CurrentLocus,
+    ranges: tuple[SpeedRange, ...],
+    settings: AnalysisSettings,
 ) -> dict[str, Figure]:
     zero = bool(model.inside(0.0, 0.0))
     slopes, errors = model.inductances(0.0, 0.0), model.sigma_inductances(0.0, 0.0)
@@ -159,14 +163,6 @@ def _figures(
         sigma_magnet = float(np.linalg.norm(model.errors.fluxes(np.zeros(()), np.zeros(()))[:, 0]))
     saliency = slopes[1, 1] / slopes[0, 0]
     characteristic = characteristic_current(model)
-    motoring, sigma_torque = of_speed.motoring, of_speed.sigma_torque
-    supported = model.inside(motoring.i_dq[:, 0], motoring.i_dq[:, 1])
-    possible = bool(np.isfinite(motoring.torque).any())
-    power = int(np.nanargmax(motoring.mechanical)) if possible else 0
-    efficiency = of_speed.references.efficiency
-    best = np.unravel_index(np.nanargmax(efficiency) if np.isfinite(efficiency).any() else 0, efficiency.shape)
-    at = of_speed.references.i_dq[best]
-    corner = _corner(model, of_speed)
     factor = model.resistance / found.resistance if found.resistance else 1.0
     rate = 2 * math.pi * settings.bandwidth
     return {
@@ -182,8 +178,28 @@ def _figures(
             "rad",
             bool(at_most.inside[-1]),
         ),
+        "max_torque": Figure(
+            float(at_most.torque[-1]), float(at_most.sigma_torque[-1]), "Nm", bool(at_most.inside[-1])
+        ),
+        **(_figures_over_speed(model, ranges[0]) if ranges else {}),
+        "kp_d": Figure(float(rate * gains[0, 0]), float(rate * errors[0, 0]), "V/A", zero),
+        "kp_q": Figure(float(rate * gains[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
+        "ki": Figure(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
+    }
+
+
+def _figures_over_speed(model: MachineModel, of_speed: SpeedRange) -> dict[str, Figure]:
+    """Return what the DC link limits; the largest torque is that at standstill."""
+    motoring, sigma_torque = of_speed.motoring, of_speed.sigma_torque
+    supported = model.inside(motoring.i_dq[:, 0], motoring.i_dq[:, 1])
+    possible = bool(np.isfinite(motoring.torque).any())
+    power = int(np.nanargmax(motoring.mechanical)) if possible else 0
+    efficiency = of_speed.references.efficiency
+    best = np.unravel_index(np.nanargmax(efficiency) if np.isfinite(efficiency).any() else 0, efficiency.shape)
+    at = of_speed.references.i_dq[best]
+    return {
         "max_torque": Figure(float(motoring.torque[0]), float(sigma_torque[0]), "Nm", bool(supported[0])),
-        "corner_speed": corner,
+        "corner_speed": _corner(model, of_speed),
         _top(model, of_speed): Figure(float(motoring.speed[-1]), np.nan, "rad/s", bool(supported[-1])),
         "max_power": Figure(
             float(motoring.mechanical[power]),
@@ -194,9 +210,6 @@ def _figures(
         "max_efficiency": Figure(
             float(efficiency[best]), float(of_speed.errors.efficiency[best]), "1", bool(model.inside(at[0], at[1]))
         ),
-        "kp_d": Figure(float(rate * gains[0, 0]), float(rate * errors[0, 0]), "V/A", zero),
-        "kp_q": Figure(float(rate * gains[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
-        "ki": Figure(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
     }
 
 
@@ -242,6 +255,10 @@ def _statements(
     out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
     if not math.isfinite(model.resistance):
         out.append(_UNKNOWN_RESISTANCE)
+    if not ranges:
+        out.append(
+            "The DC-link voltage is unknown, so there are no figures and tables over speed: give --u-dc (u_dc), V."
+        )
     if not model.monotone:
         out.append(_on_inverse(model))
     if not model.monotone_inside:

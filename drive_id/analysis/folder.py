@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,15 @@ from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
 from drive_id.fitting.result import Identification, InverterCurve
+from drive_id.fitting.tables import pandas_library
+from drive_id.quantity import measured
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
 
 FORMAT = "drive_id/analysis"
 MARKER = "analysis.json"
@@ -95,7 +103,7 @@ class Analysis:
         Single numbers by name.
     mtpa, mtpv : CurrentLocus
     speed_ranges : tuple of SpeedRange
-        One for each DC-link voltage.
+        One for each DC-link voltage; none where it is not known.
     maps : CurrentMaps
     compensation : InverterCurve
         Voltage to add to each phase over its current.
@@ -115,8 +123,45 @@ class Analysis:
     statements: tuple[str, ...]
 
     def __repr__(self) -> str:
-        torque, speed = self.figures["max_torque"].value, self.figures["corner_speed"].value / _RPM
-        return f"<Analysis: {self.result.caption()}, {torque:.4g} Nm up to {speed:.4g} rpm>"
+        corner = self.figures.get("corner_speed")
+        reach = "" if corner is None else f" up to {corner.value / _RPM:.4g} rpm"
+        return f"<Analysis: {self.result.caption()}, {self.figures['max_torque'].value:.4g} Nm{reach}>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the figures as rows: value, standard error, unit, and whether they rest on data.
+
+        Raises
+        ------
+        ConfigurationError
+            When pandas is not installed.
+        """
+        found: pd.DataFrame = pandas_library().DataFrame.from_dict(self.figures, "index", columns=Figure._fields)
+        return found
+
+    def _repr_html_(self) -> str:
+        """Return the figures as a table, for notebooks."""
+        cells = (
+            f"<tr><th>{name.replace('_', ' ')}</th><td>{measured(x.value, x.sigma, x.unit)}</td></tr>"
+            for name, x in self.figures.items()
+        )
+        return f"<table><caption>{html.escape(repr(self)[1:-1])}</caption>{''.join(cells)}</table>"
+
+    def plot(self, ax: Axes | None = None) -> Canvas:
+        """Draw the largest torque over the speed at each DC-link voltage, with the band of two standard errors.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Default: that of a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from drive_id.pictures.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
+
+        found = {f"{x.u_dc:.4g} V": (x.motoring.speed, x.motoring.torque, x.sigma_torque) for x in self.speed_ranges}
+        return draw_torque_speed(found, ax)
 
     def save(self, directory: str | Path, *, force: bool = False) -> None:
         """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.
@@ -160,7 +205,6 @@ def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) 
 def analysis_tree(analysis: Analysis) -> dict[str, Any]:
     """Return the content of ``analysis.json``; numbers that are not finite become null."""
     result, model, settings = analysis.result, analysis.model, analysis.settings
-    first = analysis.speed_ranges[0]
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -168,7 +212,7 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
         "method": result.method,
         "date": result.date,
         "pole_pairs": model.pole_pairs,
-        "i_max": first.limits.i_max,
+        "i_max": settings.i_max or result.i_max,
         "u_dc": [entry.u_dc for entry in analysis.speed_ranges],
         "u_max": [entry.limits.u_max for entry in analysis.speed_ranges],
         "temperature": model.temperature,
@@ -192,13 +236,19 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
 
 def tables(analysis: Analysis) -> dict[str, Columns]:
     """Return all tables by file name, each as columns by name."""
-    model = analysis.model
     return {
         "mtpa.csv": _trajectory(analysis.mtpa),
         "mtpv.csv": _trajectory(analysis.mtpv),
-        "field_weakening.csv": _joined([_references(model, entry) for entry in analysis.speed_ranges]),
-        "torque_speed.csv": _joined([_envelope(model, entry) for entry in analysis.speed_ranges]),
+        **(_over_speed(analysis) if analysis.speed_ranges else {}),
         "compensation.csv": _compensation(analysis),
+    }
+
+
+def _over_speed(analysis: Analysis) -> dict[str, Columns]:
+    model, ranges = analysis.model, analysis.speed_ranges
+    return {
+        "field_weakening.csv": _joined([_references(model, entry) for entry in ranges]),
+        "torque_speed.csv": _joined([_envelope(model, entry) for entry in ranges]),
     }
 
 

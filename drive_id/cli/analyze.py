@@ -6,12 +6,33 @@ from typing import Annotated, Any
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, SetOption, merged_settings, say, show, warn, working
+from drive_id.cli.options import (
+    JsonFlag,
+    PolePairsOption,
+    QuietFlag,
+    SetOption,
+    merged_settings,
+    say,
+    show,
+    warn,
+    working,
+)
+from drive_id.cli.outputs import beside
+
+
+def analysis_settings() -> type[Any]:
+    """Return the settings of this command."""
+    from drive_id.analysis.settings import AnalysisSettings
+
+    return AnalysisSettings
 
 
 def analyze(
     directory: Annotated[Path, typer.Argument(help="Result folder.", show_default=False, metavar="DIR")],
-    output: Annotated[Path, typer.Option(help="Folder for analysis.json, the CSV tables and maps.npz.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder to write.  \\[default: a new one beside the result: DIR_analysis]"),
+    ] = None,
     u_dc: Annotated[
         list[float] | None,
         typer.Option(help="DC-link voltage, V; may be repeated.  \\[default: that of the result]"),
@@ -32,9 +53,7 @@ def analyze(
         float | None, typer.Option(help="Bandwidth of the current controllers, Hz.  \\[default: 500]")
     ] = None,
     modulation: Annotated[float | None, typer.Option(help="Usable share of u_dc / sqrt(3).  \\[default: 1]")] = None,
-    pole_pairs: Annotated[
-        int | None, typer.Option(help="Number of pole pairs, if the result does not contain it.")
-    ] = None,
+    pole_pairs: PolePairsOption = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with settings of the analysis.")] = None,
     settings: SetOption = None,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
@@ -55,6 +74,7 @@ def analyze(
         "pole_pairs": pole_pairs,
     }  # fmt: skip
     chosen = merged_settings(AnalysisSettings, config, settings, options)
+    output = output or beside(directory, "_analysis")
     check_output(output, force=force, marker=MARKER, kind=FORMAT)
     result = load(directory)
     with working(quiet or as_json) as tell:

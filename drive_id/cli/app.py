@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from drive_id.cli.analyze import analyze
+from drive_id.cli.analyze import analysis_settings, analyze
 from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.check import check_log
 from drive_id.cli.compare import compare_results
@@ -23,9 +23,12 @@ from drive_id.cli.options import (
     BagsArgument,
     FigureFormat,
     FigureFormatOption,
+    FiguresFlag,
     FitConfigOption,
     JsonFlag,
+    LinkOption,
     NamespaceOption,
+    PolePairsOption,
     QuietFlag,
     RadiusOption,
     SetOption,
@@ -35,6 +38,7 @@ from drive_id.cli.options import (
     VerboseFlag,
     WorkersOption,
     err,
+    listing,
     merged_settings,
     say,
     show,
@@ -42,13 +46,15 @@ from drive_id.cli.options import (
     warn,
     working,
 )
-from drive_id.cli.plan import plan_experiment
+from drive_id.cli.outputs import beside
+from drive_id.cli.plan import plan_experiment, plan_settings
 from drive_id.cli.report import report_result
 from drive_id.cli.verify import verify_result
 from drive_id.errors import DriveIdError
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
+    from drive_id.fitting.result import Identification
     from drive_id.fitting.sources import Sources
 
 app = typer.Typer(
@@ -56,10 +62,22 @@ app = typer.Typer(
     help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
     epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage, 3 verification not passed.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+
+
+def _fit_settings() -> type[Any]:
+    from drive_id.core.fit_settings import FitSettings
+
+    return FitSettings
+
+
+def _simulation_settings() -> type[Any]:
+    from drive_id.bench.settings import SimulationSettings
+
+    return SimulationSettings
 
 
 def main() -> None:
@@ -126,12 +144,15 @@ def _common(
     pass
 
 
-@app.command(epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result")
+@app.command(
+    cls=listing(_simulation_settings),
+    epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result",
+)
 def simulate(
     machine: Annotated[
         str, typer.Option(help="ipm, spm, pmsyrm, a machine file (.npz, .mat of SyR-e), or a result folder.")
     ],
-    output: Annotated[Path, typer.Option(help="Bag (folder) to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Bag (folder) to write.")],
     speed: Annotated[
         list[float] | None,
         typer.Option(help="Mechanical speed, rpm; may be repeated.  \\[default: 500]"),
@@ -143,11 +164,8 @@ def simulate(
     noise: Annotated[float | None, typer.Option(help="RMS current noise, fraction of i_max.  \\[default: 0]")] = None,
     harmonics: Annotated[float | None, typer.Option(help="Factor on the rotor-position harmonics, 0 to 1.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all noise.")] = None,
-    pole_pairs: Annotated[
-        int | None,
-        typer.Option(help="Number of pole pairs, if the result does not contain it.", min=1),
-    ] = None,
-    u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V, instead of that of the file.")] = None,
+    pole_pairs: PolePairsOption = None,
+    u_dc: LinkOption = None,
     frequency_d: Annotated[float, typer.Option(help="Frequency of the d current reference, Hz.")] = 3.7,
     frequency_q: Annotated[float, typer.Option(help="Frequency of the q current reference, Hz.")] = 1.1,
     form: Annotated[str, typer.Option(help="Form of the trajectory: smooth, or printed (as in the paper).")] = "smooth",
@@ -192,10 +210,16 @@ def simulate(
         say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
 
 
-@app.command(epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.")
+@app.command(
+    cls=listing(_fit_settings),
+    epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.",
+)
 def fit(
     bags: SourcesArgument,
-    output: Annotated[Path, typer.Option(help="Result folder: identification.json, flux_map.npz and pictures.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Result folder.  \\[default: a new one beside the log: LOG_METHOD]"),
+    ] = None,
     method: Annotated[
         str | None,
         typer.Option(
@@ -213,34 +237,50 @@ def fit(
     settings: SetOption = None,
     workers: WorkersOption = 1,
     skip_bad: SkipFlag = False,
-    figure_format: FigureFormatOption = FigureFormat.png,
-    report: Annotated[bool, typer.Option("--report", help="Also write report.html into the result folder.")] = False,
+    figures: FiguresFlag = None,
+    figure_format: FigureFormatOption = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Also compare with the paper's methods, draw, and write report.html.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
     verbose: VerboseFlag = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
     """Identify flux maps, resistance and inverter voltage error from recorded bags."""
-    from functools import partial
-
     from drive_id.core.fit_settings import FitSettings
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.fit import fit_bags
-    from drive_id.fitting.result import pictures
 
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
     chosen = merged_settings(
         FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine}, stored
     )
+    output = output or beside(bags[0], f"_{chosen.method}")
     with working(quiet or as_json) as tell:
-        draw = partial(pictures, figure_format=figure_format.value, report=report)
-        result = fit_bags(sources, output, chosen, force=force, draw=draw, tell=tell)
+        result = fit_bags(sources, output, chosen, force=force, tell=tell)
     if as_json:
-        typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
+        tree = {"path": str(output)} | results_tree(result.drive, result.provenance)
+        typer.echo(json.dumps(tree, allow_nan=False))
     elif not quiet:
         show_result(result, verbose=verbose)
         say(f"Results in {output}")
+    sys.stdout.flush()  # the answer does not wait for pictures
+    if report or (figures is None and figure_format) or figures:
+        _draw(result, output, figure_format or FigureFormat.png, report=report, quiet=quiet or as_json)
+
+
+def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *, report: bool, quiet: bool) -> None:
+    """Add pictures and report to a result folder."""
+    try:
+        with working(quiet) as tell:
+            tell("Writing the report" if report else "Drawing", None)
+            result.save(output, draw=True, report=report, figure_format=figure_format.value)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
+    if not quiet:
+        say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 
 
 def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: int, *, skip_bad: bool) -> "Sources":
@@ -251,11 +291,15 @@ def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: i
 
 
 @app.command(
-    epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all"
+    cls=listing(_fit_settings),
+    epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
 )
 def accumulate(
     bags: BagsArgument,
-    output: Annotated[Path, typer.Option(help="Information file to write, e.g. X.info.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Information file.  \\[default: a new one beside the log: LOG.info]"),
+    ] = None,
     i_max: RadiusOption = None,
     method: Annotated[
         str | None, typer.Option(help="Method of the later fit; full serves all.  \\[default: full]")
@@ -276,6 +320,7 @@ def accumulate(
 
     chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
+    output = output or beside(bags[0], ".info")
     with working(quiet or as_json) as tell:
         result = accumulate_bags(sources, output, chosen, tell)
     if as_json:
@@ -294,6 +339,7 @@ def info(
     ],
     verbose: VerboseFlag = False,
     as_json: JsonFlag = False,
+    quiet: QuietFlag = False,
 ) -> None:
     """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
     import dataclasses
@@ -304,14 +350,15 @@ def info(
     from drive_id.report.tables import info_table
 
     if is_information(path):
-        _print_information(path, as_json=as_json)
+        _print_information(path, as_json=as_json, quiet=quiet)
         return
     if is_result(path):
-        _print_result(path, as_json=as_json, verbose=verbose)
+        _print_result(path, as_json=as_json, quiet=quiet, verbose=verbose)
         return
     found = bag_info(path)
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(found)))
+    if as_json or quiet:
         return
     show(info_table(found))
     if found.ground_truth:
@@ -320,24 +367,25 @@ def info(
         warn(found.problem)
 
 
-def _print_result(path: Path, *, as_json: bool, verbose: bool) -> None:
+def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> None:
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.result import load
 
     result = load(path)
     if as_json:
         typer.echo(json.dumps({"path": str(path)} | results_tree(result.drive, result.provenance), allow_nan=False))
-        return
-    show_result(result, verbose=verbose)
+    elif not quiet:
+        show_result(result, verbose=verbose)
 
 
-def _print_information(path: Path, *, as_json: bool) -> None:
+def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:
     from drive_id.files.results.information import information_tree, read_information
     from drive_id.report.tables import information_table
 
     stored = read_information(path)
     if as_json:
         typer.echo(json.dumps({"path": str(path), "software": stored.software} | information_tree(stored.accumulated)))
+    if as_json or quiet:
         return
     show(information_table(path, stored))
     for warning in stored.accumulated.warnings:
@@ -347,7 +395,9 @@ def _print_information(path: Path, *, as_json: bool) -> None:
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
 def recover(
     bag: Annotated[Path, typer.Argument(help="Damaged MCAP bag (folder or file).", show_default=False)],
-    output: Annotated[Path | None, typer.Option(help="Bag to write.  \\[default: BAG_recovered]")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Bag to write.  \\[default: BAG_recovered]")
+    ] = None,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
@@ -372,9 +422,13 @@ app.command(
 app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
 app.command(
     name="plan",
+    cls=listing(plan_settings),
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
-app.command(epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80")(analyze)
+app.command(
+    cls=listing(analysis_settings),
+    epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
+)(analyze)
 app.command(
     name="report",
     epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html",

@@ -12,7 +12,7 @@ from drive_id.cli.options import JsonFlag, QuietFlag, say, show
 def compare_results(
     first: Annotated[Path, typer.Argument(help="Result folder A.", show_default=False, metavar="A")],
     second: Annotated[Path, typer.Argument(help="Result folder B, the reference.", show_default=False, metavar="B")],
-    output: Annotated[Path | None, typer.Option(help="Picture (.png) of the differences to write.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture (.png) of the differences.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: JsonFlag = False,
     quiet: QuietFlag = False,
@@ -34,5 +34,6 @@ def compare_results(
         typer.echo(json.dumps(tree | {"picture": None if output is None else str(output)}, allow_nan=False))
     elif not quiet:
         show(difference_table(comparison))
+        say(comparison.verdict)
         if output is not None:
             say(f"Picture in {output}")

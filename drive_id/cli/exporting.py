@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, say, warn, working
+from drive_id.cli.options import JsonFlag, LinkOption, PolePairsOption, QuietFlag, say, warn, working
 from drive_id.errors import ConfigurationError
 
 
@@ -21,7 +21,7 @@ def export_result(
             "motor-control, powertrain, powertrain-controller, c-header, fmu, fmu-2, plecs, modelica, vesc or odrive.",
         ),
     ],
-    output: Annotated[Path, typer.Option(help="File to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
     grid: Annotated[int | None, typer.Option(help="Points on each axis.  \\[default: about 41, a round step]")] = None,
     span: Annotated[
         tuple[float, float] | None,
@@ -34,10 +34,8 @@ def export_result(
     fill: Annotated[
         bool, typer.Option("--fill", help="Extrapolate the map to points without data instead of marking them as NaN.")
     ] = False,
-    pole_pairs: Annotated[
-        int | None, typer.Option(help="Number of pole pairs, if the result does not contain it.", min=1)
-    ] = None,
-    u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V.")] = None,
+    pole_pairs: PolePairsOption = None,
+    u_dc: LinkOption = None,
     leakage: Annotated[float, typer.Option(help="Stator leakage inductance for plecs, H.")] = 0.0,
     bandwidth: Annotated[
         float, typer.Option(help="Controller bandwidth for vesc, odrive and c-header, rad/s.")

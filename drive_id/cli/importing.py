@@ -7,12 +7,18 @@ from typing import Annotated
 import typer
 
 from drive_id.cli.options import JsonFlag, QuietFlag, say, show_result, working
+from drive_id.cli.outputs import beside
 from drive_id.errors import ConfigurationError
 
 
 def import_file(
     file: Annotated[Path, typer.Argument(help="Map: .npz, .mat of SyR-e or Motor-CAD, or .csv.", show_default=False)],
-    output: Annotated[Path, typer.Option(help="Result folder to write, like that of 'drive-id fit'.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Result folder, like that of fit.  \\[default: a new one beside the file: FILE_map]"
+        ),
+    ] = None,
     format_name: Annotated[
         str | None, typer.Option("--format", help="npz, syre, syre-flux, motor-cad or csv.  \\[default: by the file]")
     ] = None,
@@ -70,6 +76,7 @@ def import_file(
         order=order, sign=sign, magnet=magnet, q_axis=q_axis, current=current, flux=flux,
         current_scale=current_scale, flux_scale=flux_scale,
     )  # fmt: skip
+    output = output or beside(file, "_map")
     check_output(output, force=force)
     with working(quiet or as_json) as tell:
         tell("Importing", None)

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+from rich.text import Text
+from typer.core import TyperCommand
 
 from drive_id.errors import ConfigurationError
 from drive_id.settings import from_mapping
@@ -33,7 +35,8 @@ VerboseFlag = Annotated[
     typer.Option("--verbose", "-v", help="Also show what was tested and not found, and figures of the regression."),
 ]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any setting by its name; may be repeated.")
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Any setting by its name, see below; may be repeated."),
 ]
 SourcesArgument = Annotated[
     list[Path],
@@ -49,6 +52,12 @@ FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit s
 RadiusOption = Annotated[
     float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
 ]
+PolePairsOption = Annotated[
+    int | None, typer.Option("--pole-pairs", help="Number of pole pairs, if the result does not contain it.", min=1)
+]
+LinkOption = Annotated[
+    float | None, typer.Option("--u-dc", help="DC-link voltage, V.  \\[default: that of the result]", min=1e-3)
+]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
 
 
@@ -60,8 +69,37 @@ class FigureFormat(str, Enum):
     pdf = "pdf"
 
 
-FigureFormatOption = Annotated[FigureFormat, typer.Option("--figure-format", help="Format of the pictures.")]
+FigureFormatOption = Annotated[
+    FigureFormat | None, typer.Option("--figure-format", help="Format of the pictures.  \\[default: png]")
+]
+FiguresFlag = Annotated[
+    bool | None,
+    typer.Option("--figures/--no-figures", help="Also draw pictures, after the result is printed.  \\[default: no]"),
+]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
+
+
+def listing(settings: Callable[[], type[Any]]) -> type[TyperCommand]:
+    """Return a class of commands whose help lists the settings of the dataclass that is returned."""
+
+    class Listing(TyperCommand):
+        def format_help(self, ctx: Any, formatter: Any) -> None:
+            super().format_help(ctx, formatter)
+            import json
+            from dataclasses import fields
+
+            from drive_id.quantity import spelled
+            from drive_id.report.tables import plain_table
+
+            table = plain_table("Settings for --set NAME=VALUE and --config", ["Name", "Default", "Meaning"])
+            for entry in fields(settings()):
+                meaning, unit = entry.metadata["description"], spelled(entry.metadata["unit"])
+                default = entry.default if isinstance(entry.default, str) else json.dumps(entry.default)
+                shown = "" if entry.default in (None, ()) else default
+                table.add_row(entry.name, Text(shown), Text(f"{meaning}, {unit}" if unit else meaning))
+            _console().print(table)
+
+    return Listing
 
 
 @cache
@@ -82,8 +120,8 @@ def _console(**options: Any) -> Console:
     from rich.console import Console
 
     class Printable(Console):
-        def render(self, *arguments: Any) -> Iterator[Segment]:
-            for segment in super().render(*arguments):
+        def render(self, *arguments: Any, **options: Any) -> Iterator[Segment]:
+            for segment in super().render(*arguments, **options):
                 text = "".join(letter for letter in segment.text if letter.isprintable() or letter == "\n")
                 yield segment if segment.control else segment._replace(text=text)
 

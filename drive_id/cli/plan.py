@@ -18,6 +18,13 @@ from drive_id.cli.options import (
 )
 
 
+def plan_settings() -> type[Any]:
+    """Return the settings of this command."""
+    from drive_id.core.planning.settings import PlanSettings
+
+    return PlanSettings
+
+
 def plan_experiment(
     machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, a machine file, or a result folder.")] = "",
     i_max: Annotated[float | None, typer.Option(help="Radius of the current disc, A.")] = None,
@@ -41,7 +48,7 @@ def plan_experiment(
         bool, typer.Option("--free-shaft", help="No load machine: swing the shaft by the machine's own torque.")
     ] = False,
     inertia: Annotated[float | None, typer.Option(help="Rough inertia of a free shaft, kg m².")] = None,
-    output: Annotated[Path | None, typer.Option(help="ROS parameter file (YAML) to write.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="ROS parameter file (YAML) to write.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with planner settings.")] = None,
     settings: SetOption = None,
     as_json: JsonFlag = False,

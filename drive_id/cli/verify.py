@@ -31,7 +31,7 @@ def verify_result(
         Path, typer.Argument(help="Result folder of fit or import.", show_default=False, metavar="DIR")
     ],
     bags: Annotated[list[Path], typer.Option("--bag", help="Recording to judge the map by; may be repeated.")],
-    output: Annotated[Path | None, typer.Option(help="HTML file of the certificate.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file of the certificate.")] = None,
     golden: Annotated[
         Path | None,
         typer.Option(

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.fitting.result import Identification
+from drive_id.fitting.result import Identification, load
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
+_AGREEING = 4.0
+"""Joint standard errors that the largest of some hundred differences hardly exceeds by chance."""
+_OTHER_MACHINE = 0.08
+"""NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +85,31 @@ class Comparison:
         place = np.unravel_index(np.nanargmax(np.hypot(*np.moveaxis(self.difference, -1, 0))), self.common.shape)
         return float(self.i_d[place[0]]), float(self.i_q[place[1]]), self.difference[place]
 
+    @property
+    def largest_in_sigma(self) -> float:
+        """Largest difference of the fluxes and of R in units of their joint standard errors; NaN if none is known."""
+        units = np.abs([*self.in_sigma.ravel(), self.resistance_in_sigma])
+        return float(np.nanmax(units)) if np.isfinite(units).any() else math.nan
+
+    @property
+    def verdict(self) -> str:
+        """Whether both can be of the same machine, two sentences."""
+        largest, apart = self.largest_in_sigma, f"The fluxes differ by {100 * max(self.nrmse):.3g} % NRMSE"
+        if math.isfinite(largest):
+            apart += f", and the largest difference, R included, is {largest:.3g} joint standard errors"
+        if max(self.nrmse) > _OTHER_MACHINE:
+            told = "These are different machines, or maps in different units, axes or signs."
+        elif math.isnan(largest):
+            told = "It may be the same machine: without standard errors nothing more can be said."
+        elif largest <= _AGREEING:
+            told = "The same machine, as far as the standard errors can tell."
+        else:
+            told = (
+                "It may be the same machine at another temperature or with other sensor gains, but the standard errors "
+                "alone do not explain the difference."
+            )
+        return f"{apart}. {told}"
+
     def tree(self) -> dict[str, Any]:
         """Return all figures as plain values; None if unknown."""
         i_d, i_q, worst = self.worst()
@@ -89,6 +119,7 @@ class Comparison:
             torque = {"rms": _rms(self.torque), "largest": float(np.nanmax(np.abs(self.torque)))}
             relative = torque["rms"] / self.second_torque if self.second_torque > 0 else None
         tree = {
+            "verdict": self.verdict,
             "points": int(np.count_nonzero(self.common)),
             "nrmse_d": self.nrmse[0],
             "nrmse_q": self.nrmse[1],
@@ -109,13 +140,13 @@ class Comparison:
         return {name: _known(value) for name, value in tree.items()}
 
 
-def compare(first: Identification, second: Identification) -> Comparison:
+def compare(first: Identification | str | Path, second: Identification | str | Path) -> Comparison:
     """Compare two results.
 
     Parameters
     ----------
-    first, second : drive_id.Identification
-        A and B; differences are A minus B.
+    first, second : drive_id.Identification or path
+        A and B, or their folders; differences are A minus B.
 
     Returns
     -------
@@ -129,6 +160,7 @@ def compare(first: Identification, second: Identification) -> Comparison:
     ConfigurationError
         When all flux linkages of B are zero.
     """
+    first, second = (x if isinstance(x, Identification) else load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
     i_d, i_q = found.i_d, found.i_q
     grid = np.meshgrid(i_d, i_q, indexing="ij")

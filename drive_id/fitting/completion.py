@@ -77,6 +77,9 @@ def completed(
     )
     u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
     told = truth.details.get("u_dc") if truth else None
+    links = [part.dc_link_voltage for part in excerpts if part.dc_link_voltage is not None]
+    links = [known for link in links if (known := link[np.isfinite(link)]).size]
+    recorded = float(np.median(np.concatenate(links))) if links else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
     if idle := settings.idle():
         others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
@@ -92,7 +95,7 @@ def completed(
         nrmse=nrmse,
         warnings=warnings,
         pole_pairs=pole_pairs,
-        u_dc=u_dc or (float(told) if told else None),
+        u_dc=u_dc or (float(told) if told else recorded),
         speed_range=(
             min(float(part.speed.min()) for part in excerpts),
             max(float(part.speed.max()) for part in excerpts),

@@ -3,38 +3,35 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from drive_id.core.accumulation.accumulated import Accumulated
-from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.diagnostics import diagnose
+from drive_id.core.result.diagnostics import COMPARED
 from drive_id.core.result.identify import identify
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.results.folder import check_output
-from drive_id.files.results.identification import write_results
 from drive_id.files.results.information import check_information_output, write_information
 from drive_id.fitting.completion import completed
-from drive_id.fitting.result import Identification, pictures
+from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
+Method = Literal["full", "joint", "psm", "static"]
 StrPath = str | os.PathLike[str]
-Draw = Callable[[Identification], Mapping[str, bytes]]
-"""Returns the pictures of a result by file name."""
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 """Findings that flipped bits may cause."""
@@ -43,7 +40,7 @@ _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
 def fit(
     recordings: StrPath | Samples | OperatingData | Sequence[StrPath] | Sequence[Samples | OperatingData],
     *,
-    method: str | None = None,
+    method: Method | None = None,
     i_max: float | None = None,
     signals: StrPath | SignalMap | None = None,
     namespace: str = "",
@@ -74,7 +71,7 @@ def fit(
     settings : FitSettings, optional
         All else. Default: those of the first information file, or else the defaults.
     output : path, optional
-        Write a result folder with pictures, too, as :meth:`Identification.save` does.
+        Write a result folder, too, as :meth:`Identification.save` does.
     force : bool
         Let ``output`` be a folder that holds other files.
     workers : int
@@ -98,6 +95,10 @@ def fit(
     >>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
     >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
     """
+    if not isinstance(settings, FitSettings | None):
+        raise ConfigurationError(
+            f"settings is a {type(settings).__name__}: give drive_id.FitSettings(method=..., ...)."
+        )
     single = isinstance(recordings, (str, os.PathLike, Samples, OperatingData))
     given = [recordings] if single else _listed(recordings)
     slow = any(isinstance(entry, OperatingData) for entry in given)
@@ -120,7 +121,7 @@ def fit(
             raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
         if not ORIGINS[own.method].live:
-            return _fit_static(samples, target, own, force=force, draw=pictures, tell=tell)
+            return _fit_static(samples, target, own, force=force, tell=tell)
         fast = [part for part in samples if isinstance(part, Samples)]
         if slow:
             raise ConfigurationError(
@@ -129,7 +130,7 @@ def fit(
         return _fit_samples(fast, target, own, force=force, tell=tell)
     sources = Sources(paths, signal_map, namespace, workers, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
-    return fit_bags(sources, target, settings, force=force, draw=pictures if output else None, tell=tell)
+    return fit_bags(sources, target, settings, force=force, tell=tell)
 
 
 def _listed(recordings: object) -> list[object]:
@@ -166,7 +167,6 @@ def fit_bags(
     settings: FitSettings,
     *,
     force: bool = False,
-    draw: Draw | None = None,
     tell: Progress = silent,
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results.
@@ -179,8 +179,6 @@ def fit_bags(
     settings : FitSettings
     force : bool
         Write into a folder that holds other files.
-    draw : callable, optional
-        Makes the pictures beside the result files, see :data:`Draw`.
     tell : callable, optional
 
     Returns
@@ -193,7 +191,7 @@ def fit_bags(
         Nothing is written then.
     """
     if not ORIGINS[settings.method].live:
-        return _fit_static(sources, output, settings, force=force, draw=draw, tell=tell)
+        return _fit_static(sources, output, settings, force=force, tell=tell)
     if output is not None:
         check_output(output, force=force)
     if not sources.information:  # these know their own
@@ -215,25 +213,11 @@ def fit_bags(
         inputs=recording.digests,
         warnings=(*recording.warnings, *warnings),
     )
-    return result if output is None else written(result, output, evidence, force=force, draw=draw, tell=tell)
-
-
-def written(
-    result: Identification,
-    output: Path,
-    evidence: Evidence | None,
-    *,
-    force: bool = False,
-    draw: Draw | None = None,
-    tell: Progress = silent,
-) -> Identification:
-    """Write the result files of a fit, and return the result with the diagnostics that are among them."""
-    tell("Writing", None)
-    if evidence is not None:
-        judged = diagnose(result.drive, result.provenance.settings, result.excerpts, result.truth, evidence)
-        result = replace(result, stored=judged)
-    drawn = draw(result) if draw else {}
-    write_results(output, result.drive, result.provenance, force=force, pictures=drawn, diagnostics=result.stored)
+    sums = evidence.copy(replace(evidence.settings, method=COMPARED[0]))  # without windows, which take memory
+    result = replace(result, evidence=sums)
+    if output is not None:
+        tell("Writing", None)
+        result.save(output, force=force)
     return result
 
 
@@ -253,7 +237,6 @@ def _fit_static(
     settings: FitSettings,
     *,
     force: bool,
-    draw: Draw | None,
     tell: Progress,
 ) -> Identification:
     """Fit by method ``static``, and write the results."""
@@ -268,7 +251,10 @@ def _fit_static(
         settings.check_recordings(len(sources))
         known = StaticSources.in_memory(sources)
     result = fit_static(known, settings, tell)
-    return result if output is None else written(result, output, None, force=force, draw=draw, tell=tell)
+    if output is not None:
+        tell("Writing", None)
+        result.save(output, force=force)
+    return result
 
 
 def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:

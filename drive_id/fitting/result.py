@@ -5,10 +5,10 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from drive_id.core.result.identification import (
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results, write_results
 from drive_id.fitting.advice import advice
+from drive_id.fitting.tables import map_dataset, pandas_library
 from drive_id.messages import Message
 from drive_id.origins import Origin
 from drive_id.pictures.caption import Caption
@@ -31,11 +32,16 @@ from drive_id.quantity import Quantity, measured
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
 
+FigureFormat = Literal["png", "svg", "pdf"]
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
 _ENOUGH_SPEED = 3000.0
@@ -87,6 +93,8 @@ class Identification:
     stored : Diagnostics or None
         Residuals, simulated currents and the paper's methods on the same data, where they are known already; see
         :attr:`diagnostics`.
+    evidence : Evidence or None
+        Sums over all samples for the paper's methods; None: they are formed over the excerpts when needed.
     """
 
     drive: IdentifiedDrive
@@ -95,6 +103,7 @@ class Identification:
     truth: GroundTruth | None = None
     last_stamp: int = 0
     stored: Diagnostics | None = None
+    evidence: Evidence | None = None
 
     @property
     def method(self) -> str:
@@ -241,14 +250,34 @@ class Identification:
 
     @cached_property
     def diagnostics(self) -> Diagnostics | None:
-        """Residuals, simulated currents and the paper's methods; None for a folder that was stored without them."""
+        """Residuals, simulated currents and the paper's methods, which are run now; of a folder, what it holds."""
+        return self._judged(compared=True)
+
+    def _judged(self, *, compared: bool) -> Diagnostics | None:
         if self.stored is not None or not self.excerpts:
             return self.stored
         from drive_id.core.result.diagnostics import diagnose  # noqa: PLC0415  # a loaded result does not need it
 
-        return diagnose(self.drive, self.provenance.settings, self.excerpts, self.truth)
+        known = self.provenance.settings, self.excerpts, self.truth, self.evidence
+        return diagnose(self.drive, *known, compared=compared)
 
-    def save(self, directory: str | Path, *, force: bool = False, draw: bool = True) -> None:
+    def given(self, *, pole_pairs: int | None = None, u_dc: float | None = None) -> Identification:
+        """Return this result with the number of pole pairs and the DC-link voltage, V, where they are given."""
+        found = {"pole_pairs": pole_pairs, "u_dc": u_dc}
+        known = {name: value for name, value in found.items() if value is not None}
+        if bad := next((name for name, value in known.items() if not 0 < value < math.inf), None):
+            raise ConfigurationError(f"{bad} is {known[bad]}: it must be positive.")
+        return replace(self, provenance=replace(self.provenance, **known))  # type: ignore[arg-type]  # of the two names
+
+    def save(
+        self,
+        directory: str | Path,
+        *,
+        force: bool = False,
+        draw: bool = False,
+        report: bool = False,
+        figure_format: FigureFormat = "png",
+    ) -> None:
         """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
 
         Parameters
@@ -258,17 +287,30 @@ class Identification:
         force : bool
             Write into a folder that holds other files.
         draw : bool
-            Write pictures, too.
+            Write pictures, too, and what the paper's methods make of the data, for reports of the folder.
+        report : bool
+            The same, and ``report.html``.
+        figure_format : {"png", "svg", "pdf"}
+            Of the pictures.
 
         Raises
         ------
         OutputError
             When the folder is not ours to write, or cannot be written.
         """
-        drawn = pictures(self) if draw else {}
-        write_results(
-            Path(directory), self.drive, self.provenance, force=force, pictures=drawn, diagnostics=self.diagnostics
-        )
+        compared = draw or report or "diagnostics" in self.__dict__
+        judged = self.diagnostics if compared else self._judged(compared=False)
+        files: dict[str, bytes] = {}
+        if draw or report:
+            from drive_id.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+
+            files |= result_pictures(self.drive, self.excerpts, self.caption(), figure_format=figure_format)
+        if report:
+            from drive_id.report.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
+
+            files |= report_files(self)
+        target = Path(directory)
+        write_results(target, self.drive, self.provenance, force=force, pictures=files, diagnostics=judged)
 
     def report(self, path: str | Path, *, pdf: bool = False) -> tuple[Path, ...]:
         """Write a report, as ``drive-id report`` does: one HTML file that needs nothing else.
@@ -294,8 +336,13 @@ class Identification:
 
         return write_report(self, Path(path), pdf=pdf)
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
+
+        Parameters
+        ----------
+        ax : two matplotlib.axes.Axes, optional
+            For psi_d and psi_q. Default: those of a new figure.
 
         Returns
         -------
@@ -304,12 +351,36 @@ class Identification:
         """
         from drive_id.pictures.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
-        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption())
+        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
 
-    def caption(self, name: str = "") -> Caption:
-        """Return machine, method, date, R, speed and i_max; ``name`` stands for an unknown machine."""
+    def to_xarray(self) -> xr.Dataset:
+        """Return the map as a Dataset over ``i_d``, ``i_q``, A: fluxes, inductances, errors; NaN without data.
+
+        Raises
+        ------
+        ConfigurationError
+            When xarray is not installed.
+        """
+        known = self.provenance
+        told = {"machine": self.name, "method": self.method, "resistance": self.resistance, "i_max": self.i_max}
+        told |= {"pole_pairs": known.pole_pairs, "date": known.date}
+        return map_dataset(self.flux_map, {name: value for name, value in told.items() if value is not None})
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the points of the map with data as rows: currents, A, fluxes and errors, Wb, inductances, H.
+
+        Raises
+        ------
+        ConfigurationError
+            When pandas and xarray, which it needs, are not installed.
+        """
+        pandas_library()
+        return self.to_xarray().to_dataframe().dropna(subset=["psi_d", "psi_q"]).reset_index()
+
+    def caption(self) -> Caption:
+        """Return machine, method, date, R, speed and i_max."""
         return Caption(
-            machine=self.name or name,
+            machine=self.name,
             origin=self.origin.caption,
             date=f"{self.date[:16].replace('T', ' ')} UTC" if self.date else "",
             resistance=self.resistance,
@@ -425,23 +496,6 @@ def load(directory: str | Path) -> Identification:
         raise ConfigurationError(
             f"{directory!r:.60} is not the path of a result folder: give a str or Path."
         ) from error
-
-
-def pictures(
-    result: Identification, *, figure_format: str = "png", name: str = "", report: bool = False
-) -> Mapping[str, bytes]:
-    """Return the pictures of a result folder by file name, and the report if wanted.
-
-    ``name`` stands for an unknown machine in the caption.
-    """
-    from drive_id.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
-
-    found = result_pictures(result.drive, result.excerpts, result.caption(name), figure_format=figure_format)
-    if report:
-        from drive_id.report.page.report import report_files  # noqa: PLC0415  # only a report needs plotly and jinja2
-
-        found |= report_files(result)
-    return found
 
 
 def _percent(*values: float) -> str:

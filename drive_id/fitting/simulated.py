@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from drive_id.settings import from_mapping
 from drive_id.types import MachineMap, Samples
 
 _MOST_SAMPLES = 2e7
+Inverter = Literal["none", "tanh", "dead_time", "two_stage", "switching"]
 
 
 def simulate(
@@ -35,7 +36,7 @@ def simulate(
     seconds: float = 10.0,
     *,
     speed: float | Sequence[float] | None = None,
-    inverter: str | None = None,
+    inverter: Inverter | None = None,
     noise: float | None = None,
     seed: int | None = None,
     i_max: float | None = None,

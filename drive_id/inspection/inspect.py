@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from drive_id.errors import (
 )
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.files.messages.signals_file import SignalMap, parse_signals
+from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.operating_log import read_operating_log
 from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
@@ -71,6 +72,35 @@ class Inspection:
             "warnings": list(self.warnings),
             "draft": self.draft and {"text": self.draft.text, "unsure": list(self.draft.unsure)},
         }
+
+
+def check(
+    log: str | os.PathLike[str],
+    *,
+    signals: str | os.PathLike[str] | SignalMap | None = None,
+    namespace: str = "",
+    tell: Progress = silent,
+) -> Inspection:
+    """Look at a log before a fit, as ``drive-id check`` does.
+
+    Parameters
+    ----------
+    log : path
+        Bag or file of columns.
+    signals : path or SignalMap, optional
+        Signals file. Default: our own messages, or else a proposal, the ``draft`` of what is returned.
+    namespace : str
+        Of the drive, when a bag holds several.
+    tell : callable, optional
+        Called with what is being done and its progress, 0 to 1.
+
+    Raises
+    ------
+    DriveIdError
+        When it cannot be read.
+    """
+    known = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
+    return inspect_log(Path(log), known, namespace=namespace, tell=tell)
 
 
 def inspect_log(
@@ -232,6 +262,7 @@ def _table_tree(table: Table) -> dict[str, Any]:
         "type": table.kind,
         "count": table.rows,
         "rate": period and _plain(1 / period),
+        "message_rate": period and _plain(1 / (period * table.block)),
         "jitter": None if table.jitter is None else _plain(table.jitter),
         "samples_per_message": table.block,
         "fields": fields,

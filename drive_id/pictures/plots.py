@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.errors import ConfigurationError
 from drive_id.pictures.caption import NO_CAPTION, Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
-from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, place
+from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
 from drive_id.types import FloatArray, Samples
 
 FORMATS = ("png", "svg", "pdf")
@@ -57,7 +59,11 @@ def result_pictures(
 
 
 def draw_flux_maps(
-    flux_map: FluxMap, i_max: float, i_dq: FloatArray | None = None, caption: Caption = NO_CAPTION
+    flux_map: FluxMap,
+    i_max: float,
+    i_dq: FloatArray | None = None,
+    caption: Caption = NO_CAPTION,
+    panels: Sequence[Axes] | None = None,
 ) -> Figure:
     """Draw psi_d and psi_q side by side over the current disc.
 
@@ -70,7 +76,20 @@ def draw_flux_maps(
         Trajectory to draw over them, A; NaN interrupts it.
     caption : Caption, optional
         Below the panels.
+    panels : two matplotlib.axes.Axes, optional
+        To draw on, instead of those of a new figure; without key and caption.
+
+    Raises
+    ------
+    ConfigurationError
+        When there are not two panels.
     """
+    if panels is not None:
+        if len(panels) != len("dq"):
+            raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
+        for panel, component in zip(panels, "dq", strict=True):
+            draw_flux(panel, Disc(flux_map, i_max), component, i_dq)
+        return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
     figure = Figure(figsize=(WIDTH, 3.75))
     disc = Disc(flux_map, i_max)
     for left, component in zip((0.65, 4.17), "dq", strict=True):
@@ -78,6 +97,18 @@ def draw_flux_maps(
     add_key(figure, disc, i_dq, height=0.57)
     add_caption(figure, caption)
     return figure
+
+
+def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | None = None) -> Figure:
+    """Draw by name speed (S,), rad/s, largest torque and its standard error, Nm, on a panel or in a new figure."""
+    figure = Figure(figsize=(WIDTH, 3.75), layout="constrained") if panel is None else panel.figure
+    axes = figure.add_subplot() if panel is None else panel
+    for label, (speed, torque, sigma) in curves.items():
+        axes.plot(speed * 30 / np.pi, torque, label=label)
+        axes.fill_between(speed * 30 / np.pi, torque - 2 * sigma, torque + 2 * sigma, alpha=0.3)
+    name(axes, "Largest torque, band of two standard errors", "Speed / rpm", "Torque / Nm")
+    axes.legend(fontsize=NORMAL)
+    return figure  # type: ignore[return-value]  # or the part of it that holds the panel
 
 
 def trajectory(samples: Sequence[Samples]) -> FloatArray | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +14,7 @@ from drive_id.exchange.comparison import Comparison
 from drive_id.fitting.result import Identification
 from drive_id.pictures.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
 from drive_id.quantity import measured
+from drive_id.report.tables import plain_table
 from drive_id.types import FloatArray
 
 
@@ -53,6 +55,10 @@ def _draw(panel: Axes, comparison: Comparison, values: FloatArray, title: str) -
     add_colour_bar(panel, filled, ticks[np.abs(ticks) <= limit])
 
 
+def _pair(figures: Mapping[str, float], unit: str) -> str:
+    return f"{measured(figures['rms'], unit=unit)} ({measured(figures['largest'], unit=unit)})"
+
+
 def _name(result: Identification) -> str:
     return f"{result.machine or 'unknown machine'} ({result.method})"
 
@@ -60,9 +66,8 @@ def _name(result: Identification) -> str:
 def difference_table(comparison: Comparison) -> Table:
     """Lay out the figures of a comparison."""
     tree = comparison.tree()
-    table = Table(title="A - B, where both have data", title_justify="left")
-    for heading, right in (("Quantity", False), ("Difference", True), ("In joint std. errors", True)):
-        table.add_column(heading, justify="right" if right else "left", overflow="fold")
+    title = f"A − B where both have data; A: {_name(comparison.first)}, B: {_name(comparison.second)}"
+    table = plain_table(title, ["Quantity"], ["Difference", "Std. errors"])
 
     def sigmas(value: float | None) -> str:
         return "unknown" if value is None else f"{value:.3g}"
@@ -70,22 +75,22 @@ def difference_table(comparison: Comparison) -> Table:
     for axis in "dq":
         rms, relative = tree[f"rms_{axis}"], 100 * tree[f"nrmse_{axis}"]
         row = (
-            f"psi_{axis}, rms (NRMSE)",
-            f"{rms * 1e3:.4g} mWb ({relative:.4g} %)",
+            f"ψ_{axis}, rms (NRMSE)",
+            f"{measured(rms, unit='Wb')} ({relative:.4g} %)",
             sigmas(tree[f"rms_{axis}_in_sigma"]),
         )
         table.add_row(*row)
     worst = tree["worst"]
     size = math.hypot(worst["psi_d"], worst["psi_q"])
-    place_text = f"largest, at i_d = {worst['i_d']:.4g} A, i_q = {worst['i_q']:.4g} A"
-    table.add_row(place_text, f"{size * 1e3:.4g} mWb", sigmas(tree["largest_in_sigma"]))
+    table.add_row("ψ, largest", measured(size, unit="Wb"), sigmas(tree["largest_in_sigma"]))
+    table.add_row("  at i_d, i_q", f"{measured(worst['i_d'], unit='A')}, {measured(worst['i_q'], unit='A')}", "")
     known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
     table.add_row("R", known, sigmas(tree["resistance_in_sigma"]))
     curve = tree["inverter_curve"]
     if curve is not None:
-        table.add_row("Inverter curve, rms (largest)", f"{curve['rms']:.4g} V ({curve['largest']:.4g} V)", "")
+        table.add_row("Inverter curve, rms (largest)", _pair(curve, "V"), "")
     torque = tree["torque"]
     if torque is not None:
-        table.add_row("Torque, rms (largest)", f"{torque['rms']:.4g} Nm ({torque['largest']:.4g} Nm)", "")
+        table.add_row("Torque, rms (largest)", _pair(torque, "Nm"), "")
     table.add_row("Points compared", str(tree["points"]), "")
     return table

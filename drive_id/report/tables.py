@@ -36,7 +36,7 @@ def fit_table(fit: Identification, *, verbose: bool = False) -> Table:
     method = f", {origin.caption}" if origin.fitted else ""
     name = f": {fit.name}" if fit.name else ""
     title = "\n".join(filter(None, (f"{origin.heading}{name}{method}", ", ".join(_experiment(fit)))))
-    table = _table(title, ["Quantity"], ["Value", *(["Truth"] if truth else [])])
+    table = plain_table(title, ["Quantity"], ["Value", *(["Truth"] if truth else [])])
 
     def row(name: str, value: str, true: str = "") -> None:
         table.add_row(name, value, *([true] if truth else []))
@@ -130,7 +130,7 @@ def info_table(info: BagInfo) -> Table:
     """List the topics of a bag."""
     compression = f", {info.compression}" if info.compression else ""
     title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB, {info.duration:.3f} s"
-    table = _table(title, ["Topic", "Type"], ["Messages"])
+    table = plain_table(title, ["Topic", "Type"], ["Messages"])
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
     return table
@@ -139,7 +139,7 @@ def info_table(info: BagInfo) -> Table:
 def plan_tables(plan: Plan) -> list[Table]:
     """Lay out a plan: the experiment, what it demands of the drive, and standard errors beside the paper's."""
     experiment, trajectory = plan.experiment, plan.experiment.trajectory
-    proposal = _table("Proposed experiment", ["Quantity", "Value"])
+    proposal = plain_table("Proposed experiment", ["Quantity", "Value"])
     frequencies = f"{trajectory.frequency_d:g} Hz on d, {trajectory.frequency_q:g} Hz on q, {trajectory.form}"
     proposal.add_row("Lissajous figure", f"{trajectory.i_max:g} A; {frequencies}")
     proposal.add_row(
@@ -151,7 +151,7 @@ def plan_tables(plan: Plan) -> list[Table]:
     proposal.add_row("Peak voltage at each speed", f"{voltages} V; available: u_dc / sqrt(3) = {available}")
     proposal.add_row("Peak |di/dt|", f"{trajectory.slope / 1e3:.3g} A/ms")
     numbers = ["Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"]
-    expected = _table("Expected relative standard errors", ["Quantity"], numbers)
+    expected = plain_table("Expected relative standard errors", ["Quantity"], numbers)
     names = (
         "psi_d, rms over the disc",
         "psi_q, rms over the disc",
@@ -170,7 +170,7 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     evidence, information, settings = found.evidence, found.evidence.information, found.evidence.settings
     duration = evidence.samples * evidence.sample_period
     seconds = sum(piece.duration for piece in found.validation)
-    table = _table(f"{path}: written by drive_id {stored.software}", ["Quantity", "Value"])
+    table = plain_table(f"{path}: written by drive_id {stored.software}", ["Quantity", "Value"])
     table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {evidence.gaps} gaps")
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
     table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
@@ -185,7 +185,7 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
 
 def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
-    table = _table(f"Analysis of {name}", ["Quantity"], ["Value", ""])
+    table = plain_table(f"Analysis of {name}", ["Quantity"], ["Value", ""])
     table.columns[1].no_wrap = True
     for quantity, figure in figures.items():
         factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
@@ -200,13 +200,13 @@ _SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
 
 def verification_table(rows: Iterable[Sequence[str]]) -> Table:
     """Lay out figures of a verification: name, value, limit and verdict."""
-    table = _table("Recording against map", ("Figure", "Value", "Limit", "Verdict"))
+    table = plain_table("Recording against map", ("Figure", "Value", "Limit", "Verdict"))
     for row in rows:
         table.add_row(*row)
     return table
 
 
-def _table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:
+def plain_table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:
     """Return a table without rows: first the names, which stay whole on a narrow terminal, then cells that may wrap."""
     table = Table(title=escape(title), title_justify="left")
     for place, name in enumerate((*texts, *numbers)):

@@ -183,13 +183,23 @@ def test_currents_far_beyond_the_map_are_refused(result):
         drive_id.analyze(result, replace(SMALL, i_max=1e9))
 
 
+def test_without_a_dc_link_all_that_needs_none_is_there(result, tmp_path):
+    known = drive_id.analyze(result, SMALL)
+    found = drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
+    assert {"L_dd", "max_torque", "kp_q", "saliency"} < set(found.figures) < set(known.figures)
+    assert found.figures["max_torque"].value == pytest.approx(known.figures["max_torque"].value, rel=1e-3)
+    assert any("DC-link voltage is unknown" in sentence and "--u-dc" in sentence for sentence in found.statements)
+    found.save(tmp_path / "analysis")
+    assert not (tmp_path / "analysis" / "torque_speed.csv").exists()
+    assert (tmp_path / "analysis" / "mtpa.csv").read_bytes() != b""
+    assert "rpm" not in repr(found).rpartition(",")[2]
+
+
 def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None))
     with pytest.raises(ConfigurationError, match="--pole-pairs"):
         drive_id.analyze(unknown, SMALL)
     assert drive_id.analyze(unknown, replace(SMALL, pole_pairs=3)).model.pole_pairs == 3
-    with pytest.raises(ConfigurationError, match="--u-dc"):
-        drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
     for wrong in ({"u_dc": (0.0,)}, {"i_max": -1.0}, {"speed": np.nan}, {"bandwidth": 0.0}, {"modulation": 1.104}):
         with pytest.raises(ConfigurationError, match=next(iter(wrong))):
             drive_id.AnalysisSettings(**wrong)

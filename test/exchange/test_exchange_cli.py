@@ -159,11 +159,12 @@ def test_compare(run, drive, tmp_path):
     machine_file(tmp_path / "motor.npz")
     assert run("import", "motor.npz", "--output", "imported", "--quiet")[0] == 0
     code, out, _ = run("compare", "imported", drive, "--output", "difference.png")
-    assert (code, "psi_q, rms" in out) == (0, True)
+    assert (code, "ψ_q, rms" in out) == (0, True)
     assert (tmp_path / "difference.png").read_bytes().startswith(b"\x89PNG")
     assert run("compare", "imported", drive, "--output", "difference.png")[0] == 1
     code, out, _ = run("compare", "imported", drive, "--json")
     tree = json.loads(out)
     assert tree["nrmse_d"] < 1e-12
+    assert "The same machine, as far as the standard errors can tell." in tree["verdict"]
     assert (tree["resistance"], tree["inverter_curve"], tree["picture"]) == (0.0, None, None)
     assert run("compare", "imported", drive, "--quiet")[1] == ""

@@ -254,8 +254,10 @@ def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
 
 
 def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
-    """From the sums of all samples while fitting, or from the samples that the result keeps: the same."""
-    fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
+    """From the sums of all samples, or from the samples that the result keeps: the same."""
+    found = fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
+    assert drive_id.load(tmp_path / "result").diagnostics.comparisons == ()  # nobody asked for them
+    found.save(tmp_path / "result", report=True)
     (stored,) = drive_id.load(tmp_path / "result").diagnostics.comparisons
     (kept,) = fitted.diagnostics.comparisons
     for name in ("resistance", "sigma_resistance", "residual_rms", "mad_d", "mad_q", "nrmse_d", "samples"):
@@ -365,7 +367,7 @@ def test_the_deviation_over_time_is_the_mad(fitted):
 
 
 def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "report_files", lambda _, **__: {"report.html": page.source.encode()})
+    monkeypatch.setattr(report, "report_files", lambda _, __: {"report.html": page.source.encode()})
     path = tmp_path / "new" / "report.html"
     assert fitted.report(path) == (path,)
     assert b"drive_id report" in path.read_bytes()[:300]
@@ -374,7 +376,7 @@ def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypat
     with pytest.raises(OutputError, match="exists already"):
         fitted.report(path)
     assert path.read_text() == "<html>mine</html>"
-    with pytest.raises(ConfigurationError, match=r"ends with \.html"):
+    with pytest.raises(ConfigurationError, match=r"end with \.html"):
         fitted.report(tmp_path / "report.txt")
     assert [file.name for file in tmp_path.rglob("*")] == ["new", "report.html"]
 

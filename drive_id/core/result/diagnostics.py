@@ -114,8 +114,10 @@ def diagnose(
     excerpts: Sequence[Samples],
     truth: GroundTruth | None = None,
     evidence: Evidence | None = None,
+    *,
+    compared: bool = True,
 ) -> Diagnostics:
-    """Evaluate residuals and run the paper's methods on the same data.
+    """Evaluate residuals and, if wanted, run the paper's methods on the same data.
 
     Parameters
     ----------
@@ -128,6 +130,8 @@ def diagnose(
         The other methods are scored against it.
     evidence : Evidence, optional
         Of all samples. Default: that of the excerpts.
+    compared : bool
+        Run the paper's methods, which takes longer than all else.
     """
     residual = drive_residual(drive, excerpts)
     return Diagnostics(
@@ -136,7 +140,7 @@ def diagnose(
         residual_rms=_rms(residual),
         trajectory=thinned_trajectory(excerpts, _TRAJECTORY),
         simulated=drive.simulated,
-        comparisons=_comparisons(drive, settings, excerpts, truth, evidence),
+        comparisons=_comparisons(drive, settings, excerpts, truth, evidence) if compared else (),
     )
 
 

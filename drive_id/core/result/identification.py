@@ -13,7 +13,7 @@ from drive_id.core.methods.parameters import Parameters
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS, Origin
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import BoolArray, FloatArray, IntArray, ranges_table
 
 if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
     from scipy.interpolate import RectBivariateSpline
@@ -67,7 +67,8 @@ class FluxMap:
         Parameters
         ----------
         i_d, i_q : float or array
-            A; they broadcast against each other to shape (...).
+            A; they broadcast against each other to shape (...). Series and DataArrays are taken as plain arrays: what
+            is returned has no index; see :meth:`drive_id.Identification.to_xarray` for a map that has.
         outside : {"nan", "raise"}
             What to return for currents without data: NaN, or a CoverageError.
 
@@ -137,6 +138,16 @@ class FluxMap:
         """
         return self._evaluated(i_dq, (0, 0))
 
+    def _repr_html_(self) -> str:
+        """Return the ranges of the map as a small table, for notebooks."""
+        known = {f"{name}, Wb": getattr(self, name)[self.inside] for name in ("psi_d", "psi_q", "sigma_d", "sigma_q")}
+        size = f"{len(self.i_d)} × {len(self.i_q)} points, {100 * float(self.inside.mean()):.0f} % with data"
+        return ranges_table(f"Flux map of {size}", {"i_d, A": self.i_d, "i_q, A": self.i_q} | known)
+
+    def bilinear(self, i_dq: FloatArray) -> FloatArray:
+        """Return the same, interpolated bilinearly, which needs no scipy."""
+        return np.stack([self.sampled(psi, i_dq[..., 0], i_dq[..., 1]) for psi in (self.psi_d, self.psi_q)], axis=-1)
+
     def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
         d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in ((i_d, self.i_d), (i_q, self.i_q)))
@@ -161,9 +172,14 @@ class FluxMap:
         if outside not in ("nan", "raise"):
             raise ConfigurationError(f"outside is '{outside}': it must be 'nan' or 'raise'.")
         try:
-            i_dq = np.stack(np.broadcast_arrays(np.asarray(i_d, np.float64), np.asarray(i_q, np.float64)), axis=-1)
+            given = [np.asarray(x) for x in (i_d, i_q)]
+            if any(x.dtype.kind not in "biuf" for x in given):
+                raise TypeError
+            i_dq = np.stack(np.broadcast_arrays(*given), axis=-1).astype(np.float64)
         except (TypeError, ValueError) as error:
-            raise ConfigurationError(f"i_d and i_q are not currents of shapes that broadcast ({error}).") from error
+            raise ConfigurationError(
+                "i_d and i_q are not real currents of shapes that broadcast: give numbers or arrays, A."
+            ) from error
         cells = _Cells.of(self, i_dq)
         if outside == "raise" and not cells.inside.all():
             d, q = i_dq[~cells.inside][0]

@@ -8,7 +8,7 @@ Nothing measured is differentiated, so neither noise nor the lag of a speed sign
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ from drive_id.core.result.block_regression import BlockRegression, grouped
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
+
+_Flux = Callable[[FloatArray], FloatArray]
 
 ORDERS = (6, 12, 18, 24)
 """Electrical orders of cogging that are looked for."""
@@ -108,9 +110,24 @@ def fit_mechanics(
     Mechanics or None
         None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
     """
-    width = _bell_width(flux_map, pieces)
+    known = flux_map, pieces, pole_pairs, discs, inertia
+    if _fitted(*known, flux_map.bilinear) is None:  # most shafts are held: they need not wait until scipy is loaded
+        return None
+    return _fitted(*known, flux_map.continued)
+
+
+def _fitted(
+    flux_map: FluxMap,
+    pieces: Sequence[Samples],
+    pole_pairs: int,
+    discs: Sequence[float],
+    inertia: float | None,
+    flux: _Flux,
+) -> Mechanics | None:
+    """Fit the motion, with the flux psi_dq (N, 2), Wb, over currents (N, 2), A."""
+    width = _bell_width(flux_map, flux, pieces)
     rows = [
-        _rows(flux_map, run, pole_pairs, disc, width)
+        _rows(flux_map, flux, run, pole_pairs, disc, width)
         for piece, disc in zip(pieces, discs or (0.0,) * len(pieces), strict=True)
         for run in map(piece.part, *_edges(piece))
     ]
@@ -225,11 +242,11 @@ def _edges(piece: Samples) -> tuple[list[int], list[int]]:
     return [run.start for run in runs], [run.stop for run in runs]
 
 
-def _bell_width(flux_map: FluxMap, pieces: Sequence[Samples]) -> float:
+def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> float:
     """Return half the mean period of the torque, s, by its changes of sign."""
     changes, seconds = 0, 0.0
     for piece in pieces:
-        torque, _, _ = _torque(flux_map, piece, 1)
+        torque, _, _ = _torque(flux_map, flux, piece, 1)
         step = max(1, round(1e-3 / piece.sample_period))
         smooth = torque[: len(torque) // step * step].reshape(-1, step).mean(axis=1)
         active = np.abs(smooth) > 0.1 * np.abs(smooth).max(initial=0.0)  # noise about zero torque is no swing
@@ -238,11 +255,13 @@ def _bell_width(flux_map: FluxMap, pieces: Sequence[Samples]) -> float:
     return min(max(seconds / max(changes, 1), _SHORTEST), _LONGEST)
 
 
-def _torque(flux_map: FluxMap, samples: Samples, pole_pairs: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _torque(
+    flux_map: FluxMap, flux: _Flux, samples: Samples, pole_pairs: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the torque of the map and its standard error (N,), Nm, and 1.0 where the current is beyond the data."""
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     i_d, i_q = i_dq.T
-    psi = flux_map.continued(i_dq)
+    psi = flux(i_dq)
     sigma_d, sigma_q = flux_map.sigma(i_d, i_q)
     sigma = np.hypot(sigma_d * i_q, sigma_q * i_d)
     scale = 1.5 * pole_pairs
@@ -251,7 +270,7 @@ def _torque(flux_map: FluxMap, samples: Samples, pole_pairs: int) -> tuple[Float
     return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0)
 
 
-def _rows(flux_map: FluxMap, run: Samples, pole_pairs: int, disc: float, width: float) -> FloatArray:
+def _rows(flux_map: FluxMap, flux: _Flux, run: Samples, pole_pairs: int, disc: float, width: float) -> FloatArray:
     """Return the rows (W, 7 + 2 H) of a gap-free run; see the columns above."""
     period = run.sample_period
     half = max(round(0.5 * width / period), 4)
@@ -266,7 +285,7 @@ def _rows(flux_map: FluxMap, run: Samples, pole_pairs: int, disc: float, width: 
     angle = np.unwrap(run.angle)
     speed = np.gradient(angle, period) / pole_pairs
     steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
-    torque, sigma, outside = _torque(flux_map, run, pole_pairs)
+    torque, sigma, outside = _torque(flux_map, flux, run, pole_pairs)
     waves = [wave(order * angle) for order in ORDERS for wave in (np.cos, np.sin)]
 
     def under(kernel: FloatArray, x: FloatArray) -> FloatArray:

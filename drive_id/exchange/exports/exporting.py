@@ -14,7 +14,7 @@ from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import powertrain
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.fitting.result import Identification
+from drive_id.fitting.result import Identification, load
 from drive_id.types import FloatArray
 
 _COARSE = 0.01
@@ -122,9 +122,9 @@ def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
 
 
 def export_map(
-    result: Identification,
+    result: Identification | str | Path,
     name: str,
-    path: Path,
+    path: str | Path,
     choice: TableChoice | None = None,
     options: ExportOptions | None = None,
     *,
@@ -134,10 +134,12 @@ def export_map(
 
     Parameters
     ----------
-    result : drive_id.Identification
+    result : drive_id.Identification or path
+        Or its folder.
     name : str
         Of the format, see :data:`~.formats.EXPORTS`.
-    path : Path
+    path : path
+        File to write.
     choice : TableChoice, optional
     options : ExportOptions, optional
     force : bool
@@ -151,7 +153,8 @@ def export_map(
     ConfigurationError, CoverageError
         See :func:`content_of`.
     """
-    usual = export_format(name).suffix
+    result = result if isinstance(result, Identification) else load(result)
+    path, usual = Path(path), export_format(name).suffix
     if path.suffix.lower() != usual:
         said = f"ends in {path.suffix}" if path.suffix else "has no suffix"
         raise OutputError(f"{path} {said}, but --format {name} writes {usual} files: name it {path.stem}{usual}.")

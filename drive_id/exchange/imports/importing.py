@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
+from pathlib import Path
 
 import numpy as np
 
@@ -48,12 +49,12 @@ class ImportOptions:
     machine: str = ""
 
 
-def import_map(source: Source, options: ImportOptions | None = None) -> Identification:
+def import_map(source: Source | str | Path, options: ImportOptions | None = None) -> Identification:
     """Read a flux map of another tool.
 
     Parameters
     ----------
-    source : Source
+    source : Source or path
     options : ImportOptions, optional
 
     Returns
@@ -68,6 +69,7 @@ def import_map(source: Source, options: ImportOptions | None = None) -> Identifi
         it plausible.
     """
     chosen = options or ImportOptions()
+    source = source if isinstance(source, Source) else Source(Path(source))
     name = format_of(source, chosen.format)
     source = replace(source, order=chosen.conventions.order)
     points = _turned(IMPORTS[name].read(source), source)

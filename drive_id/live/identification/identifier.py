@@ -20,8 +20,8 @@ from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.completion import completed
-from drive_id.fitting.fit import Draw, fit_bags, written
-from drive_id.fitting.result import Identification, pictures
+from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
@@ -337,7 +337,9 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, draw=_draw(settings), tell=tell)
+    result = fit_bags(sources, output, fit, tell=tell)
+    if settings.picture:
+        result.save(output, draw=True)
     return _reply(result, output)
 
 
@@ -375,12 +377,9 @@ def _fit_live(
         last_stamp=snapshot.join.last_stamp or 0,
         warnings=snapshot.report.warnings,
     )
-    result = written(result, output, evidence, draw=_draw(settings, "Live samples"), tell=tell)
+    tell("Writing", None)
+    replace(result, evidence=evidence).save(output, draw=settings.picture)
     return replace(_reply(result, output, snapshot.report), refit=refit)
-
-
-def _draw(settings: IdentificationSettings, name: str = "") -> Draw | None:
-    return partial(pictures, name=name) if settings.picture else None
 
 
 def _sentence(identification: IdentifiedDrive) -> str:

@@ -411,7 +411,9 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
         missing = dict.fromkeys(("comparison", "residuals", "currents"), result.origin.no_diagnostics or NOT_STORED)
     else:
         if not judged.comparisons:
-            missing["comparison"] = "The result was stored without a comparison: fit the recording again."
+            missing["comparison"] = (
+                "The paper's methods were not run on these data: fit the recording with --report or --figures."
+            )
         if not np.isfinite(judged.over_time.mean).any():
             missing["residuals"] = "The recordings hold too few samples for a residual."
         if judged.simulated is None:

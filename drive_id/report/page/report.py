@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from drive_id.errors import ConfigurationError
@@ -15,21 +16,22 @@ from drive_id.report.page.operation import torque_map
 from drive_id.report.page.pdf import rendered_pdf
 from drive_id.report.page.pictures import figures_of
 
-_DPI = 110
+_DPI, _PDF = 110, ".pdf"
 _BEGINNING = 2000
 """Bytes of a page that hold its generator."""
 
 
-def report_files(result: Identification, stem: str = "report", *, pdf: bool = False) -> dict[str, bytes]:
-    """Return the report as HTML and, if wanted, as PDF, by file name."""
+def report_files(result: Identification, names: Iterable[str] = ("report.html",)) -> dict[str, bytes]:
+    """Return the report by file name: as PDF where the name ends so, otherwise as HTML."""
     operation = torque_map(result)
     content, figures = content_of(result, operation), figures_of(result, operation)
-    pictures = {name: rendered(figure, dpi=_DPI) for name, figure in figures.items()}
-    page = rendered_page(content, charts_of(result, operation), pictures)
-    files = {f"{stem}.html": page.encode(errors="backslashreplace")}  # names of files may hold any byte
-    if pdf:
-        files[f"{stem}.pdf"] = rendered_pdf(content, figures)
-    return files
+
+    def page() -> bytes:
+        pictures = {name: rendered(figure, dpi=_DPI) for name, figure in figures.items()}
+        text = rendered_page(content, charts_of(result, operation), pictures)
+        return text.encode(errors="backslashreplace")  # names of files may hold any byte
+
+    return {name: rendered_pdf(content, figures) if name.endswith(_PDF) else page() for name in names}
 
 
 def check_report_output(path: Path, *, pdf: bool = False) -> None:
@@ -38,12 +40,12 @@ def check_report_output(path: Path, *, pdf: bool = False) -> None:
     Raises
     ------
     ConfigurationError
-        When the name does not end with .html.
+        When the name does not end with .html or .pdf.
     OutputError
         When there is something else than an earlier report.
     """
-    if path.suffix.lower() not in {".html", ".htm"}:
-        raise ConfigurationError(f"The report {path} is an HTML file: give it a name that ends with .html.")
+    if path.suffix not in {".html", ".htm", _PDF}:
+        raise ConfigurationError(f"The report {path} is neither HTML nor PDF: let its name end with .html or .pdf.")
     for file in _paths(path, pdf=pdf):
         if not _is_report(file):
             check_absent(file)
@@ -64,13 +66,13 @@ def write_report(result: Identification, path: Path, *, pdf: bool = False) -> tu
     """
     check_report_output(path, pdf=pdf)
     paths = _paths(path, pdf=pdf)
-    for file, content in zip(paths, report_files(result, pdf=pdf).values(), strict=True):
+    for file, content in zip(paths, report_files(result, map(str, paths)).values(), strict=True):
         replace_file(file, content)
     return paths
 
 
 def _paths(path: Path, *, pdf: bool) -> tuple[Path, ...]:
-    return (path, path.with_suffix(".pdf")) if pdf else (path,)
+    return (path, path.with_suffix(_PDF)) if pdf and path.suffix != _PDF else (path,)
 
 
 def _is_report(path: Path) -> bool:

@@ -1,0 +1,90 @@
+"""Results and samples as pandas, xarray and notebooks see them, against their own arrays."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import drive_id
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return drive_id.simulate("ipm", 2.0, noise=1e-3)
+
+
+@pytest.fixture(scope="module")
+def result(samples):
+    return drive_id.fit(samples, method="joint")
+
+
+def test_a_dataset_holds_the_map_with_units(result):
+    found = result.to_xarray()
+    inside = found["psi_d"].notnull().values
+    np.testing.assert_array_equal(inside, result.flux_map.inside)
+    k, n = np.argwhere(inside)[len(np.argwhere(inside)) // 2]
+    at = float(found["i_d"][k]), float(found["i_q"][n])
+    assert (found["psi_q"].units, found["L_dq"].units, found["i_d"].units) == ("Wb", "H", "A")
+    assert float(found["psi_q"].sel(i_d=at[0], i_q=at[1])) == pytest.approx(float(result.flux_map.psi_dq(*at)[1]))
+    assert float(found["L_dq"].sel(i_d=at[0], i_q=at[1])) == pytest.approx(result.flux_map.inductances(*at)[0, 1])
+    table = result.to_pandas()
+    assert len(table) == inside.sum()
+    assert table["psi_d"].notna().all()
+
+
+def test_a_frame_holds_the_samples(samples):
+    frame = drive_id.samples_frame(samples.part(100, 300))
+    np.testing.assert_array_equal(frame["u_c"], samples.u_abc[100:300, 2])
+    assert frame.index[-1] == pytest.approx(199 * samples.sample_period)
+    assert frame["run"].unique().tolist() == [0]
+
+
+def test_a_result_is_drawn_on_given_axes(result):
+    figure, panels = plt.subplots(1, 2)
+    assert result.plot(panels) is figure
+    assert all(panel.collections for panel in panels)
+    plt.close(figure)
+    with pytest.raises(drive_id.DriveIdError, match="pair of axes"):
+        result.plot(panels[:1])
+
+
+def test_an_analysis_is_a_table_and_a_picture(result):
+    found = drive_id.analyze(result, drive_id.AnalysisSettings(u_dc=(300.0, 400.0)))
+    assert found.to_pandas().loc["max_torque", "value"] == found.figures["max_torque"].value
+    figure, axes = plt.subplots()
+    assert found.plot(axes) is figure
+    assert axes.get_legend_handles_labels()[1] == ["300 V", "400 V"]
+    plt.close(figure)
+    assert "<th>max torque</th>" in found._repr_html_()
+
+
+def test_samples_and_maps_show_their_ranges(samples, result):
+    least, largest = re.search(r"<th>u_abc, V</th><td>(.*?)</td><td>(.*?)</td>", samples._repr_html_()).groups()
+    assert float(least) == pytest.approx(samples.u_abc.min(), rel=1e-4)
+    assert float(largest) == pytest.approx(samples.u_abc.max(), rel=1e-4)
+    assert f"{result.flux_map.psi_q[result.flux_map.inside].max():.5g}" in result.flux_map._repr_html_()
+
+
+def test_progress_is_shown_on_a_bar(samples):
+    shown = []
+    bar = SimpleNamespace(n=0.0, total=None, set_description=shown.append, refresh=lambda: None)
+    drive_id.fit(samples, method="psm", tell=drive_id.on_bar(bar))
+    assert "Accumulating" in shown
+    assert "Solving" in shown
+    assert bar.total == 1.0
+
+
+def test_wrong_types_are_told_in_a_sentence(samples, result):
+    for currents in ("1 A", 1j, [[1.0], [2.0, 3.0]]):
+        with pytest.raises(drive_id.DriveIdError, match="i_d and i_q are not real currents"):
+            result.flux_map.psi_dq(currents, 0.0)
+    with pytest.raises(drive_id.DriveIdError, match=r"settings is a dict: give drive_id.FitSettings"):
+        drive_id.fit(samples, settings={"method": "joint"})
+    with pytest.raises(drive_id.DriveIdError, match="speed holds values of type complex128: pass real numbers"):
+        drive_id.Samples(samples.stamp, samples.i_abc, samples.u_abc, samples.angle, samples.speed * 1j, 1e-4)
+    lists = [values[:50].tolist() for values in (samples.stamp, samples.i_abc, samples.u_abc, samples.angle)]
+    assert len(drive_id.Samples(*lists, [52.0] * 50, 1e-4, [0])) == 50

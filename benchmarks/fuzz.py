@@ -252,7 +252,7 @@ class Worker:
 
 def _work(corpus: Path, kinds: Collection[str], first: int, step: int, end: float, results: Any) -> None:
     """Try inputs of all kinds in turn until the time is over."""
-    with patch("drive_id.fitting.result.pictures", return_value={}):  # drawing takes longer than all else
+    with patch("drive_id.pictures.plots.result_pictures", return_value={}):  # drawing takes longer than all else
         worker = Worker(corpus, kinds)
         try:
             worker.warm_up()
@@ -358,7 +358,7 @@ def _attempts(corpus: Path, kinds: list[str], options: argparse.Namespace) -> It
 
 def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Iterator[tuple[str, Finding | None]]:
     """Try inputs one after the other."""
-    with patch("drive_id.fitting.result.pictures", return_value={}):
+    with patch("drive_id.pictures.plots.result_pictures", return_value={}):
         worker = Worker(corpus, {kind for kind, _ in chosen})
         try:
             worker.warm_up()

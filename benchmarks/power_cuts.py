@@ -192,7 +192,7 @@ def states(name: str, count: int, seed: int, folder: Path, seconds: float = 2.0)
     log.final_state(folder / "replayed")
     if _tree(folder / "replayed") != _tree(disk):
         raise SystemExit(f"{name}: the log of the disk is not complete; its replay differs from {disk}.")
-    with patch("drive_id.fitting.result.pictures", return_value={}):  # drawing takes longer than all else
+    with patch("drive_id.pictures.plots.result_pictures", return_value={}):  # drawing takes longer than all else
         drive_id.fit(samples, method="joint")  # loads in this process what its forks need
         for number in range(count):
             rng = random.Random(f"{name}:{seed}:{number}")

@@ -73,6 +73,16 @@ CONTRACT = {
         "string[] bags; string method; string signals; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
     ),
+    "srv/FirstStart": (
+        "string name; bool angle_known; ---; bool success; string code; string message; float64 angle_offset; "
+        "float64 sigma_angle_offset; float64 load_angle; float64[3] current_offset; float64 shaft_acceleration; "
+        "string signals; string parameters"
+    ),
+    "action/FirstStart": (
+        "string name; bool angle_known; ---; bool success; string code; string message; float64 angle_offset; "
+        "float64 sigma_angle_offset; float64 load_angle; float64[3] current_offset; float64 shaft_acceleration; "
+        "string signals; string parameters; ---; string stage; float64 progress; string message"
+    ),
     "srv/StartRecording": "string name; ---; bool success; string code; string message; string uri",
     "srv/StopRecording": (
         "---; bool success; string code; string message; string uri; uint64 samples; uint64 dropped; float64 duration"

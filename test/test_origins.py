@@ -79,6 +79,7 @@ def results(bag, tmp_path_factory):
     np.savez(folder / "map.npz", id=axis, iq=axis, psi_d=psi_d, psi_q=psi_q)
     found["imported"] = import_map(Source(folder / "map.npz"))
     for name, result in found.items():
+        assert (result.diagnostics is not None) == ORIGINS[name].diagnostics  # what is asked for is stored as well
         result.save(folder / name, draw=False)
     return {name: drive_id.load(folder / name) for name in found}
 

@@ -6,13 +6,14 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from drive_id.bench.machine import Machine as SimulatedMachine
-from drive_id.core.full.effect_report import NOUNS
 from drive_id.errors import ConfigurationError
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -107,7 +108,8 @@ def test_the_simulated_machine_is_the_true_one(population, number):
 
 
 def test_every_cause_in_a_warning_is_recognized(population):
-    for noun in NOUNS.values():
+    nouns = yaml.safe_load(resources.files("drive_id").joinpath("messages.yaml").read_text("utf-8"))["noun"]
+    for noun in nouns.values():
         assert population.named(f"Of the causes tested, {noun} would explain most."), noun
     tested = "none of the causes tested (iron loss, heat) explains them"
     assert population.named(f"The residuals are large: {tested}.") == set()

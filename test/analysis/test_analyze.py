@@ -284,7 +284,6 @@ def test_the_command_refuses_bad_input_in_one_sentence(result, run, tmp_path):
     out = tmp_path / "out"
     for arguments, words in (
         ((tmp_path / "unknown", "--output", out), "give --pole-pairs"),
-        ((tmp_path / "unknown", "--output", out, "--pole-pairs", "2"), "give --u-dc"),
         ((tmp_path / "unknown", "--output", out, "--u-dc", "-5"), "u_dc is -5.0 V"),
         ((tmp_path / "nothing", "--output", out), "is not a result folder"),
         ((tmp_path / "unknown", "--output", tmp_path), "not results of drive_id"),

@@ -81,5 +81,5 @@ def test_picture_and_table():
     assert picture.startswith(b"\x89PNG")
     figure = draw_difference(compare(changed(np.nan), result(np.nan)))
     assert figure.get_size_inches()[1] < whole.get_size_inches()[1]
-    assert difference_table(found).row_count == 7
+    assert difference_table(found).row_count == 8
     assert AT[0].max() < I_MAX

@@ -232,7 +232,7 @@ def test_the_caption_says_what_is_known(fitted):
     drive = replace(fitted.drive, method="full", resistance=0.0100012, sigma_resistance=1.4e-5, i_max=300.0)
     known = replace(fitted.provenance, date="2023-11-14T22:13:20+00:00", pole_pairs=None)
     result = replace(fitted, drive=drive, provenance=known)
-    caption = result.caption("unused")
+    caption = result.caption()
     assert caption.text().splitlines() == [
         "ipm  ·  method full  ·  2023-11-14 22:13 UTC",
         r"$R$ = 10.001 ± 0.014 mΩ  ·  speed 209.4 rad/s electrical  ·  $i_\mathrm{max}$ = 300 A",
@@ -244,9 +244,9 @@ def test_the_caption_says_what_is_known(fitted):
     assert Caption().text() == ""
     assert str(caption) == "ipm, method full, 2023-11-14, R = 10 mΩ, 209.4 rad/s electrical, i_max = 300 A"
     assert "500 rpm" in str(replace(caption, pole_pairs=4))
-    nothing = replace(result, provenance=replace(known, machine="", date="", speed_range=None)).caption("a machine")
-    assert (nothing.machine, nothing.date, nothing.speeds) == ("a machine", "", None)
-    assert str(nothing) == "a machine, method full, R = 10 mΩ, i_max = 300 A"
+    nothing = replace(result, provenance=replace(known, machine="", date="", speed_range=None)).caption()
+    assert (nothing.machine, nothing.date, nothing.speeds) == ("", "", None)
+    assert str(nothing) == "method full, R = 10 mΩ, i_max = 300 A"
 
 
 def test_a_name_of_any_characters_is_printed(drive):

@@ -85,7 +85,9 @@ def test_it_says_what_it_waits_for(environment):
 def test_the_table_does_not_depend_on_the_terminal(characterize, monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", columns)
     flux_map = SimpleNamespace(resistance=0.01, voltage_error=3.98, inverter_current=[-1.0, 1.0], method="full")
-    report = SimpleNamespace(mad_d=0.1, mad_q=0.2, coverage=1.0, samples_used=100, samples_read=200)
+    report = SimpleNamespace(
+        mad_d=0.1, mad_q=0.2, coverage=1.0, samples_used=100, samples_read=200, inertia=float("nan")
+    )
     results = {title: SimpleNamespace(flux_map=flux_map, report=report) for title in characterize.COMPARED}
     Console(width=characterize._WIDTH).print(characterize.comparison(results, None))
     lines = capsys.readouterr().out.splitlines()

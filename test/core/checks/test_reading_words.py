@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drive_id.core import frames
-from drive_id.core.checks.readings import LikelyReading, percent
+from drive_id.core.checks.readings import LikelyReading
+from drive_id.messages import _percent
 
 
 @pytest.mark.parametrize("turned", range(6))
@@ -24,4 +25,4 @@ def test_the_order_and_sign_of_the_voltages_are_those_of_the_reading(turned, mir
     ("share", "said"), [(0.0012345, "0.12"), (0.0123, "1.2"), (0.0949, "9.5"), (0.0951, "10"), (0.5, "50"), (1, "100")]
 )
 def test_shares_in_percent_have_two_digits(share, said):
-    assert percent(share) == said
+    assert _percent(share, "") == f"{said} %"

@@ -39,7 +39,7 @@ def test_a_slice(tmp_path):
     assert ran.returncode == 0, ran.stdout + ran.stderr
     last = ran.stdout.splitlines()[-1]
     assert last.split("|")[1].strip() == "all"
-    assert int(last.split("|")[2]) == len(KINDS) + 10  # one of each kind, and the FIFOs
+    assert int(last.split("|")[2]) == len(KINDS) + 9  # one of each kind, and the FIFOs
     assert not (tmp_path / "f.json").exists()
 
 

@@ -450,7 +450,7 @@ def test_a_full_disk(ros):
     recorder, bench = Recorder(ros, chunk_size=8192, flush_period=0.1), Bench(ros)
     bench.wait_for_listeners()
     assert recorder.start("bag").success
-    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (150_000, 10**9))
+    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (155_000, 10**9))
     bench.publish(300)
     no_disk = os.strerror(errno.EFBIG)
     recorder.wait_for_status(no_disk, 2)

@@ -102,9 +102,9 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
     tree = strict_json(written / "identification.json")
     assert set(tree) == {
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
-        "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements", "messages",
-        "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient",
-        "torque", "mechanics", "linear_machine", "files", "resistance_temperature",
+        "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
+        "messages", "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date",
+        "magnet_coefficient", "torque", "mechanics", "linear_machine", "files", "resistance_temperature",
     }  # fmt: skip
     assert (tree["pole_pairs"], tree["u_dc"], tree["duration"]) == (4, 400.0, pytest.approx(2.0))
     assert tree["speed_range"] == pytest.approx([500 * np.pi / 30 * 4] * 2, rel=1e-5)

@@ -59,13 +59,12 @@ def accumulate(
         raise ConfigurationError("No bag is given: name at least one.")
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
-    found = digests_of(bags)
     evidence, spans = _gathered(reading, settings, tell)
     return Accumulated(
         evidence=evidence,
         validation=spans.samples(),
         warnings=reading.warnings,
-        digests=found,
+        digests=digests_of(bags),  # after reading, which refuses what only looks large
         truth=reading.truth,
         samples=reading.samples,
         last_stamp=reading.last_stamp,

@@ -214,6 +214,7 @@ def test_a_single_press_and_a_single_release_of_the_emergency_stop_are_heard(ros
         ros.wait(lambda: time.monotonic() > until, "the end")
         ros.node.destroy_publisher(publisher)
 
+    ros.wait(lambda: "Nothing has arrived" not in managed.ask("clear_fault").message, "the drive")
     for _ in range(10):
         publish_once(True)
         reply = managed.ask("clear_fault")

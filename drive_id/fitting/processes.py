@@ -50,10 +50,9 @@ def in_processes(work: Callable[[Item], Result], items: Iterable[Item], count: i
             "A process that reads recordings has died, probably for lack of memory: use fewer --workers."
         ) from error
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-            process.join()
+            process.terminate()  # a recording under way must not delay the end
+        pool.shutdown(cancel_futures=True)  # its thread waits for the processes: two that wait miss one another's
 
 
 @contextmanager

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, cast
 
 import numba
@@ -28,6 +31,23 @@ def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
         made.compile(argument_types(signature))
         made.disable_compile()
     return made
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back: KeyboardInterrupt would be lost if LLVM's callbacks into Python raised it."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is None or threading.current_thread() is not threading.main_thread():  # others receive no signals
+        yield
+        return
+    held: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if held:
+        signal.raise_signal(signal.SIGINT)
 
 
 def argument_types(signature: str) -> tuple[Any, ...]:

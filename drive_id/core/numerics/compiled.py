@@ -36,7 +36,14 @@ class Kernel:
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
-        return (self._dispatcher or self.dispatcher())(*args)
+        if self._dispatcher is None:
+            from drive_id.core.numerics.compilation import interrupts_held  # noqa: PLC0415  # numba takes 0.3 s
+
+            with interrupts_held():
+                made = self.dispatcher()
+                if self.signature is None:
+                    made.compile(tuple(made.typeof_pyval(value) for value in args))
+        return self._dispatcher(*args)
 
     def dispatcher(self) -> Any:
         """Return numba's function, compiled if the signature is given."""

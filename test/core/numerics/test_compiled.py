@@ -57,6 +57,41 @@ def test_kernels_of_others_are_compiled_silently(tmp_path):
     assert told("import numba, drive_id.core.numerics.compilation; numba.njit(lambda x: x)(1)", tmp_path) == []
 
 
+INTERRUPT = """
+import signal
+from numba.core import event
+from drive_id.core import frames
+
+
+class Interrupt(event.Listener):
+    def on_start(self, _):
+        signal.raise_signal(signal.SIGINT)
+
+    def on_end(self, _):
+        pass
+
+
+event.register("numba:compile", Interrupt())
+try:
+    {call}
+except KeyboardInterrupt:
+    assert len({kernel}.dispatcher().signatures) == 1, "interrupted in the compiler"
+else:
+    raise SystemExit("lost")
+"""
+
+
+@pytest.mark.parametrize(
+    ("kernel", "call"),
+    [
+        ("frames._rotate", "import numpy as np; frames.to_dq(np.ones((1, 3)), np.zeros(1))"),
+        ("kernels._weights", "from drive_id.bench import kernels; kernels._weights(0.5)"),
+    ],
+)
+def test_an_interrupt_waits_for_the_compiler(kernel, call, tmp_path):
+    told(INTERRUPT.replace("{call}", call).replace("{kernel}", kernel), tmp_path)
+
+
 def test_without_a_folder_for_machine_code_a_fit_still_runs(tmp_path):
     nowhere = "from numba.core import caching; caching.CacheImpl._locator_classes = []"
     (line,) = told(f"{nowhere}; {ROTATE}", tmp_path)

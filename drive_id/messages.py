@@ -23,6 +23,8 @@ _MISSING = "\0"
 """Stands for a value that is not there, which only matters where a sentence keeps it."""
 _WHOLE = 0.095
 """Share from which on it is written in whole percent."""
+_MOST_PERCENT = 10.0
+"""Share above which only that it is above is told: a model that diverged leaves 1e40 of the voltage."""
 
 
 class Message(str):
@@ -141,6 +143,8 @@ class _Templates(Formatter):
 
 
 def _percent(share: float, spec: str) -> str:
+    if share > _MOST_PERCENT:
+        return f"more than {100 * _MOST_PERCENT:.0f} %"
     return f"{format(100 * share, spec or ('.2g' if share < _WHOLE else '.0f'))} %"
 
 

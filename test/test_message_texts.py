@@ -120,3 +120,8 @@ def test_clauses_and_nouns_are_used():
     used = set[str]().union(*(names_in(text) for text in (*TEMPLATES.values(), *CATALOGUE["clause"].values())))
     assert set(CATALOGUE["clause"]) - used == set()
     assert {"error", "warning", "statement", "nothing", "advice"} == set(codes().values())
+
+
+def test_a_share_beyond_reason_is_told_as_such():
+    assert "leaves more than 1000 % of the voltage" in Message("unexplained.fit", unexplained=7e40)
+    assert "leaves 450 % of the voltage" in Message("unexplained.fit", unexplained=4.5)

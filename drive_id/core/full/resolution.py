@@ -30,8 +30,9 @@ _FEWER = (1.0, 3.0, 10.0)
 """Factors of the least misfit of a cell that is divided, tried in turn until there are no more cells than allowed."""
 _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
-_STRONG = 10.0
-"""Misfit over noise, both squared, from which on a cell is divided by four instead of two."""
+_STRONG = 64.0
+"""Squared misfit relative to the least one from which on a cell is divided by four instead of two: the flux between
+knots is off by the third power of their distance, so halves leave 1/64 of the squared misfit of smooth saturation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,9 +39,12 @@ _TABLE = 4001
 """Currents at which the drop is tabulated."""
 _PARTS = 8
 """Parts of a sample in which the current is straight."""
-_ROUNDS, _DAMPING, _SETTLED = 8, 0.6, 1e-3
-"""Iterations at most, the share of each change that is made, and the change of the drop, relative to its largest value,
-at which they end."""
+_ROUNDS = 8
+"""Most iterations for the current between samples."""
+_DAMPING = 0.6
+"""Share of each change that is made: a drop with a steep step overshoots with all of it."""
+_SETTLED = 1e-3
+"""Change of the drop, relative to its largest value, at which the iterations end."""
 _BEYOND = 2.0
 """Range of the tabulated drop, in i_max."""
 _FLAT = 1e-3

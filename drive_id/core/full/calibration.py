@@ -19,20 +19,34 @@ from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
-_AGREEMENT, _LEAST_SHOWN, _LEAST_EXPLAINED = 0.5, 5e-4, 0.5
+"""Standard errors from which on a deviation of a sensor is told."""
+_AGREEMENT = 0.5
+"""Share of an offset by which that traced in the flux may differ: it is traced through coarse maps of harmonic 1."""
+_LEAST_SHOWN = 5e-4
+"""Flux harmonic of an offset, relative to the largest flux, below which nothing can be traced: that of the misfit."""
+_LEAST_EXPLAINED = 0.5
+"""Share of the flux's harmonic 2 that gains must explain to be its cause, rather than the machine."""
 _DECIMATED = -0.23
 """Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
-_TRIED, _STEPS, _SETTLED = 5, 30, 1e-9
-"""Angles tried on each side, most refining steps, and step at which they have converged, rad."""
+"""Offset of the angle beyond which the map has left the disc of the currents too far to be mirrored."""
+_TRIED = 5
+"""Angles tried on each side before the refinement: every 4 degrees."""
+_STEPS = 30
+"""Most steps of the refinement: bounds the time."""
+_SETTLED = 1e-9
+"""Step at which the refinement has converged, rad."""
 _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
 VOLTAGE_MISMATCH = "voltage_gain_mismatch"
-_FEWEST_MIRRORED, _MOST_MIRRORED = 16, 1500
+_FEWEST_MIRRORED = 16
+"""Fewest pairs of mirrored currents that tell an angle."""
+_MOST_MIRRORED = 1500
+"""Most pairs, evenly chosen: bounds the time."""
 
 
 @dataclass(frozen=True)

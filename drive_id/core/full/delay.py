@@ -12,7 +12,9 @@ from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.types import FloatArray
 
 _SIGNIFICANCE = 2.0
-_LEAST_ANGLE = 2e-3  # rad
+"""Standard errors by which a delay must differ from zero, about 95 %."""
+_LEAST_ANGLE = 2e-3
+"""Angle turned in a delay below which it matters to nobody, rad."""
 _BIAS = 0.01
 """Samples; largest bias of an estimated delay seen in simulations."""
 _NOISE_SHARE = 0.02
@@ -24,9 +26,10 @@ _PHYSICAL = 0.05
 """Largest distance of a physical delay from a half or a whole sample, samples."""
 _SEGMENT = 0.25
 """Time over which a delay is averaged to find where it jumps, s."""
-_LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
-"""Jump of a delay in what the fit left of it, samples, and the share of the squared residuals that it must explain: the
-fit takes half of a jump and more; without one, the share was below 0.002."""
+_LEAST_JUMP = 0.2
+"""Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more."""
+_LEAST_SHARE = 0.1
+"""Share of the squared residuals that a jump must explain: without one, it was below 0.002."""
 _SAME_SPEED = 0.1
 """Relative difference of speeds above which something else may have changed as well."""
 

@@ -23,9 +23,16 @@ _MICRO = 1e6
 _NEGLIGIBLE = 5e-4
 """Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
 random drive 0.1 % of the flux."""
-_CONCENTRATED, _SUSPICIOUS, _OUTLYING = 1.5, 0.15, 20.0
-_ALIKE, _MOST_NAMED = 0.5, 2
-"""Share of the best explanation above which another one is named too, and the most that are named."""
+_CONCENTRATED = 1.5
+"""Residuals at small currents, relative to all, from which on they are told to lie there."""
+_SUSPICIOUS = 0.15
+"""Share of the squared residuals that an explanation must reach to be named."""
+_OUTLYING = 20.0
+"""Residuals of one batch, squared, relative to the median, from which on an event in time is told."""
+_ALIKE = 0.5
+"""Share of the best explanation above which another one is named, too."""
+_MOST_NAMED = 2
+"""Most explanations named: a longer list helps nobody."""
 
 
 def misfit_warning(fit: FullFit) -> Message | None:

@@ -30,16 +30,25 @@ _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
-_MOST_EFFECTS, _REFINEMENTS = 6, 2
+_MOST_EFFECTS = 6
+"""Most effects of a drive: bounds the time."""
+_REFINEMENTS = 2
+"""Most linearizations about the estimate with effects: bounds the time."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
-_SETTLING, _SETTLED = 4, 0.01
-"""Most repetitions for what the current does between samples, and relative change of the residuals that ends them."""
+_SETTLING = 4
+"""Most repetitions for what the current does between samples."""
+_SETTLED = 0.01
+"""Relative change of the residuals that ends them."""
 _MOST_POLE_PAIRS = 16
+"""Tried where the number is not known: as many as common machines have."""
 _MOST_WINDOWS = 3000
+"""Windows over which numbers of pole pairs are compared: 2 unknowns for each number."""
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
-_LONGEST_LATENCY, _LARGEST_LAG = 0.8, 0.2
-"""Longest latency of angle or currents, sample periods (the columns hold below 1); largest lagging share of flux."""
+_LONGEST_LATENCY = 0.8
+"""Of angle or currents, sample periods: the columns hold below 1."""
+_LARGEST_LAG = 0.2
+"""Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _TIMING = {DELAY, "current_latency", "angle_latency"}
 """All of them rotate the flux by the speed: at one speed, the data hold one."""
 _SPEEDS_APART = 0.1

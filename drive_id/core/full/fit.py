@@ -33,18 +33,30 @@ BATCH = 0.05
 _SIGNIFICANCE = 5.0
 """Standard errors by which an effect must differ from zero to be kept."""
 
-_SERIES, _CONVERGED = 16, 1e-3
+_SERIES = 16
+"""Most terms of the binomial series of the leverage correction."""
+_CONVERGED = 1e-3
+"""Term of the series, relative to the sum, that ends it: far below the uncertainty of a standard error."""
 _SLOPE_STEP = 0.02
+"""Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _STUDENT = 1.21
 """Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
-_KURTOSIS, _FEWEST = 3.0, 6.0
+_KURTOSIS = 3.0
+"""Fourth power of a normal variable, relative to its squared variance."""
+_FEWEST = 6.0
+"""Fewest degrees of freedom that are assumed, since their estimate is low by chance where there are few."""
 _PARTS = 4
 """Parts of the windows that are evaluated in parallel threads."""
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
 _NEAR_ZERO = 0.02
 """Currents relative to i_max below which the steep inverter curve amplifies current noise."""
-_PASSIVE_POINTS, _STIFFER, _ROUNDS = 41, 10.0, 7
+_PASSIVE_POINTS = 41
+"""Per axis, at which passivity is tested: two to three for each usual cell."""
+_STIFFER = 10.0
+"""Factor by which the roughness penalty grows in each round."""
+_ROUNDS = 7
+"""Most rounds: seven decades end in a map with constant inductances."""
 
 
 _Batch = tuple[FloatArray, float, float, float]

@@ -29,14 +29,24 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 LEAST_TOLD = 1.3
 """Ratio of the residuals to noise above which a warning is given."""
 
-_CELLS, _POSITIONS = 12, 48
+_CELLS = 12
+"""Per axis of the current plane: with 10 s of data, a cell holds some 100 windows, but misfits of the map are wider."""
+_POSITIONS = 48
+"""Rotor positions: every 7.5 degrees, for harmonics to the 24th."""
 _FEWEST = 8
 """Fewest windows of a group that is evaluated."""
 _NEIGHBOURS = 2
+"""Cells to each side over which the missed flux is averaged."""
 _SIGNIFICANCE = 4.0
-_RIPPLES, _MAINS = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0), 5e-3
-"""Ripples of rectified mains, Hz, and their relative tolerance."""
-_MOST_WINDOWS, _STEPS_PER_TURN = 3000, 3.0
+"""Standard deviations of the mean square of cells from which on a misfit recurs in them."""
+_RIPPLES = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)
+"""Of rectified mains, Hz."""
+_MAINS = 5e-3
+"""Relative tolerance of the mains' frequency."""
+_MOST_WINDOWS = 3000
+"""Windows over which ripples are compared: 2 unknowns for each frequency and run."""
+_STEPS_PER_TURN = 3.0
+"""Frequencies tried for each turn by which the ripple's phase would drift over a run."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 

@@ -34,8 +34,11 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
 """Of the co-energies of map and harmonics."""
-SENSOR_CELLS, SENSOR_DEGREE = 3, 3
+SENSOR_CELLS = 3
+SENSOR_DEGREE = 3
+"""Cells per axis and degree of the amplitudes of harmonics 1 and 2: deviations of sensors are smooth in the current."""
 SENSOR_ORDERS = (1, 2)
+"""Harmonics that offsets (1) and unequal gains (2) of current sensors cause."""
 
 VOLTAGE, RESISTANCE = 0, 1
 CONSTANT = slice(2, 4)
@@ -88,6 +91,7 @@ synchronous with the rotor, so that harmonics and map cannot be separated, the f
 
 _DROP_RIDGE = 1e-7
 _EFFECT_RIDGE = 1e-9
+"""Relative to the mean diagonal of Z'Z over the columns: only keeps the factorization of columns without data."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 

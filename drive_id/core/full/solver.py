@@ -36,7 +36,9 @@ from drive_id.core.numerics.threads import in_threads
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _UNPREDICTABLE = 4.0
+"""Error on a fold left out, relative to the median: a fold with a disturbance judges no variant."""
 _THINNED = 2000
+"""Windows from which the effect of current noise is computed: a mean over as many is within 2 %."""
 _ROUNDING = 1e-13
 """Sum of squared residuals, relative to that of the voltages, that is rounding."""
 _TINY = float(np.finfo(np.float64).tiny)

@@ -21,6 +21,7 @@ from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_th
 from drive_id.types import BoolArray, FloatArray, Samples
 
 FOLDS = 5
+"""Parts of the data, each of which is left out once: the usual number; time grows with it."""
 SEGMENT = 0.25
 """Duration of data that go to the same fold, s."""
 MOST_KEPT = 24_000
@@ -31,10 +32,12 @@ _GROUP = 512
 _DUE = 16 * FOLDS
 """Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
 in parallel threads."""
-_UNSEEN, _STEPS = 0.1, 4
-"""Share of all windows' products below which those of the kept ones count as unseen, and steps of the regularization:
-what the kept windows hold in full is regressed to 1e-4."""
+_UNSEEN = 0.1
+"""Share of all windows' products below which those of the kept ones count as unseen."""
+_STEPS = 4
+"""Of the iterated regularization: what the kept windows hold in full is regressed to 0.1^4 = 1e-4."""
 _ROUNDING = 1e-10
+"""Added to the unit diagonal: products are exact to 1e-13, and columns without data must not end the factorization."""
 
 
 class WindowSums:

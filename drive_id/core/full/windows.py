@@ -25,8 +25,10 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
-WINDOW_ANGLE, SHORT_ANGLE = np.deg2rad(60.0), np.deg2rad(25.0)
-"""Angle turned in a window, and in a short one, which fits between the zero crossings of two phase currents."""
+WINDOW_ANGLE = np.deg2rad(60.0)
+"""Angle turned in a window."""
+SHORT_ANGLE = np.deg2rad(25.0)
+"""Angle turned in a short window, which fits between the zero crossings of two phase currents."""
 LONGEST_WINDOW = 0.1
 """Limit at low speed, where 60 degrees would take longer, s."""
 WINDOW_CURRENT = 1.3
@@ -47,18 +49,24 @@ _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""
 _LINE = (_PAST - _PAST.mean()) / np.sum((_PAST - _PAST.mean()) ** 2)
 """Weights of these samples in the slope of the line, per sample."""
-_BESIDE, _CUBIC = np.array([-2, -1, 1, 2]), np.array([-1, 4, 4, -1]) / 6
-"""Offsets of the samples next to the end of a window, and the weights of the cubic through them."""
-_ROUNDING = 1e-9  # s
+_BESIDE = np.array([-2, -1, 1, 2])
+"""Offsets of the samples next to the end of a window."""
+_CUBIC = np.array([-1, 4, 4, -1]) / 6
+"""Weights of the cubic through these samples at the end of the window."""
+_ROUNDING = 1e-9
+"""Of stamps, s: a time that is a multiple of a batch must not fall into the batch before."""
 _FEWEST = 4096
 """Samples collected before windows are cut, so that overlaps cost little."""
 _FINEST = 1e-4
 """Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
+"""Of short windows with a zero crossing, one in so many is cut: they only show whether crossings disturb."""
 _WAY_STEP = 5e-4
 """Step in which the way of rotor and current is added up, s: noise lengthens shorter ones."""
 _GOLDEN = 0.6180339887498949
-_THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
+"""Golden section: shifts windows evenly, and never in step with the rotor or the trajectory."""
+_THIRD = 1 / 3
+_ROOT_THIRD = math.sqrt(1 / 3)
 _AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 

@@ -23,16 +23,24 @@ _EDGES = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.08])
 _CLEAR = 5
 """First class with full weight in the first fit."""
 _FIRST = 1e-3
+"""Weight of windows near crossings in the first fit: small, and enough where no others are."""
 _POWER = 4.0
 """Exponent of the excess: the misfit at a crossing is the same in each pass and does not average out like noise."""
-_LEAST_EXCESS, _ABOVE_CLEAR = 1.3, 1.15
+_LEAST_EXCESS = 1.3
+"""Rms over noise of windows with a crossing, from which on crossings disturb."""
+_ABOVE_CLEAR = 1.15
+"""The same relative to windows clear of crossings: a misfit of the map is in both."""
 _LEAST_VOLTAGE = 3e-4
 """Least rms of the excess, relative to that of the integrated voltages."""
 _ROUNDS = 2
+"""Of weighting: bounds the time."""
 _USUAL = 0.95
 _MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
 """Share of the windows that is used, and the mean of this share of smallest squares of unit complex noise."""
-_FEWEST, _MOST = 32, 1500
+_FEWEST = 32
+"""Fewest windows of a class: their mean square is within a quarter."""
+_MOST = 1500
+"""Windows that tell whether crossings disturb."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,8 +78,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     mean = _mean_inductances(model, estimate, windows.i_dq.mean(axis=1))
     known = np.linalg.det(mean) > _SINGULAR * np.square(np.trace(mean, axis1=-2, axis2=-1))
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
-    bow = np.square(fastest * step) / 8 * np.abs(psi).max() / max(inductance * model.i_max, _TINY)
-    if not known.any() or bow < _LEAST_BOW or fastest > _MOST_TURN:
+    bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
+    if not known.any() or bow < _LEAST_BOW * inductance * model.i_max or fastest > _MOST_TURN:
         return out.view(np.complex128)[:, 0]
     inverse = np.zeros_like(mean)
     inverse[known] = np.linalg.inv(mean[known])

@@ -27,6 +27,8 @@ UNCERTAIN_SHARE = 0.1
 """Uncertain share of these integrals; compared with an integration of high order."""
 _LEAST_BOW = 1e-3
 """Deviation of the current from a straight line, in i_max, below which it is as good as straight."""
+_MOST_BOW = 1.0
+"""The same above which the iteration diverges."""
 _MOST_TURN = np.deg2rad(45.0)
 """Angle between samples above which the iteration diverges and no voltage is known well enough."""
 _SINGULAR = 1e-3
@@ -68,7 +70,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     Returns
     -------
     (N,) complex
-        0 where the rotor turns hardly or far between samples, or the inductances are not known.
+        0 where the rotor turns hardly or far between samples, where the inductances are not known, and where they
+        are so wrong that the iteration diverges.
     """
     out = np.zeros((len(windows), 2))
     step = spacing(float(windows.period.min()))
@@ -79,7 +82,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     known = np.linalg.det(mean) > _SINGULAR * np.square(np.trace(mean, axis1=-2, axis2=-1))
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
-    if not known.any() or bow < _LEAST_BOW * inductance * model.i_max or fastest > _MOST_TURN:
+    least, most = (share * inductance * model.i_max for share in (_LEAST_BOW, _MOST_BOW))
+    if not (known.any() and least <= bow <= most and fastest <= _MOST_TURN):
         return out.view(np.complex128)[:, 0]
     inverse = np.zeros_like(mean)
     inverse[known] = np.linalg.inv(mean[known])
@@ -92,7 +96,9 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
         windows.period, windows.drop_scale, float(estimate[RESISTANCE]), step, current[0], current[1] - current[0],
         drop, primitive, _AXES, out,
     )  # fmt: skip
-    return np.where(known, out.view(np.complex128)[:, 0], 0.0)
+    integral = out.view(np.complex128)[:, 0]  # beyond the table and what it holds, the iteration has diverged
+    largest = np.abs(drop).max() + _BEYOND * abs(estimate[RESISTANCE]) * model.i_max
+    return np.where(known & (np.abs(integral) < largest * windows.duration), integral, 0.0)
 
 
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:

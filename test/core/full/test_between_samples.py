@@ -95,3 +95,24 @@ def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time
         found = between_samples.between_samples(model, estimate, windows, psi)[0]
         expected = y[2] + 1j * y[3] - period * straight
         assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of eight parts
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("inductance", [3e-5, 1e-6, 0.0])
+def test_what_cannot_be_found_by_iteration_is_left_out(inductance):
+    """Resistance and drop divided by such inductances let the iteration diverge, as after a fit that is far off."""
+    model = FullModel(np.array([-10.0, -10.0]), np.array([10.0, 10.0]), 10.0, ())
+    estimate = np.zeros(model.size)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-10.0, 10.0, 41)]), axis=-1).reshape(-1, 2)
+    rows = model.flux.rows(grid).sparse(model.flux.parameters).toarray()
+    estimate[model.map] = np.linalg.lstsq(rows, (inductance * grid).ravel())[0]
+    estimate[RESISTANCE] = 2.0
+    estimate[model.phase_columns()[1]] = 20.0
+    angle = np.array([[0.0, 0.3]])
+    windows = OneWindow(
+        angle=angle, period=np.array([2e-4]), duration=np.array([2e-4]), drop_scale=np.ones(1),
+        i_dq=np.array([[[5.0, 5.0], [5.0, 5.0]]]),
+    )  # fmt: skip
+    psi = np.array([[5.0 + 5.0j, 5.0 + 5.0j]]) * inductance + 1e-3
+    found = between_samples.between_samples(model, estimate, windows, psi)[0]
+    assert abs(found) < 2e-4 * (2 * 20.0 + 2.0 * 2 * 10.0)

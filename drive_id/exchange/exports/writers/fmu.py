@@ -86,7 +86,7 @@ def _fmu(table: MapTable, options: ExportOptions, version: int) -> bytes:
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)
     header = c_header.write(replace(table, filled=True), options).decode("ascii")
-    code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", f"fmi{version}.c")}
+    code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", "fmi.h", f"fmi{version}.c")}
     listed = _listed(variables)
     token = hashlib.sha256("".join([header, listed, *code.values()]).encode()).hexdigest()[:32]
     guid = f"{token[:8]}-{token[8:12]}-{token[12:16]}-{token[16:20]}-{token[20:]}"

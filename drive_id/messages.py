@@ -42,7 +42,6 @@ class Message(str):
     ----------
     code : str
         Stable name for programs; empty for sentences of results that were stored without codes.
-    values : mapping of str to float or str
     """
 
     code: str

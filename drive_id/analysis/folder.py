@@ -21,9 +21,9 @@ from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
-from drive_id.fitting.result import Identification, InverterCurve
-from drive_id.fitting.tables import pandas_library
 from drive_id.quantity import measured
+from drive_id.result.result import InverterCurve, Result
+from drive_id.result.tables import pandas_library
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
@@ -95,7 +95,7 @@ class Analysis:
 
     Parameters
     ----------
-    result : Identification
+    result : Result
     settings : AnalysisSettings
     model : MachineModel
         The drive as functions of the current: torque, inductances, inverse map.
@@ -111,7 +111,7 @@ class Analysis:
         Sentences: what the figures include, and where they rest on no data.
     """
 
-    result: Identification
+    result: Result
     settings: AnalysisSettings
     model: MachineModel
     figures: dict[str, Figure]

@@ -18,7 +18,7 @@ from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from drive_id.fitting.result import Identification
+    from drive_id.result.result import Result
 
 _MARGIN = 1.25
 """Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
@@ -49,7 +49,7 @@ class IronLoss:
     coercivity: float = 0.0
 
     @classmethod
-    def of(cls, result: Identification) -> IronLoss:
+    def of(cls, result: Result) -> IronLoss:
         """Return the iron loss that a fit identified, zero if it identified none."""
         found = {entry.name: entry.value for entry in result.calibrations if entry.applied}
         return cls(
@@ -115,7 +115,7 @@ class MachineModel:
     @classmethod
     def of(
         cls,
-        result: Identification,
+        result: Result,
         *,
         temperature: float | None = None,
         magnet_temperature: float | None = None,

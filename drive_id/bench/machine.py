@@ -26,7 +26,6 @@ class Machine:
 
     Parameters
     ----------
-    name : str
     table : SplineTable
         Flux linkages over currents and rotor position.
     mean : SplineTable
@@ -35,7 +34,6 @@ class Machine:
         What a drive engineer would know beforehand, for the current controller: the average on 9 x 9 points.
     resistance : float
         ohm.
-    pole_pairs : int
     i_max : float
         Largest current amplitude, A: the map's own, or less where the map reaches less far.
     u_dc : float
@@ -59,7 +57,6 @@ class Machine:
 
         Parameters
         ----------
-        machine_map : MachineMap
         harmonics : float, optional
             Factor on everything in the map that depends on the rotor position; 0 gives the averaged machine.
         sixth_harmonic : float, optional

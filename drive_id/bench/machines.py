@@ -30,7 +30,6 @@ class CoEnergyMachine:
 
     Parameters
     ----------
-    name : str
     magnet_flux : float
         psi_0, the magnet's flux linkage past the saturating iron, Wb.
     magnet_current : float
@@ -45,7 +44,6 @@ class CoEnergyMachine:
         h, k_h, m_h.
     resistance : float
         ohm.
-    pole_pairs : int
     i_max : float
         A.
     u_dc : float

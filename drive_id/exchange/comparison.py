@@ -11,7 +11,7 @@ import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.fitting.result import Identification, load
+from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
@@ -50,8 +50,8 @@ class Comparison:
         Difference of the inverter curves, V, over the phase current, A; None when one of the results has no curve.
     """
 
-    first: Identification
-    second: Identification
+    first: Result
+    second: Result
     i_d: FloatArray
     i_q: FloatArray
     common: BoolArray
@@ -140,7 +140,7 @@ class Comparison:
         return {name: _known(value) for name, value in tree.items()}
 
 
-def compare(first: Identification | str | Path, second: Identification | str | Path) -> Comparison:
+def compare(first: Result | str | Path, second: Result | str | Path) -> Comparison:
     """Compare two results.
 
     Parameters
@@ -160,7 +160,7 @@ def compare(first: Identification | str | Path, second: Identification | str | P
     ConfigurationError
         When all flux linkages of B are zero.
     """
-    first, second = (x if isinstance(x, Identification) else load(x) for x in (first, second))
+    first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
     i_d, i_q = found.i_d, found.i_q
     grid = np.meshgrid(i_d, i_q, indexing="ij")
@@ -194,7 +194,7 @@ def compare(first: Identification | str | Path, second: Identification | str | P
     )
 
 
-def _curves(first: Identification, second: Identification) -> tuple[FloatArray | None, FloatArray | None]:
+def _curves(first: Result, second: Result) -> tuple[FloatArray | None, FloatArray | None]:
     if not (first.origin.inverter and second.origin.inverter):
         return None, None
     curves = (first.inverter_curve, second.inverter_curve)

@@ -47,8 +47,6 @@ def completed(
 
     Parameters
     ----------
-    drive : drive_id.core.result.identification.IdentifiedDrive
-    settings : FitSettings
     excerpts : sequence of Samples
         From which the range of speeds is taken.
     duration : float

@@ -32,13 +32,10 @@ class StaticSources:
     ----------
     data : sequence of OperatingData
         At least one.
-    truth : GroundTruth or None
     digests : dict of str to str
         File to its sha256.
     last_stamp : int
         ns, 0 when unknown.
-    signals : SignalMap or None
-    warnings : tuple of Message
     """
 
     data: Sequence[OperatingData]
@@ -97,16 +94,6 @@ class StaticSources:
 
 def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = silent) -> Identification:
     """Identify a drive from slow telemetry.
-
-    Parameters
-    ----------
-    sources : StaticSources
-    settings : FitSettings
-    tell : callable, optional
-
-    Returns
-    -------
-    Identification
 
     Raises
     ------

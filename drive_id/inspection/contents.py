@@ -50,7 +50,6 @@ class Table:
         In the log; messages of a topic.
     columns : dict of str to (n,) float
         By field path, or name.
-    types : dict of str to str
     stamp : (n,) int64
         Of each row, ns; empty where only a column may hold the time.
     stamp_source : str
@@ -98,10 +97,8 @@ class Contents:
 
     Parameters
     ----------
-    path : Path
     kind : str
         ``mcap``, ``sqlite3``, ``rosbag1``, ``csv``, ``parquet``, ``mat``, ``mat73``, ``hdf5``, ``mdf`` or ``tdms``.
-    tables : tuple of Table
     bounded : bool
         Whether a fit reads it part by part.
     """

@@ -25,7 +25,7 @@ _EXPONENTS = (0.3, 0.8)
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ResistanceSoFar:
     """Resistance, ohm, from a number of samples, which arrived by ``time``, s of a steady clock."""
 
     time: float
@@ -39,7 +39,7 @@ class Estimate:
         return _Z * self.sigma / abs(self.resistance) if self.resistance else math.inf
 
 
-def forecast(estimates: list[Estimate], now: float) -> str:
+def forecast(estimates: list[ResistanceSoFar], now: float) -> str:
     """Say when R will be within 1 % at 95 %; empty where its standard error does not fall as with white noise."""
     if not estimates:
         return ""
@@ -65,7 +65,7 @@ class LiveView:
 
     _points: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_MOST_POINTS))
     _new: dict[str, Any] = field(default_factory=dict)
-    _estimates: list[Estimate] = field(default_factory=list)
+    _estimates: list[ResistanceSoFar] = field(default_factory=list)
     _health: dict[str, Any] = field(default_factory=dict)
 
     def point(self, i_d: float, i_q: float, speed: float) -> None:
@@ -85,7 +85,7 @@ class LiveView:
         if not all(name in values for name in wanted):
             return
         samples, resistance, sigma = (float(values[name]) for name in wanted)
-        found = Estimate(time - float(values.get("fit: age [s]", 0.0)), int(samples), resistance, sigma)
+        found = ResistanceSoFar(time - float(values.get("fit: age [s]", 0.0)), int(samples), resistance, sigma)
         if self._estimates and found.samples < self._estimates[-1].samples:
             self._estimates.clear()  # another experiment
         if not self._estimates or found.samples > self._estimates[-1].samples:

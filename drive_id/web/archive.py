@@ -14,7 +14,7 @@ import numpy as np
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.results.folder import MARKER
-from drive_id.fitting.result import Identification, load
+from drive_id.result.result import Result
 from drive_id.types import FloatArray
 
 _NODES = 16
@@ -66,7 +66,7 @@ class Archive:
 
 def entries_of(folders: Sequence[Path], base: Path) -> list[Entry]:
     """Return the entries of given result folders; raises a ResultError when one cannot be read."""
-    return [Entry(folder, row_of(load(folder))).relative_to(base) for folder in folders]
+    return [Entry(folder, row_of(Result.load(folder))).relative_to(base) for folder in folders]
 
 
 def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -76,12 +76,12 @@ def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
 
 def _entry(folder: Path) -> Entry:
     try:
-        return Entry(folder, row_of(load(folder)))
+        return Entry(folder, row_of(Result.load(folder)))
     except DriveIdError as error:
         return Entry(folder, {"error": str(error).replace(str(folder), "of this row")})
 
 
-def row_of(result: Identification) -> dict[str, Any]:
+def row_of(result: Result) -> dict[str, Any]:
     """Return what a page tells of a result, ready for JSON: numbers that are not known are null."""
     return {
         "date": result.date,

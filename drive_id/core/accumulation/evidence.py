@@ -41,7 +41,6 @@ class Evidence:
 
     Parameters
     ----------
-    settings : FitSettings
     d, q : Axis
         Ranges of the map.
     i_max : float
@@ -91,7 +90,6 @@ class Evidence:
 
         Parameters
         ----------
-        samples : Samples
         done : callable, optional
             Told after each part how many of them are done.
         continues : bool

@@ -41,10 +41,8 @@ class Calibration:
 
     Parameters
     ----------
-    name : str
     value, sigma : float
         Estimate and its standard error.
-    unit : str
     applied : bool
         Whether the signals are corrected by it.
     message : Message
@@ -81,7 +79,6 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
 
     Parameters
     ----------
-    fit : FullFit
     i_dq : (N, 2) float
         Currents with data, A.
     i_max : float
@@ -257,7 +254,6 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
 
     Parameters
     ----------
-    fit : FullFit
     i_dq : (N, 2) float
         Measured currents whose mirror images have data, too, A; see :func:`mirrored_points`.
 
@@ -320,8 +316,6 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
 
     Parameters
     ----------
-    fit : FullFit
-    found : sequence of Calibration
     i_dq : (N, 2) float
         Currents with data, A.
     faulty : float

@@ -82,7 +82,6 @@ class EffectColumns:
 
     Parameters
     ----------
-    model : FullModel
     estimate : (size,) float
         See :class:`~drive_id.core.full.solver.FullSolution`.
     heat : float

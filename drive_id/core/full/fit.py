@@ -99,8 +99,6 @@ class FullFit(Assessment):
 
     Parameters
     ----------
-    model : FullModel
-    solution : FullSolution
     selection : Selection
         The selected model and its alternatives.
     """
@@ -183,10 +181,6 @@ class EarlierFit:
         Cells of its map and harmonics, if not the usual ones.
     remains : bool
         Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
-    spec : ModelSpec
-    columns : EffectColumns
-    taken : tuple of Taken
-    delay, sigma_delay, advantage : float
     left : mapping of str to float
         See :class:`~drive_id.core.full.selection.Selection` and ``EffectSearch``.
     assessment : dict
@@ -260,7 +254,6 @@ def fit_full(
     ----------
     sums : WindowSums
         Finished.
-    settings : FitSettings
     turn : float
         Angle turned per sample, rms, rad.
     variance : float

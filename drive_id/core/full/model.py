@@ -300,7 +300,6 @@ class FullModel:
 
         Parameters
         ----------
-        windows : Windows
         layout : Layout, optional
             :attr:`summed` for Z S.
         """
@@ -628,10 +627,8 @@ def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float |
 
     Parameters
     ----------
-    model : FullModel
     total : (size, size) or (summed.size, summed.size) float
         Z'Z.
-    penalty : float
     unit : float, optional
         Mean diagonal of Z'Z over the columns of a free map; needed where those of the sums are reciprocal.
     """

@@ -40,10 +40,6 @@ _ROUNDING = 1e-10
 class WindowSums:
     """Z'Z over windows, per fold, in memory that does not grow with the recording.
 
-    Parameters
-    ----------
-    model : FullModel
-
     Notes
     -----
     Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.

@@ -224,7 +224,6 @@ def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> t
 
     Parameters
     ----------
-    model : FluxModel
     gamma : (P,) float
         Its parameters, Wb.
     d, q : Axis
@@ -267,7 +266,6 @@ def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances:
 
     Parameters
     ----------
-    model : TensorSpline
     gamma : (P,) float
         Coefficients, Wb.
     weak : (P,) bool

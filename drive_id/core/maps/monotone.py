@@ -87,7 +87,6 @@ class MonotoneMap:
         Where the points are.
     smoothness : float
         Weight of the roughness, chosen by cross-validation unless given.
-    convexity : Convexity
     """
 
     space: GradientSpline
@@ -174,10 +173,6 @@ def fit_monotone(
         Weight of the roughness. Default: by cross-validation.
     cells : int, optional
         Cells along each axis. Default: by the number of points.
-
-    Returns
-    -------
-    MonotoneMap
 
     Raises
     ------
@@ -300,8 +295,6 @@ class _Problem:
 
     Parameters
     ----------
-    points : _Points
-    space : GradientSpline
     rows : (2 N, P) sparse
         Fluxes at the points, both fluxes of a point adjacent.
     rough, beyond : (P, P) float

@@ -27,7 +27,15 @@ from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
-from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.methods.method import (
+    CURVE_POINTS,
+    EffectVoltages,
+    Estimate,
+    Gathered,
+    Limits,
+    MethodSums,
+    SimulationModel,
+)
 from drive_id.core.methods.paper import regression_sums
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
@@ -61,12 +69,12 @@ class FullMethod:
     windows: bool = True
     limits: Limits = _LIMITS
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
         """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
         low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
         reciprocal = settings.maps != "free"
         windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
-        return Sums(regression_sums(settings, d, q, i_max), windows)
+        return MethodSums(regression_sums(settings, d, q, i_max), windows)
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
         """Return the widths of a cell of the flux map, A."""
@@ -154,7 +162,6 @@ class TrueFrame:
 
     Parameters
     ----------
-    fit : FullFit
     angle : float
         Measured minus true electrical angle, rad.
     """

@@ -101,7 +101,6 @@ def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray,
         Points; those beyond the ends are moved to them.
     knots : (C + 1 + 2 degree,) float
         Clamped.
-    degree : int
     cell : (N,) int
         Output: first non-zero function.
     w : (N, degree + 1) float

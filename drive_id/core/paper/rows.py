@@ -61,11 +61,8 @@ def sample_integrals(
 
     Parameters
     ----------
-    samples : Samples
     part : slice
         M + 1 samples within one run.
-    model : FluxModel
-    shape : TanhShape
     left_out : (N,) bool, optional
         Samples to leave out.
 

@@ -56,10 +56,6 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         By the same settings from most of these samples: its MAD, and what method full selected and found about its
         errors, are taken over.
 
-    Returns
-    -------
-    Conclusion
-
     Raises
     ------
     CoverageError, UnexplainedError, DataError

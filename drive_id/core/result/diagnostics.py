@@ -121,7 +121,6 @@ def diagnose(
 
     Parameters
     ----------
-    drive : IdentifiedDrive
     settings : FitSettings
         Of its fit.
     excerpts : sequence of Samples

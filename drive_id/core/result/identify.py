@@ -28,12 +28,6 @@ def identify(
     ----------
     recordings : sequence of Samples
         Of the same drive; periods and speeds may differ.
-    settings : FitSettings, optional
-    tell : callable, optional
-
-    Returns
-    -------
-    IdentifiedDrive
 
     Raises
     ------

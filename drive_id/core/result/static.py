@@ -46,15 +46,6 @@ _FEW_COVERED = 0.45
 def identify_static(points: OperatingPoints, settings: FitSettings) -> IdentifiedDrive:
     """Identify a drive from operating points.
 
-    Parameters
-    ----------
-    points : OperatingPoints
-    settings : FitSettings
-
-    Returns
-    -------
-    IdentifiedDrive
-
     Raises
     ------
     StandstillError, CoverageError, UnexplainedError

@@ -121,7 +121,6 @@ def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
 
     Parameters
     ----------
-    residual : Residual
     bins : int
         Of one electrical turn.
     """
@@ -137,7 +136,6 @@ def over_time(residual: Residual, bins: int = 400) -> TimeBins:
 
     Parameters
     ----------
-    residual : Residual
     bins : int
         Fewer when there are not at least eight windows for each.
     """

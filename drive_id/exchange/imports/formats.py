@@ -19,7 +19,6 @@ class ImportFormat:
 
     Parameters
     ----------
-    title : str
     read : callable
         Returns the points of a :class:`~.source.Source`; raises ConfigurationError.
     mark : str

@@ -17,7 +17,6 @@ class Source:
 
     Parameters
     ----------
-    path : Path
     order : {"dq", "qd"}
         Of the indices of arrays whose axes are one-dimensional.
     columns : mapping of str to str

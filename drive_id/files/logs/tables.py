@@ -42,8 +42,6 @@ class CsvDialect:
         Line of the names, from 0.
     skipped : tuple of int
         Lines below it that hold no numbers, such as units.
-    names : tuple of str
-    encoding : str
     """
 
     delimiter: str

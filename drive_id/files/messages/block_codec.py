@@ -73,7 +73,6 @@ def encode_block(
     ----------
     stamp : int
         Time of the first sample, ns, in [0, 2**31 s).
-    first_sample : int
     sample_period : float
         s.
     values : sequence of (n,) float32

@@ -42,8 +42,6 @@ def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) 
 
     Parameters
     ----------
-    bag : Bag
-    signals : SignalMap
     topics : dict
         Section of the signal map (``currents``, ...) to its topic in the bag.
 
@@ -93,7 +91,6 @@ class LogSignals:
     ----------
     path : Path
         Of the log.
-    signals : SignalMap
     sources : dict of str to TimeSource
         By section of the signal map.
     names : dict of str to str
@@ -196,8 +193,6 @@ class SignalStream(LogSignals):
 
     Parameters
     ----------
-    bag : Bag
-    signals : SignalMap
     topics : dict
         Section of the signal map to its topic in the bag.
 
@@ -242,10 +237,8 @@ class SignalBuilder:
 
     Parameters
     ----------
-    topic : str
     section : str
         Of the signal map.
-    source : TimeSource
     """
 
     def __init__(self, topic: str, section: str, source: TimeSource) -> None:

@@ -25,21 +25,16 @@ class BagInfo:
 
     Parameters
     ----------
-    path : str
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : str
         Empty for none; ``(file)`` after it means whole files, ``(message)`` single messages.
-    files : tuple of str
     size : int
         Of all files, bytes.
-    topics : tuple of TopicInfo
-    messages : int
     start : int
         Log time of the first message, ns.
     duration : float
         Between first and last message, s.
-    complete : bool
     problem : str
         What is wrong with an incomplete one.
     ground_truth : bool

@@ -77,8 +77,6 @@ class SeveralBags:
 
     Parameters
     ----------
-    bags : sequence of Path
-    signals : SignalMap
     namespace : str
         Of the drive, when a bag holds several.
     tell : callable

@@ -28,7 +28,6 @@ def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, 
 
     Parameters
     ----------
-    directory : Path
     force : bool
         Allow a folder that holds other files.
     marker, kind : str
@@ -90,7 +89,6 @@ def replace_folder(
     ----------
     directory : Path
         Created when missing; other files in it stay.
-    files : mapping of str to bytes
     marker, kind, force
         See :func:`check_output`.
     stale : collection of str

@@ -70,7 +70,6 @@ class Provenance:
     ----------
     inputs : dict of str to str
         File to its sha256.
-    settings : FitSettings
     machine : str
         Name, empty when unknown.
     nrmse : (float, float) or None
@@ -122,8 +121,6 @@ def write_results(
     ----------
     directory : Path
         See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
-    identification : IdentifiedDrive
-    provenance : Provenance
     force : bool
         Write into a folder that holds other files.
     pictures : mapping of str to bytes, optional

@@ -53,7 +53,6 @@ class StoredInformation:
 
     Parameters
     ----------
-    accumulated : Accumulated
     software : str
         Version of drive_id that wrote it.
     """
@@ -84,7 +83,6 @@ def write_information(path: Path, accumulated: Accumulated) -> None:
 
     Parameters
     ----------
-    path : Path
     accumulated : Accumulated
         Of its excerpts, only the first 2 s of at most 10 recordings are kept.
 

@@ -49,7 +49,6 @@ def plan_yaml(plan: Plan, machine: str = "") -> str:
 
     Parameters
     ----------
-    plan : Plan
     machine : str
         For the simulated bench: a shipped machine by name, or a machine file.
     """

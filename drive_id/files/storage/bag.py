@@ -41,12 +41,10 @@ class Bag:
 
     Parameters
     ----------
-    path : Path
     files : tuple of Path
         The storage files in order.
     storages : tuple of Storage
         The same, open.
-    metadata : BagMetadata or None
     compression : str
         Of the files as a whole, or within them; empty for none.
     packed_with_checksum : bool
@@ -166,7 +164,6 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
 
     Parameters
     ----------
-    path : Path
     salvage : bool
         Open damaged MCAP files as far as they can be read: to describe them, not to fit them.
 

@@ -158,7 +158,6 @@ def bag_information(
 
     Parameters
     ----------
-    topics : sequence of TopicEntry
     files : sequence of FileEntry
         In order.
     distro : str

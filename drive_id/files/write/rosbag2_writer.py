@@ -297,7 +297,6 @@ class Rosbag2McapWriter:
             Absolute name.
         type_name : str
             ``package/msg/Name``.
-        qos : Qos, optional
         definition, hash_ : str
             Complete ``ros2msg`` definition and RIHS01 hash; known for our own sample messages.
         """
@@ -313,7 +312,6 @@ class Rosbag2McapWriter:
 
         Parameters
         ----------
-        topic : str
         data : bytes
             CDR.
         log_time : int

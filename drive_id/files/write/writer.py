@@ -68,7 +68,6 @@ def write_recording(
         Stored as float32, like the messages.
     truth : GroundTruth, optional
         Stored as the attachment ``ground_truth.npz``.
-    topics : Topics, optional
     block_size : int
         Samples per message.
     scalar_periods : mapping of str to float, optional

@@ -99,7 +99,6 @@ class RecordingSession:
         Bag to create.
     topics : sequence of RecordedTopic
         The first is the one whose samples are reported.
-    settings : RecordingSettings
     ros_distro : str
         For the record.
     opener : callable
@@ -195,7 +194,6 @@ class RecordingSession:
 
         Parameters
         ----------
-        topic : str
         data : bytes
             CDR.
         log_time : int

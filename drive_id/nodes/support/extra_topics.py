@@ -24,7 +24,6 @@ class ExtraTopics:
 
     Parameters
     ----------
-    node : Node
     own : collection of str
         Absolute names of the topics that are recorded anyway.
     receive : callable

@@ -41,7 +41,6 @@ def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str
 
     Parameters
     ----------
-    node : Node
     cls : type
         Settings dataclass; its fields carry description, unit and bounds.
     read_only : iterable of str
@@ -100,7 +99,6 @@ def on_change(
 
     Parameters
     ----------
-    node : Node
     cls : type
         Settings dataclass.
     check : callable

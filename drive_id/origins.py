@@ -187,13 +187,7 @@ METHODS: Final = tuple(name for name, origin in ORIGINS.items() if origin.fitted
 
 
 def origin_named(name: str) -> Origin:
-    """Return the origin of this name.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is none.
-    """
+    """Return the origin of this name; raises ConfigurationError when there is none."""
     if name not in ORIGINS:
         raise ConfigurationError(f"'{name:.40}' is no origin of a result: it must be one of {', '.join(ORIGINS)}.")
     return ORIGINS[name]

@@ -8,14 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.analysis.bands import combined
-from drive_id.analysis.field_weakening import (
-    DriveLimits,
-    corner_speed,
-    envelope,
-    references,
-    sigma_envelope,
-    top_speed,
-)
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, sigma_envelope, top_speed
 from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps

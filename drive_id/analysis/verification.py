@@ -199,10 +199,7 @@ def verify(result: Result, samples: Samples) -> Verification:
 def _cells(result: Result, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:
     """Return the windows (N) within the data of the map, the map's flux and the cell at both ends (N, 2), and counts.
 
-    Raises
-    ------
-    CoverageError
-        When there are hardly any.
+    Raises CoverageError when there are hardly any.
     """
     psi, kept = _stator_flux(result, windows)
     place = np.floor((windows.i_dq / result.i_max + 1) * (_ACROSS / 2)).astype(np.int64)

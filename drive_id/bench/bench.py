@@ -144,10 +144,7 @@ class SimulatedBench:
 
         The first call starts the simulation.
 
-        Raises
-        ------
-        ConfigurationError
-            When the simulation breaks off.
+        Raises ConfigurationError when the simulation breaks off.
         """
         if self._start is None:
             self._start = self._now = now

@@ -105,10 +105,7 @@ class Machine:
 def default_amplitude(machine_map: MachineMap) -> float:
     """Return the largest current amplitude, A, up to ``i_max``, whose disc the map covers.
 
-    Raises
-    ------
-    ConfigurationError
-        When that is less than a quarter of ``i_max``.
+    Raises ConfigurationError when that is less than a quarter of ``i_max``.
     """
     reach = min(-machine_map.i_d[0], machine_map.i_d[-1], -machine_map.i_q[0], machine_map.i_q[-1])
     amplitude = float(min(reach, machine_map.i_max))

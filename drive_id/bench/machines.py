@@ -141,13 +141,7 @@ MACHINES = {
 
 
 def machine_map(name: str) -> MachineMap:
-    """Return the map of a shipped machine.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is no machine of that name.
-    """
+    """Return the map of a shipped machine; raises ConfigurationError when there is no machine of that name."""
     if name not in MACHINES:
         raise ConfigurationError(
             f"There is no machine '{name}': choose one of {', '.join(MACHINES)}, or give a machine file (.npz or .mat)."

@@ -11,6 +11,7 @@ import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.quantity import plain
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
@@ -137,7 +138,8 @@ class Comparison:
             "torque": torque,
             "nrmse_torque": relative,
         }
-        return {name: _known(value) for name, value in tree.items()}
+        found: dict[str, Any] = plain(tree)
+        return found
 
 
 def compare(first: Result | str | Path, second: Result | str | Path) -> Comparison:
@@ -214,7 +216,3 @@ def _joint(first: FloatArray, second: FloatArray) -> FloatArray:
 def _rms(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
-
-
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

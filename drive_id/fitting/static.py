@@ -56,13 +56,7 @@ class StaticSources:
 
     @classmethod
     def read(cls, sources: Sources, tell: Progress = silent) -> StaticSources:
-        """Read logs.
-
-        Raises
-        ------
-        DriveIdError
-            When one cannot be read, unless ``skip_bad``; or when all cannot.
-        """
+        """Read logs; raises DriveIdError when one cannot be read, unless ``skip_bad``; or when all cannot."""
         if sources.information:
             raise ConfigurationError(
                 f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
@@ -95,14 +89,11 @@ class StaticSources:
 def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = silent) -> Identification:
     """Identify a drive from slow telemetry.
 
-    Raises
-    ------
-    DriveIdError
-        When there are too few operating points, or they cannot give a trustworthy result.
+    Raises DriveIdError when there are too few operating points, or they cannot give a trustworthy result.
     """
     tell("Solving", None)
     data = [_prepared(part, settings, number) for number, part in enumerate(sources.data)]
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         points = joined_points([operating_points(part) for part in data])
         drive = identify_static(points, settings)
     result = completed(

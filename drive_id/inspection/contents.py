@@ -115,13 +115,7 @@ class Contents:
 
 
 def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
-    """Read the first rows of everything in a log.
-
-    Raises
-    ------
-    BagError
-        When it is no log, or cannot be read.
-    """
+    """Read the first rows of everything in a log; raises BagError when it is no log, or cannot be read."""
     if log_kind(path):
         with open_log(path) as log:
             return Contents(path, log.kind, tuple(_of_group(log, group) for group in log.groups), log.bounded)

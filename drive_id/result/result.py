@@ -324,13 +324,12 @@ class Result:
             raise ConfigurationError(
                 "The result does not tell the number of pole pairs, which a simulation needs: give pole_pairs."
             )
-        from drive_id.core.maps.continuation import LongerGrid, typical_slope  # noqa: PLC0415  # a fit needs no scipy
+        from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
         found = self.flux_map
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
         whole = longer.whole
-        psi_d = whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
-        psi_q = whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
+        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])

@@ -66,7 +66,7 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Estimate offsets and gain mismatch of the current sensors.
 
@@ -245,7 +245,7 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     return points[:: max(1, len(points) // _MOST_MIRRORED)]
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
 
@@ -307,7 +307,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     return Calibration(name, angle, sigma, unit, symmetric, said)
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
     """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
 

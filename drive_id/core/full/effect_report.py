@@ -165,10 +165,9 @@ def _magnet(found: _Evaluated) -> Iterator[_Shown]:
 
 def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
     """Report the amplitude of cosine and sine, rms over the runs that have them."""
-    name, unit = {
-        "eccentricity": ("resolver_eccentricity", "rad"),
-        "eccentric_rotor": ("rotor_eccentricity", "1"),
-    }.get(found.name, (found.name, "rad"))
+    name, unit = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}.get(
+        found.name, (found.name, "rad")
+    )
     pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
     amplitude = np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1)))

@@ -238,7 +238,7 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     return FullFit(model=sums.model, solution=solution, selection=selection, **earlier.assessment)
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def fit_full(
     sums: WindowSums,
     settings: FitSettings,

@@ -579,10 +579,7 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
 def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums.
 
-    Raises
-    ------
-    ValueError
-        If the maps are free and the columns of the sums are reciprocal.
+    Raises ValueError if the maps are free and the columns of the sums are reciprocal.
     """
     if model.reciprocal and not spec.reciprocal:
         raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")

@@ -383,7 +383,7 @@ class WindowSums:
                 if model.reciprocal:
                     self._squares[number] += model.map_squares(few)
 
-        with one_blas_thread(with_scipy=False):
+        with one_blas_thread():
             in_threads(add, sorted(by_fold), threads)
 
     def _reduce(self) -> None:

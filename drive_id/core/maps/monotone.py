@@ -138,7 +138,7 @@ class MonotoneMap:
         return self.support.contains(flat).reshape(np.shape(i_dq)[:-1])
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def fit_monotone(
     i_dq: FloatArray,
     psi_dq: FloatArray,
@@ -270,12 +270,7 @@ class _Points:
 
     @cached_property
     def slope(self) -> float:
-        """The smaller of the slopes of psi_d over i_d and psi_q over i_q in an affine map.
-
-        Raises
-        ------
-        DataError
-        """
+        """The smaller of the slopes of psi_d over i_d and psi_q over i_q in an affine map; raises DataError."""
         affine = np.column_stack([np.ones(len(self.i)), self.i])
         roots = np.sqrt(self.weights.T)
         slopes = [np.linalg.lstsq(r[:, None] * affine, r * psi)[0] for r, psi in zip(roots, self.psi.T, strict=True)]

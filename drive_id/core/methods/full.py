@@ -15,12 +15,7 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import (
-    MAGNET,
-    RESISTANCE,
-    SENSOR_ORDERS,
-    FullModel,
-)
+from drive_id.core.full.model import MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
@@ -65,7 +60,6 @@ _FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
 class FullMethod:
     """Linear least squares over windows, with rotor harmonics, an inverter curve and calibration."""
 
-    inverter: bool = True
     windows: bool = True
     limits: Limits = _LIMITS
 
@@ -83,10 +77,8 @@ class FullMethod:
     def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
-        Raises
-        ------
-        DataError
-            When there are fewer windows than unknowns, or the delay of the voltages jumps within a recording.
+        Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
+        recording.
         """
         assert evidence.windows is not None
         information = evidence.windows.finished()

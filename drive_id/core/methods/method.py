@@ -148,12 +148,8 @@ class Method(Protocol):
     """One of ``psm``, ``joint`` and ``full``."""
 
     @property
-    def inverter(self) -> bool:
-        """Whether it estimates the inverter's voltage error."""
-
-    @property
     def windows(self) -> bool:
-        """Whether it sums over windows, and needs scipy."""
+        """Whether it sums over windows."""
 
     @property
     def limits(self) -> Limits:

@@ -23,10 +23,7 @@ _SIXTH = 1 / 6  # divisions are slow
 class Axis:
     """Range of one current, A, with ``count`` cubic B-splines.
 
-    Raises
-    ------
-    ConfigurationError
-        When the range is empty or ``count`` is below four.
+    Raises ConfigurationError when the range is empty or ``count`` is below four.
     """
 
     low: float

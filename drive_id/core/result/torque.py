@@ -56,7 +56,7 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
     )
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) -> TorqueFit | None:
     """Fit gain, friction and cogging to the shaft torque.
 

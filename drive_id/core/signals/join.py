@@ -296,9 +296,7 @@ class StreamJoin:
     def check(self) -> None:
         """Raise what is wrong with the signals, see :func:`join`; call it on a finished stream.
 
-        Raises
-        ------
-        EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError
+        Raises EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError.
         """
         claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
         if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):

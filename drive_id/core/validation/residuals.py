@@ -58,11 +58,7 @@ class AngleBins(NamedTuple):
 
 
 def residual_voltage(
-    samples: Samples,
-    flux: Flux,
-    resistance: float,
-    drop: tuple[FloatArray, FloatArray],
-    span: float = np.deg2rad(5.0),
+    samples: Samples, flux: Flux, resistance: float, drop: tuple[FloatArray, FloatArray], span: float = np.deg2rad(5.0)
 ) -> Residual:
     """Evaluate the voltage balance over adjacent windows of a few degrees.
 

@@ -152,10 +152,7 @@ class MapTable:
     def repeating(self, span: float) -> MapTable:
         """Return this table with only those harmonics that repeat after an electrical angle, rad.
 
-        Raises
-        ------
-        ConfigurationError
-            When one that does not is larger than a hundredth of the largest flux.
+        Raises ConfigurationError when one that does not is larger than a hundredth of the largest flux.
         """
         kept = []
         largest = float(np.nanmax(np.hypot(*self.psi)))
@@ -189,10 +186,7 @@ class MapTable:
     def torque_theta(self, theta: FloatArray) -> FloatArray:
         """Return the torque (D, Q, H), Nm, at electrical angles (H,), rad, without the cogging at zero current.
 
-        Raises
-        ------
-        ConfigurationError
-            When the pole pairs are unknown.
+        Raises ConfigurationError when the pole pairs are unknown.
         """
         ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
         return self.masked(self.torque[..., None] + ripple)
@@ -246,13 +240,7 @@ class MapTable:
         return {name: text for name, text in texts.items() if text} | known
 
     def known_resistance(self) -> float:
-        """Return the resistance, ohm.
-
-        Raises
-        ------
-        ConfigurationError
-            When it is unknown.
-        """
+        """Return the resistance, ohm; raises ConfigurationError when it is unknown."""
         if not np.isfinite(self.machine.resistance):
             raise ConfigurationError(
                 "The result does not tell the resistance, which this format needs: import the map with --resistance."

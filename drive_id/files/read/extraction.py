@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
-from drive_id.files.messages.message_reader import (
-    DECODE_ERRORS,
-    STAMP_LIMIT,
-    MessageSamples,
-    Reader,
-    message_reader,
-)
+from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
 from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
@@ -256,12 +250,7 @@ class SignalBuilder:
         self._last_angle: float | None = None
 
     def build(self, pieces: list[MessageSamples]) -> Signal:
-        """Return the next pieces, one or more, as a signal.
-
-        Raises
-        ------
-        MessageTypeError, SamplePeriodError
-        """
+        """Return the next pieces, one or more, as a signal; raises MessageTypeError, SamplePeriodError."""
         count = np.array([len(piece.columns[0]) for piece in pieces])
         self._check_periods(pieces)
         if all(isinstance(piece.stamp, int) for piece in pieces):

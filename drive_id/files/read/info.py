@@ -56,13 +56,7 @@ class BagInfo:
 
 
 def bag_info(path: Path) -> BagInfo:
-    """Describe a recording, also an incomplete one.
-
-    Raises
-    ------
-    BagError
-        When nothing of it can be read.
-    """
+    """Describe a recording, also an incomplete one; raises BagError when nothing of it can be read."""
     if log_kind(path):
         from drive_id.files.logs.open_log import open_log  # noqa: PLC0415  # numpy takes longer than to list a bag
 

@@ -253,14 +253,7 @@ class RecordingSession:
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
         return RecordingReport(
-            self.path,
-            tuple(topics),
-            len(files),
-            self._writer.size,
-            waiting,
-            self._error,
-            self.remark,
-            self._free,
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark, self._free
         )
 
     # -- the writing thread ----------------------------------------------------------------------------------------

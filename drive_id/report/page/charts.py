@@ -6,12 +6,14 @@ significant digits.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
 
 from drive_id.pictures.panels import COLOURS
+from drive_id.quantity import plain
 from drive_id.report.page.content import map_difference
 from drive_id.report.page.operation import TorqueMap
 from drive_id.result.result import Result
@@ -19,7 +21,7 @@ from drive_id.types import BoolArray, FloatArray
 
 MOST_POINTS = 97
 """Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
-_DIGITS = 5
+_listed = partial(plain, digits=5)
 _RPM = 30 / np.pi
 
 
@@ -187,10 +189,3 @@ def _thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 def _masked(values: FloatArray, known: BoolArray) -> FloatArray:
     return np.where(known, values, np.nan)
-
-
-def _listed(values: FloatArray, digits: int = _DIGITS) -> list[Any]:
-    """Return nested lists of numbers of some significant digits, None where they are not finite."""
-    if values.ndim > 1:
-        return [_listed(row, digits) for row in values]
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]

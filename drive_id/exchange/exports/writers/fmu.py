@@ -73,10 +73,7 @@ def write_3(table: MapTable, options: ExportOptions) -> bytes:
 
     The map is continued where there are no data; its harmonics and the iron loss are not included.
 
-    Raises
-    ------
-    ConfigurationError
-        When pole pairs or resistance are unknown, or the compiler fails.
+    Raises ConfigurationError when pole pairs or resistance are unknown, or the compiler fails.
     """
     return _fmu(table, options, 3)
 
@@ -121,10 +118,7 @@ def _listed(variables: list[_Variable]) -> str:
 def _library(code: dict[str, str], version: int) -> tuple[str, bytes] | None:
     """Return place and content of the compiled library; None without a compiler or a name for this platform.
 
-    Raises
-    ------
-    ConfigurationError
-        When the compiler fails.
+    Raises ConfigurationError when the compiler fails.
     """
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     system, suffix = _SYSTEMS.get(sys.platform, ("", ""))

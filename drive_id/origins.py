@@ -72,7 +72,10 @@ class Origin:
     ignores: tuple[str, ...] = ()
 
 
-_GAIN = "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque shows it."
+_GAIN = (
+    "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque, or a free "
+    "shaft of known inertia, shows it."
+)
 _OF_THE_DATA = (
     _GAIN,
     "A zero-sequence error of the phase voltages leaves no trace.",

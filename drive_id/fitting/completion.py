@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -69,6 +70,8 @@ def completed(
     """
     pole_pairs = known_pole_pairs(settings, truth, signals)
     drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
+    if drive.torque is not None or (drive.mechanics is not None and drive.mechanics.gain is not None):
+        drive = replace(drive, statements=tuple(said for said in drive.statements if said.code != "common_gain"))
     nrmse = score(drive, truth) if truth else None
     referred = "temperatures" not in ORIGINS[settings.method].ignores and (
         bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)

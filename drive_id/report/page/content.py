@@ -271,16 +271,12 @@ def _values(result: Result) -> TextTable:
 def _speed(result: Result) -> str:
     if result.speed_range is None:
         return "unknown"
-    low, high = result.speed_range
-    text = f"{number(low)} rad/s" if single_speed(result.provenance) else f"{number(low)} to {number(high)} rad/s"
+    ends = result.speed_range[:1] if single_speed(result.provenance) else result.speed_range
+    text = f"{' to '.join(map(number, ends))} rad/s"
     if result.pole_pairs is None:
         return text
-    rpm = [speed * 30 / math.pi / result.pole_pairs for speed in (low, high)]
-    return (
-        f"{text} ({number(rpm[0])} rpm)"
-        if single_speed(result.provenance)
-        else f"{text} ({number(rpm[0])} to {number(rpm[1])} rpm)"
-    )
+    rpm = (number(speed * 30 / math.pi / result.pole_pairs) for speed in ends)
+    return f"{text} ({' to '.join(rpm)} rpm of the shaft)"
 
 
 def _methods(result: Result) -> TextTable:
@@ -354,6 +350,8 @@ def map_difference(result: Result, other: ComparedMethod) -> tuple[FloatArray, F
 def _calibrations(result: Result) -> TextTable:
     rows = []
     for found in result.calibrations:
+        if not (found.applied or math.isfinite(found.sigma)):
+            continue  # nothing was estimated
         done = "corrected" if found.applied else "not corrected"
         rows.append((found.name, measured(found.value, found.sigma, found.unit), done))
     return TextTable("Sensor faults and effects of the drive", ("Name", "Value", "In the map"), tuple(rows))
@@ -366,14 +364,14 @@ def _settings(result: Result) -> TextTable:
         return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), ())
     for name, value in vars(result.provenance.settings).items():
         changed = "default" if value == getattr(usual, name) else "set"
-        rows.append((name, _setting(value), changed))
+        rows.append((name, _setting(name, value), changed))
     return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
 
 
-def _setting(value: object) -> str:
+def _setting(name: str, value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(map(str, value)) or "none"
-    return "automatic" if value is None else str(value)
+    return "automatic" if value is None or (name == "pole_pairs" and not value) else str(value)
 
 
 def _operation(operation: TorqueMap | None) -> TextTable:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from population_drives import drive, on_free_shaft
 
-from drive_id.bench.bench import Bench, MessageBlock
+from drive_id.bench.bench import MessageBlock, SimulatedBench
 from drive_id.bench.drive import build_machine
 from drive_id.bench.effects import largest_torque
 from drive_id.bench.settings import BenchSettings, SimulationSettings
@@ -50,7 +50,7 @@ class Cell:
     def __init__(
         self, machine_map: MachineMap, drive: SimulationSettings, settings: ExperimentSettings, late: int = 0
     ) -> None:
-        self.bench = Bench(machine_map, drive, BenchSettings())
+        self.bench = SimulatedBench(machine_map, drive, BenchSettings())
         self.experiment = SupervisedExperiment(settings)
         self.now = 1_000_000_000
         self.current = self.speed = 0.0

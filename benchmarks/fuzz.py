@@ -34,8 +34,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from fuzz_inputs import BOMBS, SECONDS, TRAJECTORY, UNLIMITED, Case, Limit, make_corpus
+from fuzz_bombs import BOMBS
 from fuzz_inputs import KINDS as BAG_KINDS
+from fuzz_inputs import SECONDS, TRAJECTORY, UNLIMITED, Case, Limit, make_corpus
 from fuzz_limits import LIMIT_KINDS
 from fuzz_logs import LOG_KINDS, load_readers, make_logs
 from scipy.interpolate import RegularGridInterpolator

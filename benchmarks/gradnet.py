@@ -318,7 +318,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if not (arguments.folder / "examples" / "trained_models").is_dir():
         parser.error(f"{arguments.folder} is not an unpacked source distribution of motulator_gradnet.")
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         rows, coefficients = zip(*(judged(arguments.folder, case) for case in CASES), strict=True)
     table = Table(*COLUMNS)
     for row in rows:

@@ -13,10 +13,10 @@ import json
 import math
 import multiprocessing
 import os
-import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
@@ -41,37 +41,45 @@ MOST_REACH, _USUAL = 1.2, 0.999
 """Largest usual current, in i_max, beyond which the controller has lost the trajectory, so that the drive is not well
 posed, and the quantile that stands for it."""
 CAUSES = {
-    "iron": r"iron loss|^iron_loss",
-    "lag": r"lags the current|^flux_lag",
-    "heat": r"heating of|changed .* with the heat|^resistance_rise|^magnet_flux_change$",
-    "recordings": r"in a later recording|In recording \d|^resistance_change|^magnet_flux_change_",
-    "rotor": r"eccentric rotor|^rotor_ecc",
-    "phases": r"unequal phase resistances|phase resistances differ|^resistance_[abc]$",
-    "inverter": r"dead time|drops of the inverter|inverter's drop",
-    "dc": r"DC-link voltage|DC link|voltages are at a limit|^dc_link",
-    "timing": r"latency|delay of the voltages|samples (early|late)|filter|stand out|^voltage_delay|stretch",
-    "angle": r"offset of the angle|angle is off|d axis|check the angle for|asymmetric|^resolver_offset",
-    "gains": r"current gains|gain of phase|current sensors|sum to zero|^current_gain",
-    "offsets": r"constant part|current offset|^current_offset|^voltage_offset",
-    "resolver": r"eccentric resolver|resolver is eccentric|resolver error|error of .* degrees|^resolver_[efs]",
-    "voltage_gains": r"voltage gains|voltages' gains|^voltage_gain",
-    "decimated": r"every \S*-?th sample|n-th sample|decimat|one (sample )?in \d",
-    "machine": r"machine itself may not be reciprocal",
-    "harmonics": r"rotor-position harmonic",
-}
-"""What a warning names (a sentence), and the names of corrections, by cause."""
-_WEAK = re.compile(
-    "not significantly different from zero|standard error above 1 %|too short to estimate|belong to R or to the drop"
-    "|The data cover"
-)
+    "iron": ("iron_loss*", "coercivity", "hysteresis"),
+    "lag": ("flux_lag*",),
+    "heat": ("copper_heating", "magnet_heating", "resistance_rise", "magnet_flux_change"),
+    "recordings": ("copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_*"),
+    "rotor": ("eccentric_rotor", "rotor_ecc*"),
+    "phases": ("phase_resistance", "resistance_[abc]"),
+    "inverter": ("devices", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents"),
+    "dc": ("dc_link*", "ripple", "voltage_clipped", "misfit", "misfit.small_currents"),
+    "timing": (
+        "angle_latency", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier", "single_sample",
+        "no_checksums", "misfit.time",
+    ),
+    "angle": ("angle_offset", "resolver_offset", "mirror_asymmetry", "magnet_negative"),
+    "gains": ("current_gain*", "current_offset", "zero_sequence", "voltage_offset"),
+    "offsets": ("current_offset*", "voltage_offset*"),
+    "resolver": ("eccentricity", "resolver_[efs]*"),
+    "voltage_gains": ("voltage_gain*",),
+    "decimated": ("decimated",),
+    "machine": ("not_reciprocal",),
+    "harmonics": ("harmonic",),
+}  # fmt: skip
+"""By cause: codes of warnings, effects that they name, and names of corrections."""
+_WEAK = {"resistance_vague", "sigma_large", "too_short", "wide_curve", "little_coverage"}
 """Warnings that say what the data leave open, true of any drive."""
-_TESTED = re.compile(r"none of the causes tested \([^)]*\)")
 
 
-def named(text: str) -> set[str]:
-    """Return the causes that a warning or the name of a correction names."""
-    text = _TESTED.sub("none tested", text)
-    return {cause for cause, pattern in CAUSES.items() if re.search(pattern, text)}
+def named(*names: str) -> set[str]:
+    """Return the causes of warnings, effects or corrections of these names."""
+    return {cause for cause, own in CAUSES.items() if any(fnmatchcase(name, one) for name in names for one in own)}
+
+
+def blamed(warning: Row) -> set[str]:
+    """Return the causes that a warning, as :meth:`drive_id.messages.Message.tree` has it, names."""
+    code, values = warning["code"], warning["values"]
+    if values.get("causes"):
+        return named(*(effect.partition(" ")[0] for effect in values["causes"].split(",")))
+    if code == "misfit":
+        code += ".time" if "time" in values else ".small_currents" if "low" in values else ""
+    return named(code)
 
 
 def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
@@ -82,7 +90,8 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
         found = drive_id.fit(list(samples), settings=settings)
     except DriveIdError as refusal:
         return {"refused": str(refusal), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
-    row: Row = {"seconds": time.monotonic() - start, "cpu": time.process_time() - cpu, "warnings": [*found.warnings]}
+    row: Row = {"seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
+    row["warnings"] = [warning.tree() for warning in found.warnings]
     flux_map = found.flux_map
     grid = flux_map.grid()
     chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= one.i_max)
@@ -104,7 +113,7 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
         for entry in found.calibrations
         if entry.applied and abs(entry.value) > 3 * entry.sigma
     }
-    row["not_reciprocal"] = any("not reciprocal:" in warning for warning in found.warnings)
+    row["not_reciprocal"] = any(warning.code == "not_reciprocal" for warning in found.warnings)
     return row
 
 
@@ -224,29 +233,32 @@ def judged(row: Row, method: str) -> set[str]:
         out |= {"silent R"} if abs(fit["R_z"]) > 3 and abs(fit["R"]) > 1 else set()
     if not row["effects"] and flux < 0.2 and any(not _true(warning, causes) for warning in fit["warnings"]):
         out.add("false warning")
-    told = set[str]().union(*(named(warning) for warning in fit["warnings"]))
+    told = set[str]().union(*map(blamed, fit["warnings"]))
     if told and not told & causes:
         out.add("wrong cause")
-    blamed = {cause for name in fit["corrected"] for cause in named(name)}
-    if blamed - causes - {"gains", "offsets", "angle", "timing"}:
+    if named(*fit["corrected"]) - causes - {"gains", "offsets", "angle", "timing"}:
         out.add("false effect")
     return out
 
 
-def _true(warning: str, causes: set[str]) -> bool:
+def _true(warning: Row, causes: set[str]) -> bool:
     """Return whether a warning names a cause that the drive has, or says what the data leave open."""
-    return bool(named(warning) & causes or _WEAK.search(warning))
+    return bool(blamed(warning) & causes) or warning["code"] in _WEAK
 
 
 def read(path: Path) -> dict[int, Row]:
-    """Return the rows of an output by number, the last of each; an unfinished line at the end is left out."""
+    """Return the rows of an output by number, the last of each.
+
+    An unfinished line at the end is left out; so are rows of earlier versions, whose warnings have no codes.
+    """
     found = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
-        found[row["number"]] = row
+        if not any(isinstance(said, str) for fit in row["fits"].values() for said in fit.get("warnings", ())):
+            found[row["number"]] = row
     return found
 
 

@@ -111,7 +111,8 @@ def _worst(row: Row, method: str, verdicts: set[str]) -> str:
     labels += [f"bridge {100 * row['bridge'][0]:.0f} %, {100 * row['bridge'][1]:.1f} % wide"] if row["bridge"] else []
     labels += [f"{row['nodes']} nodes, {'' if row['reciprocal'] else 'not '}reciprocal"] if row["nodes"] else []
     labels += [f"excited to {100 * row['excitation']:.0f} %"] if row["excitation"] < 1 else []
-    texts = fit.get("warnings") or [each for each in (fit.get("refused"), row.get("lost")) if each]
+    texts = [said["sentence"] for said in fit.get("warnings", ())]
+    texts = texts or [each for each in (fit.get("refused"), row.get("lost")) if each]
     said = texts[0][:_SHORT].replace("|", "/").replace("\n", " ") if texts else "no warning"
     said += f" … (+{len(texts) - 1})" if len(texts) > 1 else ""
     flux = f"{fit['psi_d']:.3f} / {fit['psi_q']:.3f}" if "psi_d" in fit else "–"

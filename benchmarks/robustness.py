@@ -269,7 +269,7 @@ def told_everything(name: str, seed: int, *, curve: bool = True) -> np.ndarray:
     evidence = gather([simulation.samples], FitSettings(harmonic_orders=(6,)))
     assert evidence.windows is not None
     sums, i_max = evidence.windows.finished(), simulation.truth.i_max
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         solver = Solver.over(sums)
         spec = solver.best_penalty(ModelSpec(reciprocal=True, orders=(), inverter=not curve, constant=False))[0]
         noise = CurrentNoise.met(2 / 3 * (NOISE * i_max) ** 2, sums.kept())

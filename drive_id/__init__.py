@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from drive_id.fitting.result import Identification, load
     from drive_id.fitting.simulated import simulate
     from drive_id.fitting.sources import read_bag
-    from drive_id.fitting.tables import samples_frame
     from drive_id.inspection.inspect import Inspection, check
+    from drive_id.result.tables import samples_frame
     from drive_id.types import MachineMap, Samples
 
 __version__: str
@@ -79,7 +79,7 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
     elif name == "read_bag":
         from drive_id.fitting import sources as home
     elif name == "samples_frame":
-        from drive_id.fitting import tables as home
+        from drive_id.result import tables as home
     elif name == "simulate":
         from drive_id.fitting import simulated as home
     elif name == "__version__":

@@ -25,7 +25,6 @@ class Health:
 
     Parameters
     ----------
-    level : Level
     message : str
         A sentence.
     values : mapping of str to str
@@ -46,7 +45,6 @@ class Health:
             A sentence; empty when the observation says it.
         observations : sequence of Observation
             All but the first of the most severe ones become values.
-        values : mapping of str to str
         """
         ordered = sorted(observations, key=lambda observation: -observation[0])
         further = {f"also {number}": said for number, (_, said) in enumerate(ordered[1:], 1)}

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from drive_id.quantity import measured
+from drive_id.quantity import measured, plain
 
 Value = float | int | str
 """Of a message: SI units; a text only where it names something."""
@@ -44,7 +44,6 @@ class Message(str):
     ----------
     code : str
         Stable name for programs; empty for sentences of results that were stored without codes.
-    values : mapping of str to float or str
     """
 
     code: str
@@ -82,8 +81,7 @@ class Message(str):
 
     def tree(self) -> dict[str, Any]:
         """Return plain values for JSON; numbers that are not finite are None."""
-        values = {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in self.values.items()}
-        return {"code": self.code, "kind": self.kind, "sentence": str(self), "values": values}
+        return {"code": self.code, "kind": self.kind, "sentence": str(self), "values": plain(self.values)}
 
 
 def codes() -> dict[str, str]:

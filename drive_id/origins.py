@@ -72,7 +72,10 @@ class Origin:
     ignores: tuple[str, ...] = ()
 
 
-_GAIN = "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque shows it."
+_GAIN = (
+    "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque, or a free "
+    "shaft of known inertia, shows it."
+)
 _OF_THE_DATA = (
     _GAIN,
     "A zero-sequence error of the phase voltages leaves no trace.",
@@ -187,13 +190,7 @@ METHODS: Final = tuple(name for name, origin in ORIGINS.items() if origin.fitted
 
 
 def origin_named(name: str) -> Origin:
-    """Return the origin of this name.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is none.
-    """
+    """Return the origin of this name; raises ConfigurationError when there is none."""
     if name not in ORIGINS:
         raise ConfigurationError(f"'{name:.40}' is no origin of a result: it must be one of {', '.join(ORIGINS)}.")
     return ORIGINS[name]

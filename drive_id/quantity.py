@@ -1,9 +1,11 @@
-"""A measured quantity and how people read it: ``9.997 ± 0.011 mΩ``."""
+"""A measured quantity, how people read it (``9.997 ± 0.011 mΩ``), and how JSON has it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
 _PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad", "W"})
@@ -64,6 +66,18 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     else:
         text = f"{value:.{_DIGITS}g}"
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
+
+
+def plain(value: Any, digits: int = 0) -> Any:
+    """Return a value for JSON: arrays as lists, numbers to some significant digits, null where they are not finite."""
+    if isinstance(value, Mapping):
+        return {name: plain(inner, digits) for name, inner in value.items()}
+    value = value.tolist() if hasattr(value, "tolist") else value  # of numpy
+    if isinstance(value, (list, tuple)):
+        return [plain(inner, digits) for inner in value]
+    if not isinstance(value, float):
+        return value
+    return (float(f"{value:.{digits}g}") if digits else value) if math.isfinite(value) else None
 
 
 def spelled(unit: str) -> str:

@@ -8,14 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.analysis.bands import combined
-from drive_id.analysis.field_weakening import (
-    DriveLimits,
-    corner_speed,
-    envelope,
-    references,
-    sigma_envelope,
-    top_speed,
-)
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, sigma_envelope, top_speed
 from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
@@ -24,7 +17,7 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpv
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.fitting.result import Identification, load
+from drive_id.result.result import Result
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray
 
@@ -45,12 +38,12 @@ _UNKNOWN_RESISTANCE = (
 )
 
 
-def analyze(result: Identification | str | Path, settings: AnalysisSettings | None = None) -> Analysis:
+def analyze(result: Result | str | Path, settings: AnalysisSettings | None = None) -> Analysis:
     """Compute what the control of an identified drive needs.
 
     Parameters
     ----------
-    result : Identification or path
+    result : Result or path
         Of a fit, loaded, imported, or the result folder.
     settings : AnalysisSettings, optional
 
@@ -68,7 +61,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     DataError
         When the map has hardly any data, or gives no torque.
     """
-    found = result if isinstance(result, Identification) else load(result)
+    found = result if isinstance(result, Result) else Result.load(result)
     chosen = settings or AnalysisSettings()
     model = MachineModel.of(
         found,
@@ -106,7 +99,7 @@ def analyze(result: Identification | str | Path, settings: AnalysisSettings | No
     )
 
 
-def _check(model: MachineModel, found: Identification, at_most: CurrentLocus, i_max: float) -> None:
+def _check(model: MachineModel, found: Result, at_most: CurrentLocus, i_max: float) -> None:
     """Refuse maps of the wrong sign or order of axes, and machines without torque."""
     grid = found.flux_map.grid()[found.flux_map.inside]
     slopes = model.inductances(grid[:, 0], grid[:, 1])
@@ -150,7 +143,7 @@ def _speed_range(model: MachineModel, settings: AnalysisSettings, u_dc: float, l
 
 def _figures(
     model: MachineModel,
-    found: Identification,
+    found: Result,
     at_most: CurrentLocus,
     ranges: tuple[SpeedRange, ...],
     settings: AnalysisSettings,
@@ -246,7 +239,7 @@ def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:
 
 def _statements(
     model: MachineModel,
-    found: Identification,
+    found: Result,
     settings: AnalysisSettings,
     at_most: CurrentLocus,
     beyond: CurrentLocus,
@@ -333,7 +326,7 @@ def _on_iron(model: MachineModel) -> str:
     return "No iron loss was identified, so none is included; losses lack it and those of friction."
 
 
-def _on_inverter(found: Identification) -> str:
+def _on_inverter(found: Result) -> str:
     if found.origin.inverter and np.any(found.inverter_curve.voltage):
         return (
             "The inverter's drop is included in voltages and losses, with its linear part in the resistance; its "
@@ -342,7 +335,7 @@ def _on_inverter(found: Identification) -> str:
     return "No drop of the inverter is known, so none is included beyond what the resistance contains."
 
 
-def _on_temperature(model: MachineModel, found: Identification) -> list[str]:
+def _on_temperature(model: MachineModel, found: Result) -> list[str]:
     out = []
     if model.temperature is not None:
         known = bool(found.provenance.settings.temperatures)

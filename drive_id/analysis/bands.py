@@ -57,7 +57,6 @@ class ModelErrors:
 
         Parameters
         ----------
-        drive : IdentifiedDrive
         longer : LongerGrid
             To which the map is continued.
         warmer : float

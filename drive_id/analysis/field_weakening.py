@@ -128,8 +128,6 @@ def references(
 
     Parameters
     ----------
-    model : MachineModel
-    limits : DriveLimits
     torque : (N,) float
         Nm.
     motoring, braking : Operation

@@ -21,9 +21,9 @@ from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.results.folder import replace_folder
-from drive_id.fitting.result import Identification, InverterCurve
-from drive_id.fitting.tables import pandas_library
-from drive_id.quantity import measured
+from drive_id.quantity import measured, plain
+from drive_id.result.result import InverterCurve, Result
+from drive_id.result.tables import pandas_library
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
@@ -95,7 +95,7 @@ class Analysis:
 
     Parameters
     ----------
-    result : Identification
+    result : drive_id.Identification
     settings : AnalysisSettings
     model : MachineModel
         The drive as functions of the current: torque, inductances, inverse map.
@@ -111,7 +111,7 @@ class Analysis:
         Sentences: what the figures include, and where they rest on no data.
     """
 
-    result: Identification
+    result: Result
     settings: AnalysisSettings
     model: MachineModel
     figures: dict[str, Figure]
@@ -219,11 +219,7 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
         "magnet_temperature": model.magnet_temperature,
         "iron_loss": asdict(model.iron),
         "figures": {
-            name: {
-                "value": _finite(figure.value), "sigma": _finite(figure.sigma), "unit": figure.unit,
-                "inside": figure.inside,
-            }
-            for name, figure in analysis.figures.items()
+            name: plain(figure._asdict()) for name, figure in analysis.figures.items()
         },
         "statements": list(analysis.statements),
         "warnings": list(result.warnings),
@@ -343,7 +339,3 @@ def _cell(entry: Any) -> str:
     if isinstance(entry, (bool, np.bool_)):
         return str(int(entry))
     return f"{float(entry):.{_DIGITS}g}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import ModelErrors, combined
 from drive_id.analysis.surfaces import Surfaces
-from drive_id.core.maps.continuation import LongerGrid, typical_slope
+from drive_id.core.maps.continuation import LongerGrid
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from drive_id.fitting.result import Identification
+    from drive_id.result.result import Result
 
 _MARGIN = 1.25
 """Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
@@ -49,7 +49,7 @@ class IronLoss:
     coercivity: float = 0.0
 
     @classmethod
-    def of(cls, result: Identification) -> IronLoss:
+    def of(cls, result: Result) -> IronLoss:
         """Return the iron loss that a fit identified, zero if it identified none."""
         found = {entry.name: entry.value for entry in result.calibrations if entry.applied}
         return cls(
@@ -115,7 +115,7 @@ class MachineModel:
     @classmethod
     def of(
         cls,
-        result: Identification,
+        result: Result,
         *,
         temperature: float | None = None,
         magnet_temperature: float | None = None,
@@ -160,13 +160,9 @@ class MachineModel:
                 "more of the current disc."
             )
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * result.i_max)
-        psi_d = longer.whole(found.psi_d, (typical_slope(found.psi_d, found.i_d, found.inside, 0), 0.0))
-        psi_q = longer.whole(found.psi_q, (0.0, typical_slope(found.psi_q, found.i_q, found.inside, 1)))
-        sigmas = []
-        for known in (found.sigma_d, found.sigma_q):
-            sigma = np.full(longer.known.shape, np.nan)
-            sigma[longer.places] = known
-            sigmas.append(sigma)
+        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
+        sigmas = np.full((2, *longer.known.shape), np.nan)
+        sigmas[:, longer.places[0], longer.places[1]] = found.sigma_d, found.sigma_q
         coefficient = result.drive.magnet_coefficient
         if magnet is not None and coefficient is not None:
             psi_d = psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)

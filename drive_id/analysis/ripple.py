@@ -28,7 +28,6 @@ class TorqueRipple:
 
     Parameters
     ----------
-    model : MachineModel
     orders : tuple of int
         Electrical.
     cosines, sines : tuple of Surfaces

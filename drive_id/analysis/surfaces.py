@@ -33,7 +33,6 @@ class Surfaces:
     ----------
     i_d, i_q : (D,), (Q,) float
         A.
-    d, q : RectBivariateSpline or Bicubic
     """
 
     i_d: FloatArray
@@ -56,7 +55,6 @@ class Surfaces:
 
         Parameters
         ----------
-        own : Surfaces
         known : (D, Q) bool
             Nodes at which ``own`` counts; they are among its own.
         i_d, i_q : (D,), (Q,) float

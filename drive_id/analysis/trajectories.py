@@ -62,10 +62,8 @@ def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1
 
     Parameters
     ----------
-    model : MachineModel
     i_max : float
         A.
-    points : int
     sign : float
         -1 for the most negative torque, with i_q <= 0.
     """

@@ -24,7 +24,7 @@ from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.result.identification import TorqueFit
 from drive_id.core.result.torque import fit_torque
 from drive_id.errors import CoverageError
-from drive_id.fitting.result import Identification
+from drive_id.result.result import Result
 from drive_id.settings import check, setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
@@ -144,18 +144,13 @@ class Verification:
         return (*out, Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage))
 
 
-def verify(result: Identification, samples: Samples) -> Verification:
+def verify(result: Result, samples: Samples) -> Verification:
     """Judge a map by a recording that it was not fitted to.
 
     Parameters
     ----------
-    result : drive_id.Identification
     samples : Samples
         Of the same machine, or of one that should be like it; currents at random points, the rotor turning.
-
-    Returns
-    -------
-    Verification
 
     Raises
     ------
@@ -201,13 +196,10 @@ def verify(result: Identification, samples: Samples) -> Verification:
     )
 
 
-def _cells(result: Identification, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:
+def _cells(result: Result, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:
     """Return the windows (N) within the data of the map, the map's flux and the cell at both ends (N, 2), and counts.
 
-    Raises
-    ------
-    CoverageError
-        When there are hardly any.
+    Raises CoverageError when there are hardly any.
     """
     psi, kept = _stator_flux(result, windows)
     place = np.floor((windows.i_dq / result.i_max + 1) * (_ACROSS / 2)).astype(np.int64)
@@ -223,7 +215,7 @@ def _cells(result: Identification, windows: Windows) -> tuple[Windows, ComplexAr
     return windows.part(kept), psi[kept], column.reshape(-1, 2), counts
 
 
-def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray, BoolArray]:
+def _stator_flux(result: Result, windows: Windows) -> tuple[ComplexArray, BoolArray]:
     """Return the flux of the map at both ends of windows (N, 2), Wb, stator frame, and which windows (N,) have it."""
     found, iron, i_dq = result.flux_map, IronLoss.of(result), windows.i_dq
     if iron.known:
@@ -241,7 +233,7 @@ def _stator_flux(result: Identification, windows: Windows) -> tuple[ComplexArray
     return psi * np.exp(1j * windows.angle), np.asarray(np.isfinite(psi).all(axis=1))
 
 
-def _drop(result: Identification, shapes: CapacitiveShapes, windows: Windows) -> ComplexArray:
+def _drop(result: Result, shapes: CapacitiveShapes, windows: Windows) -> ComplexArray:
     """Return the integral of the identified drop over windows (N,), Vs."""
     curve = result.inverter_curve
     if not (result.origin.inverter and np.any(curve.voltage)):

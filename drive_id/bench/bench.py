@@ -80,14 +80,11 @@ class MessageBlock:
     scalars: dict[str, ScalarBlock]
 
 
-class Bench:
+class SimulatedBench:
     """A simulated drive that runs with a clock; building it also loads or compiles its kernels.
 
     Parameters
     ----------
-    machine_map : MachineMap
-    drive : SimulationSettings
-    bench : BenchSettings
     faults : FaultSettings, optional
         They can be replaced at any time.
 
@@ -147,10 +144,7 @@ class Bench:
 
         The first call starts the simulation.
 
-        Raises
-        ------
-        ConfigurationError
-            When the simulation breaks off.
+        Raises ConfigurationError when the simulation breaks off.
         """
         if self._start is None:
             self._start = self._now = now

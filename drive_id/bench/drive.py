@@ -61,7 +61,6 @@ class Simulation:
     ----------
     samples : Samples
         As measured and logged by the drive.
-    truth : GroundTruth
     machine : Machine
         Whose ``mean_flux`` is the truth at any current.
     i_dq_true : (N, 2) float
@@ -85,8 +84,6 @@ class Drive:
 
     Parameters
     ----------
-    machine : Machine
-    settings : SimulationSettings
     i_dq_start : (2,) tuple of float, optional
         Reference at which the drive settles before the first sample, A.
     duration : float, optional
@@ -152,10 +149,6 @@ class Drive:
         mean_speed : (N + 1,) float, optional
             Electrical speed without ripple at the samples and at the end of the block, rad/s, linear in between.
             Default: that of the settings.
-
-        Returns
-        -------
-        SimulatedBlock
 
         Raises
         ------
@@ -358,13 +351,8 @@ def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_referen
     ----------
     machine_map : MachineMap
         A shipped machine (:func:`drive_id.bench.machines.machine_map`) or one from a file.
-    settings : SimulationSettings
     i_dq_reference : (N, 2) float
         References, one for each sample, A.
-
-    Returns
-    -------
-    Simulation
 
     Raises
     ------

@@ -44,12 +44,7 @@ class FaultSettings:
 
 
 class Channel(Generic[Message]):
-    """Passes messages on: late, out of order or not at all, as the settings say.
-
-    Parameters
-    ----------
-    seed : int
-    """
+    """Passes messages on: late, out of order or not at all, as the settings say."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)

@@ -27,15 +27,10 @@ def phase_drop_of(settings: SimulationSettings, u_dc: float, i_max: float) -> Ph
 
     Parameters
     ----------
-    settings : SimulationSettings
     u_dc : float
         DC-link voltage, V.
     i_max : float
         Largest current amplitude, A.
-
-    Returns
-    -------
-    PhaseDrop
     """
     voltage = 0.01 * u_dc if settings.inverter_voltage is None else settings.inverter_voltage
     current = 0.01 * i_max if settings.inverter_current is None else settings.inverter_current

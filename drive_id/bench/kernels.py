@@ -9,14 +9,7 @@ import math
 
 import numpy as np
 
-from drive_id.bench.parameters import (
-    HISTORY,
-    Controller,
-    DriveState,
-    PhaseDrop,
-    Plant,
-    SplineTable,
-)
+from drive_id.bench.parameters import HISTORY, Controller, DriveState, PhaseDrop, Plant, SplineTable
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 

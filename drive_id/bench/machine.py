@@ -26,7 +26,6 @@ class Machine:
 
     Parameters
     ----------
-    name : str
     table : SplineTable
         Flux linkages over currents and rotor position.
     mean : SplineTable
@@ -35,7 +34,6 @@ class Machine:
         What a drive engineer would know beforehand, for the current controller: the average on 9 x 9 points.
     resistance : float
         ohm.
-    pole_pairs : int
     i_max : float
         Largest current amplitude, A: the map's own, or less where the map reaches less far.
     u_dc : float
@@ -59,7 +57,6 @@ class Machine:
 
         Parameters
         ----------
-        machine_map : MachineMap
         harmonics : float, optional
             Factor on everything in the map that depends on the rotor position; 0 gives the averaged machine.
         sixth_harmonic : float, optional
@@ -108,10 +105,7 @@ class Machine:
 def default_amplitude(machine_map: MachineMap) -> float:
     """Return the largest current amplitude, A, up to ``i_max``, whose disc the map covers.
 
-    Raises
-    ------
-    ConfigurationError
-        When that is less than a quarter of ``i_max``.
+    Raises ConfigurationError when that is less than a quarter of ``i_max``.
     """
     reach = min(-machine_map.i_d[0], machine_map.i_d[-1], -machine_map.i_q[0], machine_map.i_q[-1])
     amplitude = float(min(reach, machine_map.i_max))

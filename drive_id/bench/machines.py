@@ -30,7 +30,6 @@ class CoEnergyMachine:
 
     Parameters
     ----------
-    name : str
     magnet_flux : float
         psi_0, the magnet's flux linkage past the saturating iron, Wb.
     magnet_current : float
@@ -45,7 +44,6 @@ class CoEnergyMachine:
         h, k_h, m_h.
     resistance : float
         ohm.
-    pole_pairs : int
     i_max : float
         A.
     u_dc : float
@@ -143,13 +141,7 @@ MACHINES = {
 
 
 def machine_map(name: str) -> MachineMap:
-    """Return the map of a shipped machine.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is no machine of that name.
-    """
+    """Return the map of a shipped machine; raises ConfigurationError when there is no machine of that name."""
     if name not in MACHINES:
         raise ConfigurationError(
             f"There is no machine '{name}': choose one of {', '.join(MACHINES)}, or give a machine file (.npz or .mat)."

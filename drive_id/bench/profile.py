@@ -32,7 +32,6 @@ class SpeedProfile:
 
         Parameters
         ----------
-        settings : SimulationSettings
         duration : float or None
             Of the whole experiment for equal shares, s; None when it is open.
 

@@ -244,11 +244,7 @@ def integrate(plant: Plant, effects: np.record, state: DriveState, more: np.reco
     now, size = 0, _FINEST
     while now < steps * _FINEST:
         middle, stop = span[0] + (now + 0.5 * size) * tick, span[0] + (now + size) * tick
-        thetas = (
-            theta,
-            _angle_at(plant, more, middle),
-            _angle_at(plant, more, stop),
-        )
+        thetas = (theta, _angle_at(plant, more, middle), _angle_at(plant, more, stop))
         h = size * tick
         new_y, new_i, i, spent, estimate, good = _step(plant, effects, warm, u, y, i_dq, thetas, h)
         if estimate > plant.flux_tolerance and size > 1:

@@ -28,8 +28,6 @@ def logged_scalars(
 
     Parameters
     ----------
-    settings : SimulationSettings
-    machine : Machine
     i_dq : (N, 2) float
         True currents in the true rotor frame, A.
     angle : (N,) float

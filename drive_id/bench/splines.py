@@ -24,7 +24,6 @@ def interpolate(values: FloatArray, axis: int) -> FloatArray:
     ----------
     values : (..., n, ...) float
         Samples at n >= 4 equally spaced nodes along ``axis``.
-    axis : int
 
     Returns
     -------
@@ -99,10 +98,6 @@ def build_table(i_d: FloatArray, i_q: FloatArray, theta: FloatArray | None, psi:
         Equally spaced angles of one period without its end, rad.
     psi : (D, Q, 2) or (D, Q, 2, H) float
         Flux linkages, Wb.
-
-    Returns
-    -------
-    SplineTable
     """
     d, q = uniform_axis(i_d), uniform_axis(i_q)
     values = resample(resample(psi, i_d, d, 0), i_q, q, 1)

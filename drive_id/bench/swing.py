@@ -44,10 +44,8 @@ def simulate_swing(machine_map: MachineMap, settings: SimulationSettings, swing:
 
     Parameters
     ----------
-    machine_map : MachineMap
     settings : SimulationSettings
         With ``free_shaft``.
-    swing : Swing
     seconds : float
         Duration, s; rounded up to whole periods of the swing.
 

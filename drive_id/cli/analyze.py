@@ -34,8 +34,7 @@ def analyze(
         typer.Option("--output", "-o", help="Folder to write.  \\[default: a new one beside the result: DIR_analysis]"),
     ] = None,
     u_dc: Annotated[
-        list[float] | None,
-        typer.Option(help="DC-link voltage, V; may be repeated.  \\[default: that of the result]"),
+        list[float] | None, typer.Option(help="DC-link voltage, V; may be repeated.  \\[default: that of the result]")
     ] = None,
     speed: Annotated[
         float | None, typer.Option(help="Highest mechanical speed of the tables, rpm.  \\[default: 4 x corner speed]")

@@ -154,8 +154,7 @@ def simulate(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Bag (folder) to write.")],
     speed: Annotated[
-        list[float] | None,
-        typer.Option(help="Mechanical speed, rpm; may be repeated.  \\[default: 500]"),
+        list[float] | None, typer.Option(help="Mechanical speed, rpm; may be repeated.  \\[default: 500]")
     ] = None,
     seconds: Annotated[float, typer.Option(help="Duration, s.", min=1e-3)] = 10.0,
     inverter: Annotated[
@@ -430,8 +429,7 @@ app.command(
     epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
 )(analyze)
 app.command(
-    name="report",
-    epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html",
+    name="report", epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html"
 )(report_result)
 
 

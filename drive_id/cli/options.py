@@ -143,8 +143,8 @@ def show(table: Table) -> None:
 
 def show_result(result: Identification, *, verbose: bool = False) -> None:
     """Print a result: values and quality, one line of advice, warnings, statements; what was not found if verbose."""
-    from drive_id.fitting.advice import sorted_statements
     from drive_id.report.tables import fit_table
+    from drive_id.result.advice import sorted_statements
 
     show(fit_table(result, verbose=verbose))
     for sentence in result.advice[:1]:

@@ -6,16 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from drive_id.cli.options import (
-    JsonFlag,
-    QuietFlag,
-    SetOption,
-    merged_settings,
-    say,
-    show,
-    warn,
-    working,
-)
+from drive_id.cli.options import JsonFlag, QuietFlag, SetOption, merged_settings, say, show, warn, working
 
 
 def plan_settings() -> type[Any]:

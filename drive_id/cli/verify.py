@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +20,7 @@ from drive_id.cli.options import (
     working,
 )
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import plain
 
 _NOT_PASSED = 3
 """Exit code."""
@@ -76,7 +76,7 @@ def verify_result(
         figures = [dataclasses.asdict(entry) for entry in judged]
         tree = {"passed": passed, "figures": figures, "warnings": list(recording.warnings)}
         known = {"resistance": found.resistance, "drop": found.drop, "cells": len(found.i_dq)}
-        typer.echo(json.dumps(_finite(tree | known), allow_nan=False))
+        typer.echo(json.dumps(plain(tree | known), allow_nan=False))
     elif not quiet:
         show(verification_table(map(row, judged)))
         for warning in recording.warnings:
@@ -86,12 +86,3 @@ def verify_result(
             say(f"Certificate in {output}")
     if not passed:
         raise typer.Exit(_NOT_PASSED)
-
-
-def _finite(tree: object) -> object:
-    """Return a tree with null for NaN."""
-    if isinstance(tree, dict):
-        return {name: _finite(value) for name, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return [_finite(value) for value in tree]
-    return None if isinstance(tree, float) and not math.isfinite(tree) else tree

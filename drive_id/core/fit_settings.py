@@ -54,10 +54,7 @@ class FitSettings:
         choices=("auto", "reciprocal", "free"),
     )
     harmonic_orders: tuple[int, ...] = setting(
-        (6, 12, 18, 24),
-        "full: candidate rotor-position harmonics, electrical orders",
-        minimum=3,
-        maximum=96,
+        (6, 12, 18, 24), "full: candidate rotor-position harmonics, electrical orders", minimum=3, maximum=96
     )
     search_orders: bool = setting(
         True, "full: whether to search the residuals for harmonics of other orders, and to fit those found"
@@ -80,11 +77,7 @@ class FitSettings:
         maximum=300.0,
     )
     u_dc: tuple[float, ...] = setting(
-        (),
-        "full: DC-link voltage of each recording, in order",
-        unit="V",
-        minimum=1e-3,
-        maximum=1e6,
+        (), "full: DC-link voltage of each recording, in order", unit="V", minimum=1e-3, maximum=1e6
     )
     u_dc_reference: float | None = setting(
         None,

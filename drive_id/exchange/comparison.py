@@ -11,7 +11,8 @@ import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.fitting.result import Identification, load
+from drive_id.quantity import plain
+from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
 _CURVE_POINTS = 201
@@ -50,8 +51,8 @@ class Comparison:
         Difference of the inverter curves, V, over the phase current, A; None when one of the results has no curve.
     """
 
-    first: Identification
-    second: Identification
+    first: Result
+    second: Result
     i_d: FloatArray
     i_q: FloatArray
     common: BoolArray
@@ -137,10 +138,11 @@ class Comparison:
             "torque": torque,
             "nrmse_torque": relative,
         }
-        return {name: _known(value) for name, value in tree.items()}
+        found: dict[str, Any] = plain(tree)
+        return found
 
 
-def compare(first: Identification | str | Path, second: Identification | str | Path) -> Comparison:
+def compare(first: Result | str | Path, second: Result | str | Path) -> Comparison:
     """Compare two results.
 
     Parameters
@@ -160,7 +162,7 @@ def compare(first: Identification | str | Path, second: Identification | str | P
     ConfigurationError
         When all flux linkages of B are zero.
     """
-    first, second = (x if isinstance(x, Identification) else load(x) for x in (first, second))
+    first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
     i_d, i_q = found.i_d, found.i_q
     grid = np.meshgrid(i_d, i_q, indexing="ij")
@@ -194,7 +196,7 @@ def compare(first: Identification | str | Path, second: Identification | str | P
     )
 
 
-def _curves(first: Identification, second: Identification) -> tuple[FloatArray | None, FloatArray | None]:
+def _curves(first: Result, second: Result) -> tuple[FloatArray | None, FloatArray | None]:
     if not (first.origin.inverter and second.origin.inverter):
         return None, None
     curves = (first.inverter_curve, second.inverter_curve)
@@ -214,7 +216,3 @@ def _joint(first: FloatArray, second: FloatArray) -> FloatArray:
 def _rms(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
-
-
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -47,8 +48,6 @@ def completed(
 
     Parameters
     ----------
-    drive : drive_id.core.result.identification.IdentifiedDrive
-    settings : FitSettings
     excerpts : sequence of Samples
         From which the range of speeds is taken.
     duration : float
@@ -71,21 +70,14 @@ def completed(
     """
     pole_pairs = known_pole_pairs(settings, truth, signals)
     drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
+    if drive.torque is not None or (drive.mechanics is not None and drive.mechanics.gain is not None):
+        drive = replace(drive, statements=tuple(said for said in drive.statements if said.code != "common_gain"))
     nrmse = score(drive, truth) if truth else None
     referred = "temperatures" not in ORIGINS[settings.method].ignores and (
         bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)
     )
-    u_dc = settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None)
-    told = truth.details.get("u_dc") if truth else None
-    links = [part.dc_link_voltage for part in excerpts if part.dc_link_voltage is not None]
-    links = [known for link in links if (known := link[np.isfinite(link)]).size]
-    recorded = float(np.median(np.concatenate(links))) if links else None
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
-    if idle := settings.idle():
-        others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
-        methods = " or ".join(", ".join(others).rsplit(", ", 1)) if others else None
-        several, names = len(idle) > 1, ", ".join(idle)
-        warnings += (Message("ignored", method=settings.method, settings=names, several=several, others=methods),)
+    warnings += _ignored(settings)
     if nrmse and not np.isfinite(nrmse).all():
         warnings += (Message("not_scored"),)
     provenance = Provenance(
@@ -95,7 +87,7 @@ def completed(
         nrmse=nrmse,
         warnings=warnings,
         pole_pairs=pole_pairs,
-        u_dc=u_dc or (float(told) if told else recorded),
+        u_dc=_link(settings, truth, excerpts),
         speed_range=(
             min(float(part.speed.min()) for part in excerpts),
             max(float(part.speed.max()) for part in excerpts),
@@ -107,3 +99,25 @@ def completed(
         temperature=REFERENCE_TEMPERATURE if referred else None,
     )
     return Identification(drive, provenance, tuple(excerpts), truth, last_stamp)
+
+
+def _link(settings: FitSettings, truth: GroundTruth | None, excerpts: Sequence[Samples]) -> float | None:
+    """Return the DC-link voltage, V: set, of the simulation, or the median of what was recorded; None if unknown."""
+    told = truth.details.get("u_dc") if truth else None
+    if given := settings.u_dc_reference or (settings.u_dc[0] if settings.u_dc else None) or told:
+        return float(given)
+    links = [part.dc_link_voltage for part in excerpts if part.dc_link_voltage is not None]
+    links = [known for link in links if (known := link[np.isfinite(link)]).size]
+    return float(np.median(np.concatenate(links))) if links else None
+
+
+def _ignored(settings: FitSettings) -> tuple[Message, ...]:
+    """Return a warning of settings that the method ignores, if there are any."""
+    idle = settings.idle()
+    if not idle:
+        return ()
+    others = [name for name in METHODS if not set(idle) & set(ORIGINS[name].ignores)]
+    methods = " or ".join(", ".join(others).rsplit(", ", 1)) if others else None
+    return (
+        Message("ignored", method=settings.method, settings=", ".join(idle), several=len(idle) > 1, others=methods),
+    )

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.diagnostics import COMPARED
@@ -162,12 +161,7 @@ def _fit_samples(
 
 
 def fit_bags(
-    sources: Sources,
-    output: Path | None,
-    settings: FitSettings,
-    *,
-    force: bool = False,
-    tell: Progress = silent,
+    sources: Sources, output: Path | None, settings: FitSettings, *, force: bool = False, tell: Progress = silent
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results.
 
@@ -196,7 +190,7 @@ def fit_bags(
         check_output(output, force=force)
     if not sources.information:  # these know their own
         settings.check_recordings(len(sources.paths))
-    with one_blas_thread(with_scipy=method_named(settings.method).windows):
+    with one_blas_thread():
         recording = _accumulator(sources)(settings, tell=tell)
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
@@ -273,7 +267,7 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
         Nothing is written then.
     """
     check_information_output(output)
-    with one_blas_thread(with_scipy=method_named(settings.method).windows):
+    with one_blas_thread():
         accumulated = _accumulator(sources, apart=True)(settings, tell=tell)
     tell("Writing", None)
     write_information(output, accumulated)

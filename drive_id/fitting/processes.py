@@ -26,10 +26,7 @@ def in_processes(work: Callable[[Item], Result], items: Iterable[Item], count: i
 
     The processes end with the iteration, also when it is left early or interrupted.
 
-    Raises
-    ------
-    WorkerError
-        When a process dies, as without memory.
+    Raises WorkerError when a process dies, as without memory.
     """
     if count == 1:
         yield from map(work, items)

@@ -32,13 +32,10 @@ class StaticSources:
     ----------
     data : sequence of OperatingData
         At least one.
-    truth : GroundTruth or None
     digests : dict of str to str
         File to its sha256.
     last_stamp : int
         ns, 0 when unknown.
-    signals : SignalMap or None
-    warnings : tuple of Message
     """
 
     data: Sequence[OperatingData]
@@ -59,13 +56,7 @@ class StaticSources:
 
     @classmethod
     def read(cls, sources: Sources, tell: Progress = silent) -> StaticSources:
-        """Read logs.
-
-        Raises
-        ------
-        DriveIdError
-            When one cannot be read, unless ``skip_bad``; or when all cannot.
-        """
+        """Read logs; raises DriveIdError when one cannot be read, unless ``skip_bad``; or when all cannot."""
         if sources.information:
             raise ConfigurationError(
                 f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
@@ -98,24 +89,11 @@ class StaticSources:
 def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = silent) -> Identification:
     """Identify a drive from slow telemetry.
 
-    Parameters
-    ----------
-    sources : StaticSources
-    settings : FitSettings
-    tell : callable, optional
-
-    Returns
-    -------
-    Identification
-
-    Raises
-    ------
-    DriveIdError
-        When there are too few operating points, or they cannot give a trustworthy result.
+    Raises DriveIdError when there are too few operating points, or they cannot give a trustworthy result.
     """
     tell("Solving", None)
     data = [_prepared(part, settings, number) for number, part in enumerate(sources.data)]
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         points = joined_points([operating_points(part) for part in data])
         drive = identify_static(points, settings)
     result = completed(

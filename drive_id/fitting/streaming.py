@@ -40,15 +40,12 @@ def accumulate(
 
     Parameters
     ----------
-    bags : sequence of Path
-    settings : FitSettings
     signals : SignalMap, optional
         Where to find the signals in bags that are not ours.
     namespace : str
         Of the drive, when a bag holds several.
     threads : bool
         Read in other threads; False where each process is confined to one core.
-    tell : callable, optional
 
     Raises
     ------

@@ -17,14 +17,7 @@ from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import name_groups, suggests
-from drive_id.inspection.points import (
-    AngleColumn,
-    PhaseGroup,
-    angle_points,
-    current_points,
-    dc_link,
-    voltage_points,
-)
+from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
 from drive_id.types import FloatArray, IntArray, Samples
 
 _SPAN = 1 << 13

@@ -50,7 +50,6 @@ class Table:
         In the log; messages of a topic.
     columns : dict of str to (n,) float
         By field path, or name.
-    types : dict of str to str
     stamp : (n,) int64
         Of each row, ns; empty where only a column may hold the time.
     stamp_source : str
@@ -98,10 +97,8 @@ class Contents:
 
     Parameters
     ----------
-    path : Path
     kind : str
         ``mcap``, ``sqlite3``, ``rosbag1``, ``csv``, ``parquet``, ``mat``, ``mat73``, ``hdf5``, ``mdf`` or ``tdms``.
-    tables : tuple of Table
     bounded : bool
         Whether a fit reads it part by part.
     """
@@ -118,13 +115,7 @@ class Contents:
 
 
 def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
-    """Read the first rows of everything in a log.
-
-    Raises
-    ------
-    BagError
-        When it is no log, or cannot be read.
-    """
+    """Read the first rows of everything in a log; raises BagError when it is no log, or cannot be read."""
     if log_kind(path):
         with open_log(path) as log:
             return Contents(path, log.kind, tuple(_of_group(log, group) for group in log.groups), log.bounded)

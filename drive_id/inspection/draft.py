@@ -62,10 +62,7 @@ class Draft:
 def propose(contents: Contents) -> Draft:
     """Propose a signals file.
 
-    Raises
-    ------
-    ConfigurationError
-        When no columns look like currents, voltages and an angle: says which are missing.
+    Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
     try:
         return _DraftText(contents, *choose(contents)).draft()

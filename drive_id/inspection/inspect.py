@@ -104,12 +104,7 @@ def check(
 
 
 def inspect_log(
-    path: Path,
-    signals: SignalMap | None = None,
-    *,
-    namespace: str = "",
-    draft: bool = False,
-    tell: Progress = silent,
+    path: Path, signals: SignalMap | None = None, *, namespace: str = "", draft: bool = False, tell: Progress = silent
 ) -> Inspection:
     """Inspect a log.
 

@@ -28,7 +28,6 @@ class NameGroup:
 
     Parameters
     ----------
-    names : tuple of str
     frame : str
         ``abc``, ``line_to_line``, ``alpha_beta`` or ``dq``.
     stem : str

@@ -21,7 +21,6 @@ def new_recording(directory: Path, name: str, now: datetime) -> Path:
         The data directory.
     name : str
         Without folders; if empty, the recording is named after the time.
-    now : datetime
 
     Raises
     ------

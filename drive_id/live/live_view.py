@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.core.result.identification import FluxMap
+from drive_id.quantity import plain
 
 _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""
@@ -25,7 +26,7 @@ _EXPONENTS = (0.3, 0.8)
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ResistanceSoFar:
     """Resistance, ohm, from a number of samples, which arrived by ``time``, s of a steady clock."""
 
     time: float
@@ -39,7 +40,7 @@ class Estimate:
         return _Z * self.sigma / abs(self.resistance) if self.resistance else math.inf
 
 
-def forecast(estimates: list[Estimate], now: float) -> str:
+def forecast(estimates: list[ResistanceSoFar], now: float) -> str:
     """Say when R will be within 1 % at 95 %; empty where its standard error does not fall as with white noise."""
     if not estimates:
         return ""
@@ -65,7 +66,7 @@ class LiveView:
 
     _points: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_MOST_POINTS))
     _new: dict[str, Any] = field(default_factory=dict)
-    _estimates: list[Estimate] = field(default_factory=list)
+    _estimates: list[ResistanceSoFar] = field(default_factory=list)
     _health: dict[str, Any] = field(default_factory=dict)
 
     def point(self, i_d: float, i_q: float, speed: float) -> None:
@@ -75,7 +76,7 @@ class LiveView:
 
     def state(self, name: str, values: dict[str, Any]) -> None:
         """Take the present state of a node or of the drive."""
-        self._new[name] = _plain(values)
+        self._new[name] = plain(values)
 
     def health(self, node: str, level: int, message: str, values: dict[str, str], time: float) -> None:
         """Take a diagnostic status, and the estimate of R that the identification node puts there."""
@@ -85,13 +86,13 @@ class LiveView:
         if not all(name in values for name in wanted):
             return
         samples, resistance, sigma = (float(values[name]) for name in wanted)
-        found = Estimate(time - float(values.get("fit: age [s]", 0.0)), int(samples), resistance, sigma)
+        found = ResistanceSoFar(time - float(values.get("fit: age [s]", 0.0)), int(samples), resistance, sigma)
         if self._estimates and found.samples < self._estimates[-1].samples:
             self._estimates.clear()  # another experiment
         if not self._estimates or found.samples > self._estimates[-1].samples:
             self._estimates.append(found)
         told = [[e.samples, 1e3 * e.resistance, 1e3 * e.sigma] for e in self._estimates]
-        self._new["resistance"] = _plain({"estimates": told, "forecast": forecast(self._estimates, time)})
+        self._new["resistance"] = plain({"estimates": told, "forecast": forecast(self._estimates, time)})
 
     def flux_map(self, message: Any) -> None:
         """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""
@@ -102,10 +103,10 @@ class LiveView:
         k_d, k_q = (axis.ravel() for axis in np.mgrid[-_CELLS : _CELLS + 1, -_CELLS : _CELLS + 1])
         sigma = np.maximum(*found.sigma(step * k_d, step * k_q))
         known = np.isfinite(sigma)
-        self._new["map"] = _plain({
+        self._new["map"] = plain({
             "step": step, "i_max": message.i_max,
-            "cells": np.stack([k_d, k_q], axis=-1)[known].tolist(),
-            "sigma": (1e6 * sigma[known]).tolist(),
+            "cells": np.stack([k_d, k_q], axis=-1)[known],
+            "sigma": 1e6 * sigma[known],
             "psi_pm": [1e3 * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))],
             "resistance": [1e3 * message.resistance, 1e3 * message.sigma_resistance],
             "drop": [message.voltage_error, message.sigma_voltage_error],
@@ -120,12 +121,3 @@ class LiveView:
             found["points"] = list(self._points)
             self._points.clear()
         return found
-
-
-def _plain(value: Any) -> Any:
-    """Return a value whose numbers JSON can hold: null where they are not finite."""
-    if isinstance(value, dict):
-        return {name: _plain(inner) for name, inner in value.items()}
-    if isinstance(value, list):
-        return [_plain(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -129,10 +129,7 @@ class Translator:
     def found(self, given: str, topic: TopicInfo) -> None:
         """Set the type of a topic, named as in the signals file.
 
-        Raises
-        ------
-        MessageTypeError
-            When it holds no such fields.
+        Raises MessageTypeError when it holds no such fields.
         """
         own = [(name, source) for name, source in self._sources.items() if source.topic == given]
         self._readers[given] = [(name, message_reader(topic, source, self.signals)) for name, source in own]

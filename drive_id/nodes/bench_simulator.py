@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from drive_id.bench.bench import Bench, MessageBlock, Pace
+from drive_id.bench.bench import MessageBlock, Pace, SimulatedBench
 from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment import feedback
@@ -23,7 +23,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
 from drive_id.health import Health
-from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.experiment_messages import stamp_of, status_message
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import STREAM
@@ -46,7 +46,7 @@ class BenchSimulator(Node):
         if self._follows_clock and self._settings.time_scale != 1.0:
             raise ConfigurationError("With time_scale this node publishes /clock: do not set use_sim_time for it, too.")
         faults = declare_settings(self, FaultSettings)
-        self._bench = Bench(load_machine(self._settings.machine), self._drive, self._settings, faults)
+        self._bench = SimulatedBench(load_machine(self._settings.machine), self._drive, self._settings, faults)
         self._heard: Channel[CurrentReference] = Channel(self._drive.seed)
         self._said: Channel[MessageBlock | feedback.DriveStatus] = Channel(self._drive.seed + 1)
         self._pace: Pace | None = None
@@ -74,7 +74,7 @@ class BenchSimulator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
         self._timer = self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=steady)
-        self._diagnostics = Diagnostics(self, self._health)
+        self._diagnostics = HealthPublisher(self, self._health)
         self.get_logger().info("Ready.")
 
     def _tell_truth(self) -> None:

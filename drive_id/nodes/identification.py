@@ -32,9 +32,8 @@ from drive_id.live.memory import return_free_memory, share_arenas
 from drive_id.live.translator import Translator
 from drive_id.live.worker import Worker
 from drive_id.messages import Message
-from drive_id.nodes.support.deferred_service import DeferredService, in_executor
-from drive_id.nodes.support.deferred_service import Reply as Answer
-from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.deferred_service import DeferredService, LaterResponse, in_executor
+from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.displays import flux_map_points, operating_point_message
 from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
@@ -56,7 +55,7 @@ _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
 _SWITCH_INTERVAL = 5e-4  # s after which a fit yields the interpreter to the executor
 
 
-class Identification(ManagedNode):
+class IdentificationNode(ManagedNode):
     """Accumulates live samples while it is active; fits run in a worker thread."""
 
     def __init__(self) -> None:
@@ -95,7 +94,7 @@ class Identification(ManagedNode):
             self._operating_timer = self.create_timer(
                 _OPERATING_PERIOD, self._publish_operating_points, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
-        self._diagnostics = Diagnostics(self, self._health)
+        self._diagnostics = HealthPublisher(self, self._health)
         self.bring_up(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
     def connect(self) -> None:
@@ -194,7 +193,7 @@ class Identification(ManagedNode):
             self._life += 1
             self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
 
-    def _on_identify(self, request: Identify.Request, answer: Answer) -> None:
+    def _on_identify(self, request: Identify.Request, answer: LaterResponse) -> None:
         def finish(reply: Reply) -> None:
             answer(self._said(Identify.Response(), reply))
 
@@ -278,7 +277,7 @@ def main() -> None:
     """Run the node until SIGINT or SIGTERM."""
     sys.setswitchinterval(_SWITCH_INTERVAL)
     share_arenas()
-    run(Identification)
+    run(IdentificationNode)
 
 
 if __name__ == "__main__":

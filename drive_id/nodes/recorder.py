@@ -23,7 +23,7 @@ from drive_id.live.recording.recorder_health import TopicState, recorder_health
 from drive_id.live.recording.recording_note import RecordingNote
 from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.extra_topics import ExtraTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
@@ -77,7 +77,7 @@ class Recorder(ManagedNode):
         )
         if self._note.left:
             self.get_logger().error(self._note.left)
-        self._diagnostics = Diagnostics(self, self._health)
+        self._diagnostics = HealthPublisher(self, self._health)
         self.bring_up(f"Ready: recordings go to {self._settings.data_directory}.")
 
     def connect(self) -> None:

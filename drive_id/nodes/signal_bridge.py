@@ -15,7 +15,7 @@ from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health, Level
 from drive_id.live.bridge_settings import BridgeSettings
 from drive_id.live.translator import SignalBlock, Translator
-from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings
@@ -44,7 +44,7 @@ class SignalBridge(ManagedNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._match_timer = self.create_timer(_MATCH_PERIOD, self._match, clock=steady)
         self._block_timer = self.create_timer(settings.block_period, self._on_timer, clock=steady)
-        self._diagnostics = Diagnostics(self, self._health)
+        self._diagnostics = HealthPublisher(self, self._health)
         topics = ", ".join(self.resolve_topic_name(name) for name in self._translator.topics)
         self.bring_up(f"Ready: translating {topics}.")
 

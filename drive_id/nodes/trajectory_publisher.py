@@ -20,7 +20,7 @@ from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlo
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
 from drive_id.core.experiment.watchdog import CURRENTS, ESTOP, RESOLVER, STATUS
 from drive_id.health import Health, Level
-from drive_id.nodes.support.diagnostics import Diagnostics
+from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
@@ -68,7 +68,7 @@ class TrajectoryPublisher(ManagedNode):
         on_change(self, ExperimentSettings, lambda _: None, self._on_settings)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(1.0 / settings.publish_rate, self._on_timer, clock=steady)
-        self._diagnostics = Diagnostics(self, self._health)
+        self._diagnostics = HealthPublisher(self, self._health)
         self.bring_up(f"Ready: {self._experiment.plan()}")
         if not settings.watch:
             self.get_logger().warning("watch is false: current will flow whatever the drive does.")

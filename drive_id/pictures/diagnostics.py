@@ -45,7 +45,6 @@ def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]
 
     Parameters
     ----------
-    identification : IdentifiedDrive
     samples : sequence of Samples
         Excerpts of the recording, for the residual voltage.
     """

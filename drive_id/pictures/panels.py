@@ -42,7 +42,6 @@ class Disc:
 
     Parameters
     ----------
-    flux_map : FluxMap
     i_max : float
         Radius, A.
     """

@@ -38,10 +38,8 @@ def result_pictures(
 
     Parameters
     ----------
-    identification : IdentifiedDrive
     samples : sequence of Samples
         Excerpts of the recording: their trajectory is drawn over the maps, their voltage residual over the angle.
-    caption : Caption, optional
     figure_format : str
         ``png``, ``svg`` or ``pdf``.
 
@@ -69,7 +67,6 @@ def draw_flux_maps(
 
     Parameters
     ----------
-    flux_map : FluxMap
     i_max : float
         Radius of the disc, A.
     i_dq : (N, 2) float, optional

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from drive_id.exchange.comparison import Comparison
-from drive_id.fitting.result import Identification
 from drive_id.pictures.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
 from drive_id.quantity import measured
 from drive_id.report.tables import plain_table
+from drive_id.result.result import Result
 from drive_id.types import FloatArray
 
 
@@ -59,7 +59,7 @@ def _pair(figures: Mapping[str, float], unit: str) -> str:
     return f"{measured(figures['rms'], unit=unit)} ({measured(figures['largest'], unit=unit)})"
 
 
-def _name(result: Identification) -> str:
+def _name(result: Result) -> str:
     return f"{result.machine or 'unknown machine'} ({result.method})"
 
 

@@ -15,7 +15,6 @@ def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
 
     Parameters
     ----------
-    view : Overview
     figure_format : str
         ``png``, ``svg`` or ``pdf``.
     """

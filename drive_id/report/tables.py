@@ -20,14 +20,14 @@ if TYPE_CHECKING:  # the command line must start without loading the numerics
     from drive_id.core.result.identification import Mechanics, TorqueFit
     from drive_id.files.read.info import BagInfo
     from drive_id.files.results.information import StoredInformation
-    from drive_id.fitting.result import Identification
+    from drive_id.result.result import Result
     from drive_id.types import GroundTruth
 
 _NAME = 12
 """Least width of the column of names, characters."""
 
 
-def fit_table(fit: Identification, *, verbose: bool = False) -> Table:
+def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     """Lay out a result: what is asked for first, then how good it is, and the ground truth where it is known.
 
     ``verbose`` adds the faults that were not found, and the figures of the regression.
@@ -68,7 +68,7 @@ def fit_table(fit: Identification, *, verbose: bool = False) -> Table:
     return table
 
 
-def _regression_rows(fit: Identification) -> list[tuple[str, ...]]:
+def _regression_rows(fit: Result) -> list[tuple[str, ...]]:
     report = fit.drive.report
     unseen = f" ({report.unseen} without any data)" if report.unseen else ""
     sums = [("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}"), ("Gaps", str(report.gaps))]
@@ -115,7 +115,7 @@ def _deviation(value: float) -> str:
     return "diverged" if math.isnan(value) else measured(value, unit="A")
 
 
-def _experiment(fit: Identification) -> list[str]:
+def _experiment(fit: Result) -> list[str]:
     """Say what is known of the experiment besides the fit."""
     known, caption = fit.provenance, fit.caption()
     link = f"{known.u_dc:g} V" if known.u_dc else ""

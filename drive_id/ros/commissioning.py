@@ -18,8 +18,7 @@ from drive_id.errors import DriveIdError, OutputError
 from drive_id.live.data_directory import new_recording
 from drive_id.live.identification.identifier import Job, Reply, failed
 from drive_id.live.identification.requests import Request, Requests
-from drive_id.nodes.support.deferred_service import DeferredService, PacedServices, in_executor
-from drive_id.nodes.support.deferred_service import Reply as Answer
+from drive_id.nodes.support.deferred_service import DeferredService, LaterResponse, PacedServices, in_executor
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.request_action import RequestAction
 from drive_id.nodes.support.runtime import run
@@ -81,7 +80,7 @@ class Commissioning(Node):
         self._requests.look()
         self._action.look()
 
-    def _on_request(self, request: FirstStart.Request, answer: Answer) -> None:
+    def _on_request(self, request: FirstStart.Request, answer: LaterResponse) -> None:
         made = Request(partial(self._job, request), lambda reply: answer(self._said(FirstStart.Response(), reply)))
         self._requests.submit(made, may_wait=False)
 

@@ -24,11 +24,7 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     maps, reports = [r.flux_map for r in results.values()], [r.report for r in results.values()]
     drop = "" if truth is None else f"{truth.inverter_voltage[-1]:.4g} V"
     rows = [
-        (
-            "R",
-            [measured(m.resistance, unit="Ω") for m in maps],
-            truth and measured(truth.resistance, unit="Ω"),
-        ),
+        ("R", [measured(m.resistance, unit="Ω") for m in maps], truth and measured(truth.resistance, unit="Ω")),
         ("u_e", [f"{m.voltage_error:.4g} V" if len(m.inverter_current) else "not modelled" for m in maps], drop),
         ("MAD of i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),

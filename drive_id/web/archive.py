@@ -14,11 +14,13 @@ import numpy as np
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.results.folder import MARKER
-from drive_id.fitting.result import Identification, load
-from drive_id.types import FloatArray
+from drive_id.quantity import plain
+from drive_id.result.result import Result
 
 _NODES = 16
 """Nodes of a compared map from zero to i_max, within a factor of the root of 2."""
+_DIGITS = 6
+"""Significant digits of a map."""
 _MOST_MAPS = 200
 """Results, the newest first, whose maps a page holds: each takes 30 kB."""
 REPORT = "report.html"
@@ -40,10 +42,7 @@ class Entry:
 class Archive:
     """The results below a folder; those that have not changed are read once.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not a folder.
+    Raises ConfigurationError when it is not a folder.
     """
 
     def __init__(self, root: Path) -> None:
@@ -66,7 +65,7 @@ class Archive:
 
 def entries_of(folders: Sequence[Path], base: Path) -> list[Entry]:
     """Return the entries of given result folders; raises a ResultError when one cannot be read."""
-    return [Entry(folder, row_of(load(folder))).relative_to(base) for folder in folders]
+    return [Entry(folder, row_of(Result.load(folder))).relative_to(base) for folder in folders]
 
 
 def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -76,22 +75,21 @@ def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
 
 def _entry(folder: Path) -> Entry:
     try:
-        return Entry(folder, row_of(load(folder)))
+        return Entry(folder, row_of(Result.load(folder)))
     except DriveIdError as error:
         return Entry(folder, {"error": str(error).replace(str(folder), "of this row")})
 
 
-def row_of(result: Identification) -> dict[str, Any]:
+def row_of(result: Result) -> dict[str, Any]:
     """Return what a page tells of a result, ready for JSON: numbers that are not known are null."""
+    quantities = {q.name.partition(" at ")[0]: [q.value, q.sigma, q.unit, str(q)] for q in result.headline}
     return {
         "date": result.date,
         "machine": result.machine,
         "serial": result.provenance.settings.serial,
         "method": result.method,
-        "quantities": {
-            q.name.partition(" at ")[0]: [_finite(q.value), _finite(q.sigma), q.unit, str(q)] for q in result.headline
-        },
-        "coverage": _finite(result.metrics["coverage"]),
+        "quantities": plain(quantities),
+        "coverage": plain(result.metrics["coverage"]),
         "warnings": list(result.warnings),
         "map": _map(result.flux_map, result.i_max),
     }
@@ -109,7 +107,7 @@ def _map(found: FluxMap, i_max: float) -> dict[str, Any]:
     columns = np.stack([*found.psi_dq(step * k_d, step * k_q), *found.sigma(step * k_d, step * k_q)]) * 1e3
     known = np.isfinite(columns[:2]).all(axis=0)
     names = ("psi_d", "psi_q", "sigma_d", "sigma_q")
-    values = {name: _listed(column[known]) for name, column in zip(names, columns, strict=True)}
+    values = {name: plain(column[known], _DIGITS) for name, column in zip(names, columns, strict=True)}
     return {"step": step, "k_d": k_d[known].tolist(), "k_q": k_q[known].tolist(), **values}
 
 
@@ -119,11 +117,3 @@ def _result_folders(root: Path) -> Iterator[Path]:
         inner[:] = sorted(name for name in inner if not name.startswith("."))
         if MARKER in files:
             yield Path(folder)
-
-
-def _listed(values: FloatArray) -> list[float | None]:
-    return [float(f"{x:.6g}") if math.isfinite(x) else None for x in values.tolist()]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drive_id.bench.bench import Bench, Pace
+from drive_id.bench.bench import Pace, SimulatedBench
 from drive_id.bench.drive import Drive, build_machine, simulate
 from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.machines import machine_map
@@ -223,7 +223,7 @@ def columns(blocks, name):
 
 
 def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings(block_size=30))
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(block_size=30))
     t = np.arange(2000) * T
     wanted = (50 * np.stack((np.sin(20 * t), np.cos(20 * t) - 1), axis=-1)).astype(np.float32)
     bench.references.add(T0, T, *wanted.T.copy())
@@ -244,7 +244,7 @@ def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
 
 
 def test_it_catches_up_without_gaps_and_says_that_it_is_late(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
     bench.advance(T0)
     now, blocks = T0 + 3000 * MS, []
     blocks += bench.advance(now)
@@ -258,7 +258,7 @@ def test_it_catches_up_without_gaps_and_says_that_it_is_late(map_of_ipm):
 
 
 def test_speeds_can_change_meanwhile(map_of_ipm):
-    bench = Bench(map_of_ipm, dataclasses.replace(DRIVE, current_noise=0.0), BenchSettings())
+    bench = SimulatedBench(map_of_ipm, dataclasses.replace(DRIVE, current_noise=0.0), BenchSettings())
     bench.advance(T0)
     bench.advance(T0 + 100 * MS)
     bench.set_speeds((800.0,), 0.1)
@@ -267,7 +267,7 @@ def test_speeds_can_change_meanwhile(map_of_ipm):
 
 
 def test_health_tells_of_references_that_could_not_be_followed(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
     bench.advance(T0)
     assert bench.health().message == "Zero current: no references."
     bench.references.add(T0, T, values(np.nan), values(0))
@@ -293,7 +293,7 @@ def statuses(bench, *times):
 
 
 def test_the_status_tells_clock_session_and_reference_in_force(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
     bench.references.add(T0, T, *full(-20, 300), session=5)
     _, first, second, third = statuses(bench, T0, T0 + 10 * MS, T0 + 20 * MS, T0 + 30 * MS)
     assert (first.count, first.stamp, first.session, first.applied) == (0, T0 + 10 * MS, 5, 99)
@@ -304,7 +304,7 @@ def test_the_status_tells_clock_session_and_reference_in_force(map_of_ipm):
 
 def test_the_clock_of_the_drive_can_be_wrong(map_of_ipm):
     """Stamps and due times alike."""
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings(), FaultSettings(clock_offset=-5.0, clock_drift=0.5))
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(), FaultSettings(clock_offset=-5.0, clock_drift=0.5))
     bench.references.add(T0 - 5000 * MS + 10 * MS, T, *full(-20, 300), session=5)
     bench.advance(T0)
     blocks = bench.advance(T0 + 10 * MS)
@@ -313,7 +313,7 @@ def test_the_clock_of_the_drive_can_be_wrong(map_of_ipm):
 
 
 def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
     bench.references.add(T0, T, *full(-20, 300), session=5)
     bench.advance(T0)
     assert bench.advance(T0 + 20 * MS)[-1].first_sample == 100
@@ -326,7 +326,7 @@ def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
 
 @pytest.mark.parametrize("freeze", ["stamps", "samples"])
 def test_a_frozen_drive_repeats_itself(map_of_ipm, freeze):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings())
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
     bench.advance(T0)
     last = bench.advance(T0 + 10 * MS)[-1]
     bench.faults = FaultSettings(freeze=freeze)
@@ -337,7 +337,7 @@ def test_a_frozen_drive_repeats_itself(map_of_ipm, freeze):
 
 
 def test_a_drive_trips_by_itself(map_of_ipm):
-    bench = Bench(map_of_ipm, DRIVE, BenchSettings(speed_limit=400.0))
+    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(speed_limit=400.0))
     _, status = statuses(bench, T0, T0 + 10 * MS)
     assert status.fault == "The speed exceeds 400 rpm."
     bench.faults = FaultSettings(trip=True)
@@ -375,7 +375,7 @@ def test_optional_signals_come_at_their_rates_without_a_gap():
         scalar_rate=1000.0,
         temperature_rate=40.0,
     )
-    bench = Bench(machine_map("ipm"), settings, BenchSettings(block_size=70))
+    bench = SimulatedBench(machine_map("ipm"), settings, BenchSettings(block_size=70))
     bench.advance(T0)
     blocks = [block for step in range(1, 40) for block in bench.advance(T0 + step * 13 * MS)]
     assert len(blocks) > 60
@@ -392,7 +392,7 @@ def test_optional_signals_come_at_their_rates_without_a_gap():
     assert set(np.concatenate([block.scalars["dc_link_voltage"].values for block in blocks if block.scalars])) == {
         400.0
     }
-    plain = Bench(machine_map("ipm"), SimulationSettings(), BenchSettings())
+    plain = SimulatedBench(machine_map("ipm"), SimulationSettings(), BenchSettings())
     plain.advance(T0)
     assert all(block.scalars == {} for block in plain.advance(T0 + 50 * MS))
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from drive_id.bench import real_drive
-from drive_id.bench.bench import Bench
+from drive_id.bench.bench import SimulatedBench
 from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
 from drive_id.bench.effect_settings import EFFECT_NAMES
 from drive_id.bench.effects import effects_of
@@ -589,7 +589,7 @@ def test_a_block_without_a_logged_sample_is_refused_and_changes_nothing():
 
 def test_the_bench_in_real_time_decimates_too():
     settings = SimulationSettings(log_decimation=4, flux_lag=0.02)
-    bench = Bench(IPM, settings, BenchSettings(block_size=50))
+    bench = SimulatedBench(IPM, settings, BenchSettings(block_size=50))
     bench.advance(0)
     blocks = bench.advance(70_000_000)
     assert [block.first_sample for block in blocks] == [0, 50, 100]
@@ -602,7 +602,7 @@ def test_the_bench_in_real_time_decimates_too():
 
 
 def test_the_bench_in_real_time_stamps_late():
-    bench = Bench(IPM, SimulationSettings(stamp_jitter=5e-5), BenchSettings(block_size=10))
+    bench = SimulatedBench(IPM, SimulationSettings(stamp_jitter=5e-5), BenchSettings(block_size=10))
     bench.advance(0)
     late = np.array([block.stamp - block.first_sample * 100_000 for block in bench.advance(100_000_000)])
     assert len(late) == 100

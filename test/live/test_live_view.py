@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drive_id.live.live_view import Estimate, LiveView, forecast
+from drive_id.live.live_view import LiveView, ResistanceSoFar, forecast
 
 
 def course(sigmas, resistance=0.01, rate=10_000):
     """Estimates 1 s, 2 s, ... after the start."""
-    return [Estimate(float(k), rate * k, resistance, sigma) for k, sigma in enumerate(sigmas, 1)]
+    return [ResistanceSoFar(float(k), rate * k, resistance, sigma) for k, sigma in enumerate(sigmas, 1)]
 
 
 def test_white_noise_is_forecast_to_the_second():

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import drive_id
 from drive_id.cli.app import app
 from drive_id.errors import ConfigurationError, OutputError
+from drive_id.result.result import Result
 from drive_id.web.archive import Archive, _map
 from drive_id.web.page import archive_page, write_page
 
@@ -67,11 +68,9 @@ def test_maps_of_one_machine_share_their_nodes(fitted):
 
 
 def test_only_what_changed_is_read_again(folder, fitted, monkeypatch):
-    from drive_id.web import archive as module
-
-    archive, read = Archive(folder), []
+    archive, read, load = Archive(folder), [], Result.load
     archive.entries()
-    monkeypatch.setattr(module, "load", lambda path: read.append(path.name) or drive_id.load(path))
+    monkeypatch.setattr(Result, "load", staticmethod(lambda path: read.append(path.name) or load(path)))
     archive.entries()
     assert read == []
     named(fitted, "another", 6).save(folder / "day 4", draw=False)

@@ -56,10 +56,7 @@ class Accumulated:
     def merged(self, other: Accumulated) -> Accumulated:
         """Return what is kept of both.
 
-        Raises
-        ------
-        ConfigurationError
-            When they contain the same recording, or were accumulated with different settings.
+        Raises ConfigurationError when they contain the same recording, or were accumulated with different settings.
         """
         known = {digest: file for file, digest in self.digests.items()}
         for file, digest in other.digests.items():

@@ -41,7 +41,6 @@ class Evidence:
 
     Parameters
     ----------
-    settings : FitSettings
     d, q : Axis
         Ranges of the map.
     i_max : float
@@ -91,7 +90,6 @@ class Evidence:
 
         Parameters
         ----------
-        samples : Samples
         done : callable, optional
             Told after each part how many of them are done.
         continues : bool
@@ -121,10 +119,7 @@ class Evidence:
     def next_recording(self) -> None:
         """Begin another recording: adding its samples then equals merging it.
 
-        Raises
-        ------
-        ConfigurationError
-            When temperatures or DC-link voltages are set, but none for this recording.
+        Raises ConfigurationError when temperatures or DC-link voltages are set, but none for this recording.
         """
         self.information.next_recording()
         one = self.settings.of_recording(self._recordings)
@@ -172,10 +167,7 @@ class Evidence:
     def merged(self, other: Evidence) -> Evidence:
         """Return the evidence of all recordings of both; neither changes.
 
-        Raises
-        ------
-        ConfigurationError
-            When they were accumulated differently; see :meth:`difference`.
+        Raises ConfigurationError when they were accumulated differently; see :meth:`difference`.
         """
         both = self.copy()
         both.merge(other)

@@ -25,11 +25,16 @@ from drive_id.types import FloatArray, Samples
 DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
 """Delays of the voltages that are tried, samples."""
 _SIZE = 16
-_RESISTANCE, _DROP, _MAGNET, _INDUCTANCE, _SATURATION, _SALIENCY = 0, 1, slice(2, 4), 4, 5, slice(6, 8)
+_RESISTANCE = 0  # columns of the unknowns, from here on
+_DROP = 1
+_MAGNET = slice(2, 4)
+_INDUCTANCE = 4
+_SATURATION = 5
+_SALIENCY = slice(6, 8)
 _WINDOW_TURN = np.pi / 3
 _LONGEST_WINDOW = 512
-_NODES, _FEW_NODES = 750, 250
-"""Most windows of a run: in a fit, and in the search for the likeliest of many readings."""
+_NODES = 750  # most windows of a run in a fit: 16 unknowns need no more
+_FEW_NODES = 250  # likewise in the search for the likeliest of 130 readings
 _SIGN_WIDTH = 0.02
 """Width of the smoothed sign relative to the largest current."""
 _RIDGE = 1e-9
@@ -68,7 +73,6 @@ class RoughFit:
 
     Parameters
     ----------
-    reading : Reading
     unexplained : float
         Root mean square of the residual over that of the integrated voltage.
     delay : float
@@ -171,7 +175,7 @@ class Excerpt:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
+class _BalanceSums:
     """Normal equations of some windows: matrix (P, P), right sides (P, D) and squares (D,) for each delay."""
 
     matrix: FloatArray
@@ -190,8 +194,6 @@ def rough_fit(
 
     Parameters
     ----------
-    excerpts : sequence of Excerpt
-    reading : Reading
     delays : sequence of float
         Among which the best is chosen, samples.
 
@@ -203,7 +205,9 @@ def rough_fit(
     parts = _aligned([excerpt.with_signs(reading) for excerpt in excerpts], reading, delays)
     if not parts:
         return None
-    total = _Sums(*(np.sum([getattr(part, name) for part in parts], axis=0) for name in ("matrix", "right", "square")))
+    total = _BalanceSums(
+        *(np.sum([getattr(part, name) for part in parts], axis=0) for name in ("matrix", "right", "square"))
+    )
     if not (np.isfinite(total.matrix).all() and np.isfinite(total.square).all() and (total.square > 0).all()):
         return None
     solved = [_solved(total.matrix, right) for right in total.right.T]
@@ -232,7 +236,7 @@ def residuals(excerpts: Sequence[Excerpt], fit: RoughFit) -> tuple[FloatArray, F
     return left, square
 
 
-def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[float]) -> list[_Sums]:
+def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[float]) -> list[_BalanceSums]:
     """Return the sums of each run; those of an angle that is divided by q, turned by the best multiple of 2 pi/q.
 
     The multiple is unknown after each gap; the longest run is the reference for the others.
@@ -250,7 +254,7 @@ def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[flo
     return [first, *(min(found, key=lambda sums: sums.left(x)) for found in choices[1:])]
 
 
-def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: float) -> _Sums | None:
+def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: float) -> _BalanceSums | None:
     n = len(excerpt.i_s)
     step = max(excerpt.window // 2, -(-n // excerpt.nodes))
     reach = math.ceil(np.abs(delays).max())
@@ -269,7 +273,7 @@ def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: f
         volts = (1 - share) * excerpt.volts[nodes + below] + share * excerpt.volts[nodes + below + 1]
         y = _changes(phase * (volts.conj() if reading.mirrored else volts)[None], ahead)[0]
         right[:, k], square[k] = columns @ y, y @ y
-    return _Sums(columns @ columns.T, right, square)
+    return _BalanceSums(columns @ columns.T, right, square)
 
 
 def _flux_terms(i: ComplexArray) -> ComplexArray:

@@ -39,15 +39,19 @@ SPIKE_FACTOR = 1.2
 """Ratio to the usual amplitude above which a sample is a spike, which does not widen the map."""
 _FAULT_FACTOR = 10.0
 """Ratio to the usual amplitude above which a sample shows a faulty sensor or field and is refused."""
-_NOISE_SHARE = 0.1
-_RESOLVER_TOLERANCE = 0.02
+_NOISE_SHARE = 0.1  # rms step over the range of a current: a trajectory takes many samples from end to end
+_RESOLVER_TOLERANCE = 0.02  # of the ratio of angle and speed, which a poor time base may have
 _LEAST_TURN = 2 * np.pi
 _WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
-_JUMP = 0.2
-_JUMP_FACTOR = 5.0
-_TINY = 1e-160
-_LEAST, _MOST = 1e-100, 1e100
-_SPAN, _SPANS, _MOST_RUNS, _SHORTEST_RUN = 1 << 13, 16, 16, 32
+_JUMP = 0.2  # rad between angle and speed within a sample, beyond any resolver's error
+_JUMP_FACTOR = 5.0  # by the usual one, where a slow speed signal makes it large
+_TINY = 1e-160  # scale of the sums for values whose squares overflow
+_LEAST = 1e-100  # A, below which the plain square might underflow
+_MOST = 1e100  # A, above which it might overflow
+_SPAN = 1 << 13  # samples in a row of the excerpt: some turns of a slow machine
+_SPANS = 16  # of them, evenly spread: 131 072 samples in all, so that checks take no time that users feel
+_MOST_RUNS = 16  # gap-free runs of the excerpt, the longest, that are checked
+_SHORTEST_RUN = 32  # samples that a run must have to hold a window
 _ERRORS: dict[str, type[DataError]] = {
     "standstill": StandstillError,
     "held_references": CoverageError,
@@ -102,7 +106,6 @@ class Prescan:
 
         Parameters
         ----------
-        samples : Samples
         continues : bool
             The samples continue the previous piece and begin with its last sample, which counts once.
         """

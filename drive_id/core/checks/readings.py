@@ -16,10 +16,9 @@ _BAD = 0.05
 """Unexplained share of the voltage above which other readings are tried."""
 _BETTER = 1 / 3
 """Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
-_BETTER_ROTATED, _BETTER_EXCHANGED = 0.6, 0.5
-"""The same for voltages turned by an odd multiple of 30 degrees, and for currents and voltages exchanged: of 34 random
-drives, the best of these readings left 0.96 times as much as the right one, and 2.2 times."""
-_ALIKE = 1.02
+_BETTER_ROTATED = 0.6  # likewise for voltages turned by odd multiples of 30 degrees: 0.96 at best on 34 random drives
+_BETTER_EXCHANGED = 0.5  # likewise for currents and voltages exchanged: 2.2 at best on the same drives
+_ALIKE = 1.02  # ratio of unexplained voltages within which the reading with the least factor is taken
 _REFUSED = 0.1
 _CERTAIN = 0.005
 """Unexplained share of the voltage above which voltages between phases or exchanged signals are refused: below, what a
@@ -27,16 +26,27 @@ rough model misses at many degrees per sample may decide between readings."""
 _HOPELESS = 0.35
 _FEW_RUNS = 3
 """Number of runs used to choose the likeliest of the other readings."""
-_MULTIPLES, _PARTS = 24, (8, 4)
-_LEAST_OFFSET, _AGREEING = np.deg2rad(20.0), np.deg2rad(15.0)
-_LEAST_MAGNET, _WEAK_MAGNET, _LEAST_SALIENCY = 0.3, 0.05, 0.15
-_DECIMATED, _DECIMATED_TURN, _DECIMATED_SHARE = (-0.6, -0.2), np.deg2rad(5.0), 1.05
-_LARGE_TURN = 0.2
-_SLOW_RATE = 2100.0
-_LATE, _SHIFTED = 40, 0.6
+_MULTIPLES = 24  # most pole pairs that are tried as a factor on the angle
+_PARTS = (8, 4)  # largest numerator and denominator of other factors: wrong pole pairs
+_LEAST_OFFSET = np.deg2rad(20.0)  # of the angle, from which on method full corrects it no more
+_AGREEING = np.deg2rad(15.0)  # between the axes by magnet and by saliency
+_LEAST_MAGNET = 0.3  # flux of the magnet over L i_max from which on it alone gives the axis
+_WEAK_MAGNET = 0.05  # the same below which it does not even choose among the axes of the saliency
+_LEAST_SALIENCY = 0.15  # difference of inductances over their sum that gives an axis
+_DECIMATED = (-0.6, -0.2)  # samples by which voltages seem late in a log of every n-th sample: -(n - 1) / 2n and noise
+_DECIMATED_TURN = np.deg2rad(5.0)  # of the rotor per sample, below which it does no harm
+_DECIMATED_SHARE = 1.05  # unexplained voltage without that delay over that with it
+_LARGE_TURN = 0.2  # speed times sample period that only degrees have, as most drives turn by less, rad
+_SLOW_RATE = 2100.0  # Hz, below which inverters rarely switch
+_LATE = 40  # samples of delay that are tried both ways
+_SHIFTED = 0.6  # unexplained voltage with the delay over that without
 _RESTING = 0.05
 """Mean phase current of a part at rest, relative to i_max."""
-_PART, _OUTLYING, _LEAST_OUTLYING, _FEWEST_PARTS, _RAMP = 0.2, 30.0, 0.06, 8, 0.3
+_PART = 0.2  # s, in which a loose contact shows
+_OUTLYING = 30.0  # squared residual of a part over the median of all
+_LEAST_OUTLYING = 0.06  # its unexplained voltage over the rms of all: less does not distort a map
+_FEWEST_PARTS = 8  # for a median
+_RAMP = 0.3  # relative range of speeds beyond which the parts are not alike
 _USUAL = 0.999
 """Quantile that stands for the largest voltage, without spikes."""
 _BETWEEN_PHASES = tuple(Reading(turned=half_turns) for half_turns in (-0.5, 0.5, -1.5, 1.5, -2.5, 2.5))

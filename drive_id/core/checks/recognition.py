@@ -13,8 +13,10 @@ _FEWEST = 50
 _WRAP = 0.6
 """Step relative to the range above which a column starts again."""
 _LARGEST_STEP = 0.45
-_STEADY, _MONOTONE = 0.9, 0.98
-_UNEVEN, _MANY = 20, 1000
+_STEADY = 0.9  # share of steps in one direction where the column wraps: noise reverses some
+_MONOTONE = 0.98  # the same where it does not, which drifts of other signals do, too
+_UNEVEN = 20  # largest over median step of an angle without wraps
+_MANY = 1000  # range from which on whole numbers are counts
 _UNITS = ((2 * np.pi, "rad", 0.02), (360.0, "deg", 0.02), (1.0, "rev", 0.02))
 _LINES = (500, 512, 600, 720, 900, 1000, 1024, 1250, 1500, 2000, 2048, 2500, 3600, 4000, 4096, 5000, 8192, 10_000)
 _FULL_COUNTS = (*(4 * lines for lines in _LINES), *(2**n for n in range(8, 25)))

@@ -16,18 +16,25 @@ _UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts
 _TURN_TOLERANCE = 0.003
 _FEWEST_WRAPS = 3
 _COARSE_TURN = np.deg2rad(40.0)
-_HELD_STEP, _HELD_SHARE = 0.02, 0.5
-_DRIFT, _DRIFT_FIT, _DRIFT_PARTS = (0.03, 0.5), 0.9, 6
-_MOST_POLE_PAIRS, _MEANT, _DEGREES_MEANT = 50, 0.004, 0.006
-_SWINGING, _LEAST_SWING = 3.0, 0.05
-"""Way of a swinging rotor, relative to its range, and the least such range, rad: angle noise travels far, too."""
+_HELD_STEP = 0.02  # rad: smaller steps are those of an encoder at low speed
+_HELD_SHARE = 0.5  # of samples without a step, from which on the angle is held
+_DRIFT = (0.03, 0.5)  # change over the recording, by the mean speed: a larger one is meant
+_DRIFT_FIT = 0.9  # share of the variance that a straight line must explain
+_DRIFT_PARTS = 6  # runs, of which that can be told
+_MOST_POLE_PAIRS = 50  # of any machine
+_MEANT = 0.004  # relative distance from a factor that is meant: neighbouring pole pairs differ by 2 %
+_DEGREES_MEANT = 0.006  # likewise for degrees, which may have been wrapped as if in radians
+_SWINGING = 3.0  # way of a swinging rotor, by its range
+_LEAST_SWING = 0.05  # rad, least such range: angle noise travels far, too
 _FASTEST_CHANGE = 200.0
 """Hz, above which a derivative of the angle is noise."""
-_DELAYS, _DAMPINGS = np.geomspace(1e-4, 2e-2, 54), (0.5, 0.7, 1.0)
-"""Delays, s, and dampings of filters of the speed that are tried."""
-_FACTOR_TOLERANCE, _UNEXPLAINED_SPEED = 0.02, 0.01
-"""Distance of the factor from 1, and share of the energy that noise may take, where a filter explains the speed."""
-_RPM, _DEGREE, _REVOLUTION = np.pi / 30, np.pi / 180, 2 * np.pi
+_DELAYS = np.geomspace(1e-4, 2e-2, 54)  # s, of filters of the speed that are tried, 10 % apart
+_DAMPINGS = (0.5, 0.7, 1.0)  # likewise
+_FACTOR_TOLERANCE = 0.02  # distance of the factor from 1 where a filter explains the speed
+_UNEXPLAINED_SPEED = 0.01  # share of the energy that noise may take then
+_RPM = np.pi / 30  # rad/s
+_DEGREE = np.pi / 180  # rad
+_REVOLUTION = 2 * np.pi  # rad
 
 
 def time_findings(periods: Sequence[float]) -> Iterator[Message]:

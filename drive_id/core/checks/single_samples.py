@@ -18,10 +18,10 @@ from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 _KEPT = 1 << 14
-_USUAL, _FACTOR = 0.999, 4.0
-"""Quantile of the bends, and its multiple above which a sample stands out."""
-_LEAST_CURRENT, _LEAST_ANGLE = 0.005, 0.01
-"""Least error that is reported, relative to the usual amplitude, and rad."""
+_USUAL = 0.999  # quantile of the bends
+_FACTOR = 4.0  # its multiple above which a sample stands out
+_LEAST_CURRENT = 0.005  # least error that is reported, by the usual amplitude: less does not distort a map
+_LEAST_ANGLE = 0.01  # rad, likewise
 _ALIKE = 0.25
 _BEFORE = 4
 """Samples that the pattern needs around one, and that are kept for the next piece."""
@@ -49,7 +49,6 @@ class SingleSamples:
 
         Parameters
         ----------
-        samples : Samples
         i_dq : (N, 2) float
             Their currents in the rotor frame, A.
         time : (N,) float

@@ -14,19 +14,26 @@ from drive_id.types import FloatArray, Samples
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
 _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
-_CURRENTS, _LARGEST_VOLTAGE = (0.5, 5000.0), 5000.0
-"""Plausible amplitudes, A and V; kA of a drive up to 500 A lie outside."""
+_CURRENTS = (0.5, 5000.0)  # plausible amplitudes, A: drives up to 500 A in kA lie outside
+_LARGEST_VOLTAGE = 5000.0  # V, above which the voltages are taken for mV
 _USUAL = 0.999
 """Quantile that stands for the largest voltage, without spikes."""
-_SAME_SCALE, _LEAST_CORRELATION = 1.3, 0.97
-_ZERO_SEQUENCE = 0.02
-_ODD_PHASE, _REVERSED = 0.3, 0.2
-"""Difference of two phases' weights in the sum that is zero, relative to that of the third, which is odd then; distance
-of its gain from -1."""
-_AT_LIMIT, _CLIPPED = 2e-6, 0.015
-_STUCK, _MOVED, _NEAR_LIMIT = 50, 0.3, 0.999
-_FEW_LEVELS, _LEVELS_OF = 100, 20_000
-_CURRENT_OFFSET, _VOLTAGE_OFFSET, _FEWEST_TURNS, _SCATTER = 0.03, 0.05, 20, 5.0
+_SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may have
+_LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
+_ZERO_SEQUENCE = 0.02  # rms sum of the phase currents, by i_max: gains of sensors usually agree within 1 %
+_ODD_PHASE = 0.3  # difference of two phases' weights in the sum that is zero, by that of the third, which is odd then
+_REVERSED = 0.2  # distance of its gain from -1
+_AT_LIMIT = 2e-6  # relative width of a limit: float32 rounds to 6e-8
+_CLIPPED = 0.015  # share of samples there: a sinusoid is that close to its peak for 0.06 %
+_STUCK = 50  # equal samples in a row, more than a coarse converter repeats while the others move
+_MOVED = 0.3  # range of the other phases meanwhile, by the largest value
+_NEAR_LIMIT = 0.999  # of the largest value, where a phase that stands still is clipped
+_FEW_LEVELS = 100  # values of a phase: 7 bits, whose steps exceed the noise of any drive
+_LEVELS_OF = 20_000  # samples in which they are counted, to save time
+_CURRENT_OFFSET = 0.03  # by i_max: method full corrects smaller ones
+_VOLTAGE_OFFSET = 0.05  # by the rms voltage, likewise
+_FEWEST_TURNS = 20  # so that the scatter of their means is known to a sixth
+_SCATTER = 5.0  # standard errors of a mean over turns, as the turns of a trajectory are not independent
 _MOST_REVERSING = 2
 """Runs with turns both ways, as from one speed to the next in the other direction, in a recording that is no swing."""
 _HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))

@@ -53,10 +53,6 @@ class DriveStatus:
     ----------
     stamp : int
         ns, by the clock of the drive.
-    count : int
-    enabled : bool
-    fault : str
-    session, applied : int
     i_d, i_q : float
         Reference in force, A.
     speed : float

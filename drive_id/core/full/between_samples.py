@@ -60,10 +60,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
 
     Parameters
     ----------
-    model : FullModel
     estimate : (size,) float
         See :class:`~drive_id.core.full.solver.FullSolution`.
-    windows : Windows
     psi : (N, 2) complex
         Flux at both ends, Wb.
 

@@ -55,10 +55,8 @@ class Calibration:
 
     Parameters
     ----------
-    name : str
     value, sigma : float
         Estimate and its standard error.
-    unit : str
     applied : bool
         Whether the signals are corrected by it.
     message : Message
@@ -82,7 +80,7 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Estimate offsets and gain mismatch of the current sensors.
 
@@ -95,7 +93,6 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
 
     Parameters
     ----------
-    fit : FullFit
     i_dq : (N, 2) float
         Currents with data, A.
     i_max : float
@@ -262,7 +259,7 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     return points[:: max(1, len(points) // _MOST_MIRRORED)]
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
 
@@ -271,7 +268,6 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
 
     Parameters
     ----------
-    fit : FullFit
     i_dq : (N, 2) float
         Measured currents whose mirror images have data, too, A; see :func:`mirrored_points`.
 
@@ -325,7 +321,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     return Calibration(name, angle, sigma, unit, symmetric, said)
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
     """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
 
@@ -334,8 +330,6 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
 
     Parameters
     ----------
-    fit : FullFit
-    found : sequence of Calibration
     i_dq : (N, 2) float
         Currents with data, A.
     faulty : float

@@ -46,7 +46,7 @@ def misfit_warning(fit: FullFit) -> Message | None:
     if fit.outlying > _OUTLYING:
         return Message("misfit.time", time=fit.outlying_time, **values)
     if misfit.low > _CONCENTRATED * misfit.ratio:
-        return Message("misfit.small_currents", **values)
+        return Message("misfit.small_currents", low=misfit.low, **values)
     return _with_cause("misfit", fit, **values)
 
 
@@ -89,11 +89,11 @@ def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibr
             Message(entry.key, **entry.values, rivals=rivals, several_speeds=several_speeds),
             doubtful=rivals is not None or entry.name == VOLTAGE_MISMATCH,
         )
-        for entry in _REPORTS.get(name, _gains)(_Found(fit, taken.name, value, sigma))
+        for entry in _REPORTS.get(name, _gains)(_Evaluated(fit, taken.name, value, sigma))
     ]
 
 
-class _Entry(NamedTuple):
+class _Shown(NamedTuple):
     """A value with its standard error in a unit, and what its message needs, in SI units."""
 
     name: str
@@ -104,12 +104,12 @@ class _Entry(NamedTuple):
     values: Mapping[str, Any]
 
     @classmethod
-    def of(cls, name: str, value: float, sigma: float, unit: str, key: str = "", **more: Any) -> _Entry:
+    def of(cls, name: str, value: float, sigma: float, unit: str, key: str = "", **more: Any) -> _Shown:
         """Return an entry of SI units."""
         return cls(name, float(value), float(sigma), unit, key or name, {"value": value, "sigma": sigma, **more})
 
 
-class _Found(NamedTuple):
+class _Evaluated(NamedTuple):
     """An effect, the estimates of its columns and their standard errors."""
 
     fit: FullFit
@@ -118,41 +118,41 @@ class _Found(NamedTuple):
     sigma: FloatArray
 
 
-def _iron(found: _Found) -> Iterator[_Entry]:
+def _iron(found: _Evaluated) -> Iterator[_Shown]:
     quantity, unit = {
         "iron_loss": ("iron_loss_conductance", "S"),
         "coercivity": ("iron_loss_current", "A"),
         "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
     }[found.name]
-    yield _Entry.of(quantity, found.value[0], found.sigma[0], unit)
+    yield _Shown.of(quantity, found.value[0], found.sigma[0], unit)
 
 
-def _late(found: _Found) -> Iterator[_Entry]:
+def _late(found: _Evaluated) -> Iterator[_Shown]:
     x, dx = float(found.value[0]), float(found.sigma[0])
     told = {"value": x, "sigma": dx, "size": abs(x), "late": x > 0}
-    yield _Entry(found.name, _MICRO * x, _MICRO * dx, "us", found.name, told)
+    yield _Shown(found.name, _MICRO * x, _MICRO * dx, "us", found.name, told)
 
 
-def _lag(found: _Found) -> Iterator[_Entry]:
+def _lag(found: _Evaluated) -> Iterator[_Shown]:
     if found.name == "flux_lag":
         yield from _late(found)
     else:
         lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
-        yield _Entry.of(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
+        yield _Shown.of(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
 
 
-def _copper(found: _Found) -> Iterator[_Entry]:
+def _copper(found: _Evaluated) -> Iterator[_Shown]:
     reference = float(found.fit.solution.estimate[RESISTANCE])
     for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
         change = x / reference
         told = {"change": change, "kelvin": change / COPPER}
         if found.name == "copper_heating":
-            yield _Entry.of("resistance_rise", x, dx, "ohm", **told)
+            yield _Shown.of("resistance_rise", x, dx, "ohm", **told)
         elif found.fit.met(found.name, k):
-            yield _Entry.of(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
+            yield _Shown.of(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
 
 
-def _magnet(found: _Found) -> Iterator[_Entry]:
+def _magnet(found: _Evaluated) -> Iterator[_Shown]:
     """Report the change of psi_d at zero current, by flux and by the equivalent current of the magnet."""
     forms = np.zeros((found.fit.model.size, len(found.value) // 2))
     slope = jacobian(found.fit.model.flux, found.fit.solution.estimate[found.fit.model.map], np.zeros((1, 2)))[0, 0, 0]
@@ -164,45 +164,44 @@ def _magnet(found: _Found) -> Iterator[_Entry]:
         if not found.fit.met(found.name, 2 * k):
             continue
         if found.name == "magnet_heating":
-            yield _Entry.of("magnet_flux_change", x, dx, "Wb")
+            yield _Shown.of("magnet_flux_change", x, dx, "Wb")
         else:
             name, key = f"magnet_flux_change_{k + 2}", "magnet_flux_change.recording"
-            yield _Entry.of(name, x, dx, "Wb", key, recording=k + 2)
+            yield _Shown.of(name, x, dx, "Wb", key, recording=k + 2)
 
 
-def _of_turn(found: _Found) -> Iterator[_Entry]:
+def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
     """Report the amplitude of cosine and sine, rms over the runs that have them."""
-    name, unit = {
-        "eccentricity": ("resolver_eccentricity", "rad"),
-        "eccentric_rotor": ("rotor_eccentricity", "1"),
-    }.get(found.name, (found.name, "rad"))
+    name, unit = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}.get(
+        found.name, (found.name, "rad")
+    )
     pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
     amplitude = np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1)))
     deviation = np.sqrt(np.mean(errors[met] ** 2) / len(met))
-    yield _Entry.of(name, amplitude, deviation, unit, pole_pairs=found.fit.selection.search.columns.pole_pairs)
+    yield _Shown.of(name, amplitude, deviation, unit, pole_pairs=found.fit.selection.search.columns.pole_pairs)
 
 
-def _link(found: _Found) -> Iterator[_Entry]:
-    yield _Entry.of("dc_link_share", found.value[0], found.sigma[0], "1")
+def _link(found: _Evaluated) -> Iterator[_Shown]:
+    yield _Shown.of("dc_link_share", found.value[0], found.sigma[0], "1")
 
 
-def _phases(found: _Found) -> Iterator[_Entry]:
+def _phases(found: _Evaluated) -> Iterator[_Shown]:
     values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
     for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
-        yield _Entry.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
+        yield _Shown.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
 
 
-def _gains(found: _Found) -> Iterator[_Entry]:
+def _gains(found: _Evaluated) -> Iterator[_Shown]:
     """Report the mismatch g: the voltage is u + g conj(u). A phase k with the gain 1 + e has g = -e/3 e^{2j phi_k}."""
     g = complex(*found.value)
     along = np.real(g * np.exp(-2j * frames.PHASE_SHIFTS))
     phase = int(np.argmax(np.abs(along)))
     sigma = float(np.linalg.norm(found.sigma))
-    yield _Entry.of(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])
+    yield _Shown.of(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])
 
 
-_REPORTS: dict[str, Callable[[_Found], Iterator[_Entry]]] = {
+_REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
     "iron_loss": _iron,
     "hysteresis": _iron,
     "coercivity": _iron,

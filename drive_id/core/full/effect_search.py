@@ -86,9 +86,6 @@ class EffectSearch:
         With the columns of all effects if any effect was selected; otherwise without, to save memory.
     solver : Solver
         Of sums with the columns of all effects.
-    solution : FullSolution
-    columns : EffectColumns
-    taken : tuple of Taken
     delay, sigma_delay : float
         Estimated delay of the voltages and its standard error, samples; NaN when not requested.
     left : mapping of str to float
@@ -121,7 +118,6 @@ def search_effects(
         Without effects.
     solution : FullSolution
         The fit without effects.
-    noise : CurrentNoise
     allowed : sequence of str
         Names in ``EFFECTS`` to try.
     turn : float

@@ -82,7 +82,6 @@ class EffectColumns:
 
     Parameters
     ----------
-    model : FullModel
     estimate : (size,) float
         See :class:`~drive_id.core.full.solver.FullSolution`.
     heat : float
@@ -182,11 +181,7 @@ class EffectColumns:
         i_s = i_dq * turn
         e = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
-        return {
-            "iron_loss": [-e],
-            "hysteresis": [-e / speed],
-            "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
-        }
+        return {"iron_loss": [-e], "hysteresis": [-e / speed], "coercivity": [-e / np.maximum(np.abs(e), _TINY)]}
 
     def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
         """Return the angle errors (N, 2) of the resolver, per unit of each effect."""

@@ -111,8 +111,6 @@ class FullFit(Assessment):
 
     Parameters
     ----------
-    model : FullModel
-    solution : FullSolution
     selection : Selection
         The selected model and its alternatives.
     """
@@ -195,10 +193,6 @@ class EarlierFit:
         Cells of its map and harmonics, if not the usual ones.
     remains : bool
         Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
-    spec : ModelSpec
-    columns : EffectColumns
-    taken : tuple of Taken
-    delay, sigma_delay, advantage : float
     left : mapping of str to float
         See :class:`~drive_id.core.full.selection.Selection` and ``EffectSearch``.
     assessment : dict
@@ -256,7 +250,7 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     return FullFit(model=sums.model, solution=solution, selection=selection, **earlier.assessment)
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def fit_full(
     sums: WindowSums,
     settings: FitSettings,
@@ -272,7 +266,6 @@ def fit_full(
     ----------
     sums : WindowSums
         Finished.
-    settings : FitSettings
     turn : float
         Angle turned per sample, rms, rad.
     variance : float

@@ -93,12 +93,7 @@ class LackOfFit:
 
 
 class GroupSums:
-    """Scores and residuals of windows, summed by cell of the current plane and by rotor position.
-
-    Parameters
-    ----------
-    unknowns : int
-    """
+    """Scores and residuals of windows, summed by cell of the current plane and by rotor position."""
 
     def __init__(self, unknowns: int) -> None:
         self._by_cell = [np.zeros((_CELLS**2, width)) for width in (unknowns, 5, 5)]  # scores, facts, flux facts
@@ -109,7 +104,6 @@ class GroupSums:
 
         Parameters
         ----------
-        windows : Windows
         rows : (N, 2, unknowns + 1) float
             Z T and, last, the residuals.
         expected : (N,) float
@@ -136,8 +130,6 @@ class GroupSums:
 
         Parameters
         ----------
-        model : FullModel
-        solution : FullSolution
         share : float
             Number of all windows over that of the windows added.
         """

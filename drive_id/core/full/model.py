@@ -304,7 +304,6 @@ class FullModel:
 
         Parameters
         ----------
-        windows : Windows
         layout : Layout, optional
             :attr:`summed` for Z S.
         """
@@ -584,10 +583,7 @@ def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
 def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums.
 
-    Raises
-    ------
-    ValueError
-        If the maps are free and the columns of the sums are reciprocal.
+    Raises ValueError if the maps are free and the columns of the sums are reciprocal.
     """
     if model.reciprocal and not spec.reciprocal:
         raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")
@@ -632,10 +628,8 @@ def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float |
 
     Parameters
     ----------
-    model : FullModel
     total : (size, size) or (summed.size, summed.size) float
         Z'Z.
-    penalty : float
     unit : float, optional
         Mean diagonal of Z'Z over the columns of a free map; needed where those of the sums are reciprocal.
     """

@@ -10,15 +10,7 @@ import numpy as np
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
 from drive_id.core.full.effect_search import EffectSearch, plausible_effects, refined, search_effects
-from drive_id.core.full.model import (
-    EFFECTS,
-    MOST_RECORDINGS,
-    MOST_RUNS,
-    PENALTIES,
-    SENSOR_ORDERS,
-    FullModel,
-    ModelSpec,
-)
+from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import (
     CurrentNoise,

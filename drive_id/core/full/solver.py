@@ -50,7 +50,6 @@ class FullSolution:
 
     Parameters
     ----------
-    spec : ModelSpec
     estimate : (size,) float
         Estimate in the columns of the unknowns, -1 and the shares of the delay in those of the voltage, so that
         ``Z estimate`` are the residuals, Vs.
@@ -63,7 +62,6 @@ class FullSolution:
     scale : (M,) float
     sum_of_squares : float
         Of the residuals, (Vs)^2.
-    rows : float
     """
 
     spec: ModelSpec
@@ -116,7 +114,6 @@ class Solver:
 
     Parameters
     ----------
-    model : FullModel
     folds : sequence of (summed.size, summed.size) float
         Z'Z of each fold, or its lower triangle row by row; not copied.
     counts : (F,) float
@@ -197,7 +194,6 @@ class Solver:
 
         Parameters
         ----------
-        spec : ModelSpec
         penalties : sequence of float
             Candidates instead of the penalty of ``spec``.
         folds : sequence of int
@@ -404,10 +400,8 @@ def noise_products(
 
     Parameters
     ----------
-    solver : Solver
     solution : FullSolution
         Gives the slopes dB gamma of the map.
-    noise : CurrentNoise
     squares : float
         Upper bound of the sum of squared residuals that noise at the ends causes, (Vs)^2.
     """
@@ -428,12 +422,6 @@ def noise_products(
 
 def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[FullSolution, FloatArray]:
     """Correct the estimate for the attenuation by noise in the currents, ``x + (A + N)^-1 N x``.
-
-    Parameters
-    ----------
-    solver : Solver
-    solution : FullSolution
-    noise : CurrentNoise
 
     Returns
     -------

@@ -43,10 +43,6 @@ _ROUNDING = 1e-10
 class WindowSums:
     """Z'Z over windows, per fold, in memory that does not grow with the recording.
 
-    Parameters
-    ----------
-    model : FullModel
-
     Notes
     -----
     Segments of time go to the folds in turn: a fit without one fold is tested on data that it has not seen.
@@ -390,7 +386,7 @@ class WindowSums:
                 if model.reciprocal:
                     self._squares[number] += model.map_squares(few)
 
-        with one_blas_thread(with_scipy=False):
+        with one_blas_thread():
             in_threads(add, sorted(by_fold), threads)
 
     def _reduce(self) -> None:

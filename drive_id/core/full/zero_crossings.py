@@ -49,7 +49,6 @@ class BetweenCrossings:
 
     Parameters
     ----------
-    sums : WindowSums
     solution : FullSolution
         A fit to them with nearly the same weights.
     excess : float
@@ -68,12 +67,10 @@ def between_crossings(
 
     Parameters
     ----------
-    sums : WindowSums
     solver : Solver
         Of these sums.
     solution : FullSolution
         The fit to them.
-    noise : CurrentNoise
     """
     model, short = sums.model, Windows.joined(sums.kept_short())
     clear = _classes(short, model.i_max) >= _CLEAR

@@ -42,7 +42,6 @@ class SplineBasis:
     ----------
     edges : (C + 1,) float
         Edges of the cells, strictly increasing, A.
-    degree : int
     """
 
     edges: FloatArray
@@ -216,10 +215,6 @@ class PotentialSpline:
     """Gradients of a co-energy spline, by its coefficients w, row-major in [i_d, i_q]: ``f = B w``.
 
     The first coefficient is as good as free: the sum of all functions is constant.
-
-    Parameters
-    ----------
-    d, q : SplineBasis
     """
 
     d: SplineBasis

@@ -88,8 +88,14 @@ class LongerGrid:
         placed[..., self.places[0], self.places[1]] = values
         return continued(placed, self.known, (self.i_d, self.i_q), slopes)
 
+    def flux(self, psi: FloatArray, axis: int) -> FloatArray:
+        """Return psi_d (axis 0) or psi_q (axis 1) likewise, Wb, with its typical slope along its own current."""
+        current = (self.i_d, self.i_q)[axis][self.places[axis]]
+        slope = _typical_slope(psi, current, self.known[self.places], axis)
+        return self.whole(psi, (0.0, slope) if axis else (slope, 0.0))
 
-def typical_slope(psi: FloatArray, current: FloatArray, inside: BoolArray, axis: int) -> float:
+
+def _typical_slope(psi: FloatArray, current: FloatArray, inside: BoolArray, axis: int) -> float:
     """Return the median slope of a flux (D, Q), Wb, along an axis with currents, A, where there are data, H."""
     both = np.take(inside, range(1, len(current)), axis) & np.take(inside, range(len(current) - 1), axis)
     steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)

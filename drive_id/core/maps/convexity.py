@@ -117,7 +117,6 @@ def barrier_minimum(
     normal : (P, P) float
         Positive definite.
     right : (P,) float
-    forms : HessianForms
     start : (P,) float
         Any coefficients; they are mixed with those of a paraboloid until they are convex.
     slope : float

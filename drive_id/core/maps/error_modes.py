@@ -53,7 +53,7 @@ class ErrorModes:
         return len(self.resistance)
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def error_modes(
     changes: FloatArray,
     rows: BasisRows,
@@ -93,7 +93,7 @@ def error_modes(
     weight = np.sqrt(_SHARE_OF_OTHERS * len(fluxes) / len(beside))
     samples = np.concatenate([fluxes, weight * _relative(beside, sigma_beside)])
     causes = _causes(samples, min(MOST_MODES, max(1, _LARGEST // (2 * inside.size))))
-    psi = _at(rows, changes @ causes)  # (N, 2, M)
+    psi = rows.dot(changes @ causes)  # (N, 2, M)
     if frame is not None:
         psi = np.moveaxis(frame(np.moveaxis(psi, 1, -1)), -1, 1)
     maps = np.zeros((2, psi.shape[-1], *inside.shape), np.float32)
@@ -109,14 +109,6 @@ def _causes(samples: FloatArray, most: int) -> FloatArray:
     total = max(float(squares.sum()), np.finfo(np.float64).tiny)
     count = min(most, int(np.searchsorted(np.cumsum(squares), _HELD * total)) + 1, int((squares > 0).sum()))
     return np.asarray(samples.T @ (vectors[:, :count] / np.sqrt(squares[:count])))
-
-
-def _at(rows: BasisRows, gamma: FloatArray) -> FloatArray:
-    """Return B gamma (N, 2, M) for parameters (P, M) without a sparse matrix, which needs scipy."""
-    out = np.zeros((*rows.column.shape[:2], gamma.shape[1]))
-    for k in range(rows.column.shape[2]):
-        out += rows.value[..., k, None] * gamma[rows.column[..., k]]
-    return out
 
 
 def _relative(changes: FloatArray, sigma: FloatArray) -> FloatArray:

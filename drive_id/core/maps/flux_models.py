@@ -224,7 +224,6 @@ def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> t
 
     Parameters
     ----------
-    model : FluxModel
     gamma : (P,) float
         Its parameters, Wb.
     d, q : Axis
@@ -247,7 +246,7 @@ def sites(d: Axis, q: Axis, density: int = 1) -> FloatArray:
     return np.stack(np.meshgrid(*points, indexing="ij"), axis=-1)
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
     """Return the parameters (2 * d.count * q.count,) of the least-squares tensor spline through psi_dq at sites, Wb."""
     matrices = [
@@ -258,7 +257,7 @@ def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
     return np.asarray(np.einsum("ax,xyk,by->kab", inverse_d, psi, inverse_q, optimize=True).ravel())
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances: tuple[float, float]) -> FloatArray:
     """Replace coefficients that the data do not determine by a continuation with given slopes.
 
@@ -267,7 +266,6 @@ def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances:
 
     Parameters
     ----------
-    model : TensorSpline
     gamma : (P,) float
         Coefficients, Wb.
     weak : (P,) bool

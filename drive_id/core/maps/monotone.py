@@ -87,7 +87,6 @@ class MonotoneMap:
         Where the points are.
     smoothness : float
         Weight of the roughness, chosen by cross-validation unless given.
-    convexity : Convexity
     """
 
     space: GradientSpline
@@ -139,7 +138,7 @@ class MonotoneMap:
         return self.support.contains(flat).reshape(np.shape(i_dq)[:-1])
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def fit_monotone(
     i_dq: FloatArray,
     psi_dq: FloatArray,
@@ -174,10 +173,6 @@ def fit_monotone(
         Weight of the roughness. Default: by cross-validation.
     cells : int, optional
         Cells along each axis. Default: by the number of points.
-
-    Returns
-    -------
-    MonotoneMap
 
     Raises
     ------
@@ -275,12 +270,7 @@ class _Points:
 
     @cached_property
     def slope(self) -> float:
-        """The smaller of the slopes of psi_d over i_d and psi_q over i_q in an affine map.
-
-        Raises
-        ------
-        DataError
-        """
+        """The smaller of the slopes of psi_d over i_d and psi_q over i_q in an affine map; raises DataError."""
         affine = np.column_stack([np.ones(len(self.i)), self.i])
         roots = np.sqrt(self.weights.T)
         slopes = [np.linalg.lstsq(r[:, None] * affine, r * psi)[0] for r, psi in zip(roots, self.psi.T, strict=True)]
@@ -300,8 +290,6 @@ class _Problem:
 
     Parameters
     ----------
-    points : _Points
-    space : GradientSpline
     rows : (2 N, P) sparse
         Fluxes at the points, both fluxes of a point adjacent.
     rough, beyond : (P, P) float

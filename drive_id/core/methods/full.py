@@ -15,19 +15,22 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import (
-    MAGNET,
-    RESISTANCE,
-    SENSOR_ORDERS,
-    FullModel,
-)
+from drive_id.core.full.model import MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
-from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.methods.method import (
+    CURVE_POINTS,
+    EffectVoltages,
+    Estimate,
+    Gathered,
+    Limits,
+    MethodSums,
+    SimulationModel,
+)
 from drive_id.core.methods.paper import regression_sums
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
@@ -57,16 +60,15 @@ _FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
 class FullMethod:
     """Linear least squares over windows, with rotor harmonics, an inverter curve and calibration."""
 
-    inverter: bool = True
     windows: bool = True
     limits: Limits = _LIMITS
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
         """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
         low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
         reciprocal = settings.maps != "free"
         windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
-        return Sums(regression_sums(settings, d, q, i_max), windows)
+        return MethodSums(regression_sums(settings, d, q, i_max), windows)
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
         """Return the widths of a cell of the flux map, A."""
@@ -75,10 +77,8 @@ class FullMethod:
     def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
-        Raises
-        ------
-        DataError
-            When there are fewer windows than unknowns, or the delay of the voltages jumps within a recording.
+        Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
+        recording.
         """
         assert evidence.windows is not None
         information = evidence.windows.finished()
@@ -154,7 +154,6 @@ class TrueFrame:
 
     Parameters
     ----------
-    fit : FullFit
     angle : float
         Measured minus true electrical angle, rad.
     """

@@ -23,7 +23,7 @@ CURVE_POINTS = 201
 """Points of the inverter's curve in a result, from -i_max to i_max."""
 
 
-class Sums(NamedTuple):
+class MethodSums(NamedTuple):
     """What is summed over samples: the paper's regression always, windows for method ``full`` only."""
 
     information: RegressionSums
@@ -83,7 +83,6 @@ class SimulationModel:
 
     Parameters
     ----------
-    model : TensorSpline
     gamma : (P,) float
         Parameters of the mean map, Wb.
     harmonics : mapping of int to ((P,) float, (P,) float)
@@ -109,12 +108,10 @@ class Estimate(Parameters):
     ----------
     psi, sigma : (D, Q, 2) float
         Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
-    simulation : SimulationModel
     positive_definite : callable
         Tells (N,) at which currents (N, 2), A, the inductance matrix is positive definite.
     samples_used, rows, parameters, rank, unseen : int
         See ``FitReport``.
-    condition : float
     residual_rms : float
         Of the integrated voltage, Vs.
     unexplained : float
@@ -151,18 +148,14 @@ class Method(Protocol):
     """One of ``psm``, ``joint`` and ``full``."""
 
     @property
-    def inverter(self) -> bool:
-        """Whether it estimates the inverter's voltage error."""
-
-    @property
     def windows(self) -> bool:
-        """Whether it sums over windows, and needs scipy."""
+        """Whether it sums over windows."""
 
     @property
     def limits(self) -> Limits:
         """When to warn."""
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
         """Return empty sums for maps of these ranges and a current disc of this radius, A."""
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:

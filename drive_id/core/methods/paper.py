@@ -13,7 +13,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline, extend
 from drive_id.core.maps.inverter_curve import TanhShape
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, SimulationModel, Sums
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, MethodSums, SimulationModel
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
@@ -54,9 +54,9 @@ class PaperMethod:
     windows: bool = False
     limits: Limits = _LIMITS
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> Sums:
+    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
         """Return empty sums."""
-        return Sums(regression_sums(settings, d, q, i_max), None)
+        return MethodSums(regression_sums(settings, d, q, i_max), None)
 
     def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
         """Return the widths of a cell of the splines, A."""
@@ -208,7 +208,6 @@ def mirror_asymmetry(evidence: Gathered, gamma: FloatArray, inside: BoolArray) -
 
     Parameters
     ----------
-    evidence : Gathered
     gamma : (P,) float
         Wb.
     inside : (D, Q) bool

@@ -23,10 +23,7 @@ _SIXTH = 1 / 6  # divisions are slow
 class Axis:
     """Range of one current, A, with ``count`` cubic B-splines.
 
-    Raises
-    ------
-    ConfigurationError
-        When the range is empty or ``count`` is below four.
+    Raises ConfigurationError when the range is empty or ``count`` is below four.
     """
 
     low: float
@@ -101,7 +98,6 @@ def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray,
         Points; those beyond the ends are moved to them.
     knots : (C + 1 + 2 degree,) float
         Clamped.
-    degree : int
     cell : (N,) int
         Output: first non-zero function.
     w : (N, degree + 1) float

@@ -21,7 +21,6 @@ class Kernel:
 
     Parameters
     ----------
-    function : callable
     signature : str, optional
         Types of the arguments as numba writes them, with ``const`` before contiguous arrays that may be read-only.
         Default: those of the first call, for kernels that take tuples and records.

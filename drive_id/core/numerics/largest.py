@@ -20,7 +20,6 @@ class Largest:
     ----------
     companions : int
         Number of companions of each value.
-    kept : int
     """
 
     def __init__(self, companions: int, kept: int = KEPT) -> None:

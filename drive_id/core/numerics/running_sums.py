@@ -26,10 +26,7 @@ class Accumulator(Protocol):
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore the state of an accumulator constructed with the same arguments.
 
-        Raises
-        ------
-        KeyError, ValueError, TypeError
-            When the state belongs to another kind of accumulator.
+        Raises KeyError, ValueError, TypeError when the state belongs to another kind of accumulator.
         """
 
     def merge(self: Self, other: Self) -> None:
@@ -49,10 +46,7 @@ def below(name: str, state: Mapping[str, NDArray[Any]]) -> SavedSums:
 def exactly(value: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
     """Return a copy of an array after checking that shape and type are those of ``like``.
 
-    Raises
-    ------
-    ValueError
-        When they differ.
+    Raises ValueError when they differ.
     """
     if value.shape != like.shape or value.dtype != like.dtype:
         raise ValueError(f"{value.dtype}{value.shape} where {like.dtype}{like.shape} is needed")
@@ -124,10 +118,7 @@ class TimeBlocks:
     def of_state(cls, state: Mapping[str, NDArray[Any]], size: int) -> TimeBlocks:
         """Return the blocks of a state, with matrices of the given size.
 
-        Raises
-        ------
-        KeyError, ValueError, TypeError
-            When the state is not one of such blocks.
+        Raises KeyError, ValueError, TypeError when the state is not one of such blocks.
         """
         starts, duration = [int(start) for start in state["starts"]], float(state["duration"])
         if not len(state["blocks"]) and not starts:

@@ -73,29 +73,24 @@ _limit = threading.Lock()  # held by whoever limits BLAS: only the thread that s
 
 
 @cache
-def _controller(with_scipy: bool) -> ThreadpoolController:
-    """Return the BLAS libraries of numpy, and of scipy if wanted; the search takes milliseconds."""
-    if with_scipy:
-        import scipy.linalg  # noqa: F401, PLC0415  # loads a BLAS of its own, slowly
+def _controller() -> ThreadpoolController:
+    """Return the BLAS libraries of numpy and of scipy, which the first kernel loads anyway; the search takes ms."""
+    import scipy.linalg  # noqa: F401, PLC0415  # not before a fit
+
     return ThreadpoolController()
 
 
 @contextmanager
-def one_blas_thread(*, with_scipy: bool) -> Iterator[None]:
+def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread: our matrices are small, more threads only wait, and results depend on their number.
 
     The limit holds for the process. Inside another such body, of this thread or another one, nothing is changed.
-
-    Parameters
-    ----------
-    with_scipy : bool
-        Whether the body calls scipy.linalg.
     """
     if not _limit.acquire(blocking=False):
         yield
         return
     try:
-        with _controller(with_scipy).limit(limits=1, user_api="blas"):
+        with _controller().limit(limits=1, user_api="blas"):
             yield
     finally:
         _limit.release()

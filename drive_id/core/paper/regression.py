@@ -31,8 +31,6 @@ class RegressionSums:
 
     Parameters
     ----------
-    model : FluxModel
-    shape : TanhShape
     block_duration : float
         Initial duration of a block, s; doubled by merging neighbours when there are more than ``max_blocks``.
     max_blocks : int, optional
@@ -114,7 +112,6 @@ class RegressionSums:
 
         Parameters
         ----------
-        samples : Samples
         done : callable, optional
             Called with the number of samples done so far.
         left_out : (N,) bool, optional

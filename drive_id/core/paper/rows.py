@@ -61,11 +61,8 @@ def sample_integrals(
 
     Parameters
     ----------
-    samples : Samples
     part : slice
         M + 1 samples within one run.
-    model : FluxModel
-    shape : TanhShape
     left_out : (N,) bool, optional
         Samples to leave out.
 
@@ -95,12 +92,7 @@ def sample_integrals(
 
 @compiled("const f8[:, :, ::1], const f8[::1], const b1[::1], const i4[:, :, ::1], const f8[:, :, ::1], f8[:, ::1]")
 def add_rows(
-    known: FloatArray,
-    half_turn: FloatArray,
-    valid: BoolArray,
-    column: ColumnArray,
-    value: FloatArray,
-    gram: FloatArray,
+    known: FloatArray, half_turn: FloatArray, valid: BoolArray, column: ColumnArray, value: FloatArray, gram: FloatArray
 ) -> None:
     """Add the cross products of the rows of M pairs of samples to ``gram``.
 

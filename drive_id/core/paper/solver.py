@@ -50,7 +50,7 @@ class Solution:
     factor: FloatArray
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def solve(total: FloatArray, rows: int, with_inverter: bool) -> Solution:
     """Solve ``eq:ls_regression`` from the cross products of its rows.
 
@@ -122,7 +122,7 @@ class Jackknife:
         return len(self.gamma) > 1
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def jackknife(blocks: FloatArray, solution: Solution) -> Jackknife:
     """Leave out each block of time in turn.
 

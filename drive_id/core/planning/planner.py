@@ -180,7 +180,7 @@ class Plan:
         return not inside or self.machine.steady_voltage(PAPER_SPEED) > self.machine.largest_voltage
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     """Propose an experiment.
 

@@ -45,7 +45,6 @@ class Prediction:
     ----------
     flux_d, flux_q : float
         Root mean square over the disc, as a fraction of the largest flux of that axis.
-    resistance : float
     inverter : float
         Root mean square of the curve up to i_max, as a fraction of its height.
     free_resistance : float
@@ -88,7 +87,6 @@ class FisherInformation:
     ----------
     normal : (size, size) float
         Z'Z.
-    rows : float
     window : float
         Mean duration of a window, s.
     """
@@ -109,11 +107,8 @@ def synthesize(
 
     Parameters
     ----------
-    machine : RoughMachine
-    trajectory : Trajectory
     speed : float
         Mechanical, rpm.
-    seconds : float
     sample_period : float
         Lower bound, s; longer where a window of 60 degrees needs fewer samples.
     """
@@ -153,10 +148,8 @@ def predict(
 
     Parameters
     ----------
-    model : RoughModel
     parts : sequence of FisherInformation
         One for each speed.
-    machine : RoughMachine
     current_noise : float
         Standard deviation of each phase current's noise as a fraction of i_max.
     """

@@ -21,7 +21,7 @@ from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
-from drive_id.types import Samples
+from drive_id.types import BoolArray, Samples
 
 if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
     from drive_id.core.full.fit import EarlierFit
@@ -56,10 +56,6 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         By the same settings from most of these samples: its MAD, and what method full selected and found about its
         errors, are taken over.
 
-    Returns
-    -------
-    Conclusion
-
     Raises
     ------
     CoverageError, UnexplainedError, DataError
@@ -79,15 +75,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         raise UnexplainedError(because(evidence, "unexplained.fit", unexplained=estimate.unexplained))
     if evidence.settings.monotone:
         estimate = made_monotone(evidence, estimate, inside)
-    flux_map = FluxMap(
-        i_d=evidence.visits.i_d,
-        i_q=evidence.visits.i_q,
-        psi_d=estimate.psi[..., 0],
-        psi_q=estimate.psi[..., 1],
-        sigma_d=estimate.sigma[..., 0],
-        sigma_q=estimate.sigma[..., 1],
-        inside=inside,
-    )
+    flux_map = _flux_map(evidence, estimate, inside)
     if earlier:
         mad, complete, simulated = earlier.mad, earlier.judged, earlier.simulated
     else:
@@ -120,6 +108,11 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         **estimate.by_name(),
     )
     return Conclusion(drive, estimate.fit, mad, complete, simulated)
+
+
+def _flux_map(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> FluxMap:
+    (psi_d, psi_q), (sigma_d, sigma_q) = (np.moveaxis(values, -1, 0) for values in (estimate.psi, estimate.sigma))
+    return FluxMap(evidence.visits.i_d, evidence.visits.i_q, psi_d, psi_q, sigma_d, sigma_q, inside)
 
 
 def _mad(

@@ -121,7 +121,6 @@ def diagnose(
 
     Parameters
     ----------
-    drive : IdentifiedDrive
     settings : FitSettings
         Of its fit.
     excerpts : sequence of Samples
@@ -200,7 +199,7 @@ def _comparisons(
     evidence: Evidence | None,
 ) -> tuple[ComparedMethod, ...]:
     methods = [method for method in COMPARED if method != drive.method]
-    with one_blas_thread(with_scipy=False):
+    with one_blas_thread():
         if evidence is None and excerpts:
             try:
                 evidence = gather(excerpts, replace(settings, method=methods[0]))

@@ -27,7 +27,6 @@ def headline(
 
     Parameters
     ----------
-    drive : IdentifiedDrive
     pole_pairs : int, optional
         Without them there is no torque.
     temperature : float, optional

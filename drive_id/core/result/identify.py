@@ -10,7 +10,6 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
@@ -28,12 +27,6 @@ def identify(
     ----------
     recordings : sequence of Samples
         Of the same drive; periods and speeds may differ.
-    settings : FitSettings, optional
-    tell : callable, optional
-
-    Returns
-    -------
-    IdentifiedDrive
 
     Raises
     ------
@@ -41,7 +34,7 @@ def identify(
         When these samples cannot give a trustworthy map.
     """
     settings = settings or FitSettings()
-    with one_blas_thread(with_scipy=method_named(settings.method).windows):
+    with one_blas_thread():
         evidence = gather(recordings, settings, tell)
         tell("Solving", None)
         return conclude(evidence, recordings)

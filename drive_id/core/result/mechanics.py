@@ -85,7 +85,7 @@ _TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _HARMONICS = range(8
 speed, direction, 1, and from the last one on cosines and sines of the harmonics; all under a bell."""
 
 
-@one_blas_thread(with_scipy=True)
+@one_blas_thread()
 def fit_mechanics(
     flux_map: FluxMap,
     pieces: Sequence[Samples],

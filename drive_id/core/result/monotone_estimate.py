@@ -32,10 +32,7 @@ def made_monotone(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> 
     between the errors of neighbouring points do not count. The standard errors stay those of the estimate. Outside
     the data, the map is the continuation of the monotone one.
 
-    Raises
-    ------
-    UnexplainedError
-        When no monotone map is anywhere near, because a flux falls with its current on the whole.
+    Raises UnexplainedError when no monotone map is anywhere near, because a flux falls with its current on the whole.
     """
     from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # scipy takes longer than joint's fit
 

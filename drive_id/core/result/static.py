@@ -46,19 +46,7 @@ _FEW_COVERED = 0.45
 def identify_static(points: OperatingPoints, settings: FitSettings) -> IdentifiedDrive:
     """Identify a drive from operating points.
 
-    Parameters
-    ----------
-    points : OperatingPoints
-    settings : FitSettings
-
-    Returns
-    -------
-    IdentifiedDrive
-
-    Raises
-    ------
-    StandstillError, CoverageError, UnexplainedError
-        When these points cannot give a trustworthy result.
+    Raises StandstillError, CoverageError, UnexplainedError when these points cannot give a trustworthy result.
     """
     i_max = settings.i_max or points.i_max
     fit = fit_points(points, i_max, max(settings.u_dc) if settings.u_dc else None)

@@ -32,8 +32,6 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
 
     Parameters
     ----------
-    drive : IdentifiedDrive
-    excerpts : sequence of Samples
     pole_pairs : int or None
         None when unknown: a statement then says so.
     """
@@ -58,7 +56,7 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
     )
 
 
-@one_blas_thread(with_scipy=False)
+@one_blas_thread()
 def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) -> TorqueFit | None:
     """Fit gain, friction and cogging to the shaft torque.
 
@@ -67,10 +65,8 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
 
     Parameters
     ----------
-    flux_map : FluxMap
     pieces : sequence of Samples
         Those with a shaft torque count.
-    pole_pairs : int
 
     Returns
     -------

@@ -16,6 +16,7 @@ import numpy as np
 
 from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join_report import JoinReport, join_warnings
+from drive_id.core.signals.joined_rows import JoinedRows, derived_speed
 from drive_id.core.signals.matching import Phase, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
 from drive_id.core.signals.scalar_track import ScalarTrack
@@ -85,12 +86,8 @@ def join(
     scalars : mapping of str to Signal, optional
         (N, 1) values, optional signals by their names in :class:`~drive_id.types.Samples`, of any rate; another name is
         that of a signal which only scales the voltages.
-    scaled_by : str
-        Of the ``scalars``, that by which the voltages are multiplied: ``dc_link_voltage`` for duty cycles. Samples for
-        which it is unknown are cut out.
-    to_phases : tuple of callable or None
-        Of currents and voltages that are no phase quantities: returns these (N, 3) for the recorded values, the angle
-        (N,), rad, the speed (N,), rad/s, and the sample period, s.
+    scaled_by, to_phases
+        See :class:`StreamJoin`.
 
     Raises
     ------
@@ -138,36 +135,6 @@ class JoinResult:
 
     samples: Samples
     report: JoinReport
-
-
-@dataclass(frozen=True, eq=False)
-class _JoinedRows:
-    """Joined samples that are not handed on yet: stamps (N,), currents and voltages (N, 3), angle and speed (N, 2)."""
-
-    stamp: IntArray
-    i_abc: FloatArray
-    u_abc: FloatArray
-    position: FloatArray
-
-    @classmethod
-    def none(cls) -> _JoinedRows:
-        return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
-
-    def __len__(self) -> int:
-        return len(self.stamp)
-
-    def __getitem__(self, part: slice | IntArray) -> _JoinedRows:
-        return _JoinedRows(self.stamp[part], self.i_abc[part], self.u_abc[part], self.position[part])
-
-    def before(self, other: _JoinedRows) -> _JoinedRows:
-        if not len(self):
-            return other
-        return _JoinedRows(
-            np.concatenate([self.stamp, other.stamp]),
-            np.concatenate([self.i_abc, other.i_abc]),
-            np.concatenate([self.u_abc, other.u_abc]),
-            np.concatenate([self.position, other.position]),
-        )
 
 
 class StreamJoin:
@@ -247,7 +214,7 @@ class StreamJoin:
         self._given_up_to: int | None = None  # largest stamp of such partners
         self._fault: DataError | None = None
         self._taken: list[int | None] = [None, None]
-        self._carry = _JoinedRows.none()
+        self._carry = JoinedRows.none()
         self._continues = False  # the carry is the last sample handed on
         self._joined = 0
         self._early = 0
@@ -329,9 +296,7 @@ class StreamJoin:
     def check(self) -> None:
         """Raise what is wrong with the signals, see :func:`join`; call it on a finished stream.
 
-        Raises
-        ------
-        EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError
+        Raises EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError.
         """
         claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
         if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):
@@ -477,7 +442,7 @@ class StreamJoin:
             return False
         return True
 
-    def _match(self, *, final: bool) -> _JoinedRows:
+    def _match(self, *, final: bool) -> JoinedRows:
         """Return the samples whose partners are decided, and forget whatever is past."""
         clock, others, offsets = self.tracks[0], self.tracks[1:], self._offsets or (0, 0)
         decided = len(clock.stamp)
@@ -503,7 +468,7 @@ class StreamJoin:
     def _note_given_up(self, stamp: int) -> None:
         self._given_up_to = max(stamp, self._given_up_to or stamp)
 
-    def _matched(self, stamp: IntArray) -> _JoinedRows:
+    def _matched(self, stamp: IntArray) -> JoinedRows:
         """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner."""
         others = self.tracks[1:]
         found = np.ones(len(stamp), np.bool_)
@@ -515,9 +480,9 @@ class StreamJoin:
             indices.append(index)
             found &= there
         if not found.any():
-            return _JoinedRows.none()
+            return JoinedRows.none()
         values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
-        return _JoinedRows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
+        return JoinedRows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
 
     def _measure_drift(self, stamp: IntArray) -> None:
         first, second = (
@@ -526,7 +491,7 @@ class StreamJoin:
         )
         self._phases = first, second
 
-    def _hand_on(self, new: _JoinedRows) -> list[Piece]:
+    def _hand_on(self, new: JoinedRows) -> list[Piece]:
         """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
         if not len(new):
             return []
@@ -552,7 +517,7 @@ class StreamJoin:
         self._continues = last_is_out
         return [piece] if piece else []
 
-    def _piece(self, rows: _JoinedRows, runs: list[slice]) -> Piece | None:
+    def _piece(self, rows: JoinedRows, runs: list[slice]) -> Piece | None:
         """Put runs into one piece, and count them."""
         if not runs:
             return None
@@ -572,7 +537,7 @@ class StreamJoin:
         self.samples += len(stamp) - continues
         self.runs += len(runs) - continues
         self._last_stamp = int(stamp[-1])
-        speed = _derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy()
+        speed = derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy()
         i_abc, u_abc = (
             values if convert is None else convert(values, angle, speed, period)
             for values, convert in zip((chosen.i_abc, chosen.u_abc), self._to_phases, strict=True)
@@ -588,15 +553,6 @@ class StreamJoin:
             i_dq_reference=self._reference(stamp, period) if self._reference else None,
         )
         return Piece(samples, continues)
-
-
-def _derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatArray:
-    """Differentiate the angle (N,) within each run by central differences, rad/s."""
-    speed = np.empty_like(angle)
-    with np.errstate(over="ignore", invalid="ignore"):  # absurd angles give infinite speeds, which Samples refuses
-        for start, end in zip(starts, np.append(starts[1:], len(angle)), strict=True):
-            speed[start:end] = np.gradient(np.unwrap(angle[start:end]), period)
-    return speed
 
 
 def _overlap_error(ranges: Sequence[tuple[str, int, int]]) -> NoOverlapError:

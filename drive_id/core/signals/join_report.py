@@ -19,7 +19,6 @@ class SignalReport:
 
     Parameters
     ----------
-    topic : str
     read, used : int
         Samples found, and samples in the result.
     repeated, backward : int
@@ -65,7 +64,6 @@ class JoinReport:
         Time between the runs, s.
     gaps : int
         Breaks found; more than ``runs - 1`` when stretches were too short to keep.
-    warnings : tuple of Message
     """
 
     signals: tuple[SignalReport, ...]

@@ -105,10 +105,7 @@ class Spacings:
 def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
     """Return the declared sample periods, s, each with a text that names the signal.
 
-    Raises
-    ------
-    SamplePeriodError
-        When one is not a positive time below 10^4 s.
+    Raises SamplePeriodError when one is not a positive time below 10^4 s.
     """
     claims = []
     for signal in signals:

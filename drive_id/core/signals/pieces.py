@@ -40,10 +40,7 @@ class SeveralRecordings:
     def placed(self, piece: Piece) -> Piece:
         """Return the next piece of the recording, moved behind those before if it overlaps them.
 
-        Raises
-        ------
-        SamplePeriodError
-            When the periods of two recordings differ by more than 1 %.
+        Raises SamplePeriodError when the periods of two recordings differ by more than 1 %.
         """
         samples = piece.samples
         if self._period is None:
@@ -72,10 +69,7 @@ def _check_period(first: float, period: float, number: int) -> None:
 def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:
     """Return the truth that all recordings carry, None where one has none.
 
-    Raises
-    ------
-    DataError
-        When they are simulations of different machines, whose fit together means nothing.
+    Raises DataError when they are simulations of different machines, whose fit together means nothing.
     """
     known = [truth for truth in truths if truth is not None]
     machines = sorted({truth.machine for truth in known})

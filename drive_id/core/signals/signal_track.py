@@ -157,9 +157,7 @@ class SignalTrack:
     def check(self) -> None:
         """Raise what is wrong with this signal.
 
-        Raises
-        ------
-        EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
+        Raises EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError.
         """
         if not self.read and self._whole is not None:
             raise EmptyTopicError(f"{self.name} holds no sample: record it, or name another topic.")

@@ -20,10 +20,7 @@ def averaged(samples: Samples) -> OperatingData:
 
     The voltages are means over each sample, during which they are held in the stator frame.
 
-    Raises
-    ------
-    SamplePeriodError
-        When the rotor turns too far per sample, or no run is long enough.
+    Raises SamplePeriodError when the rotor turns too far per sample, or no run is long enough.
     """
     period = samples.sample_period
     turn = float(np.median(np.abs(samples.speed))) * period

@@ -19,7 +19,6 @@ class Effect:
 
     Parameters
     ----------
-    name : str
     several_speeds : bool
         It takes several speeds to tell it from the fluxes.
     odd : bool
@@ -46,9 +45,6 @@ def effect_columns(effect: Effect, points: OperatingPoints, basis: FluxBasis, ga
 
     Parameters
     ----------
-    effect : Effect
-    points : OperatingPoints
-    basis : FluxBasis
     gamma : (C,) float
         Fluxes as known so far.
 

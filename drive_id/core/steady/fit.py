@@ -70,12 +70,10 @@ class StaticFit:
     ----------
     points : OperatingPoints
         Those used.
-    basis : FluxBasis
     posterior : Posterior
         Its columns: R, effects, flux coefficients, and the amplitude of the drop last if there is one.
     effects : tuple of Effect
         Found significant, and fitted.
-    shapes : DropShapes
     widening : float
         Factor on all standard errors, so that +-1.96 of them hold 95 % although the noise is estimated.
     residual : (P, 2) float
@@ -146,7 +144,6 @@ def fit_points(points: OperatingPoints, i_max: float, u_dc: float | None = None)
 
     Parameters
     ----------
-    points : OperatingPoints
     i_max : float
         Radius of the current disc, A.
     u_dc : float, optional

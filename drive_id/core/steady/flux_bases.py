@@ -62,12 +62,7 @@ def affine_rows(i_dq: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class AffineBasis:
-    """``psi_d = psi_PM + L_d i_d, psi_q = L_q i_q``; with an odd part also psi_q at zero current and L_dq.
-
-    Parameters
-    ----------
-    odd : bool
-    """
+    """``psi_d = psi_PM + L_d i_d, psi_q = L_q i_q``; with an odd part also psi_q at zero current and L_dq."""
 
     odd: bool = False
 

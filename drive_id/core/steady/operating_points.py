@@ -93,10 +93,7 @@ class OperatingPoints:
 def operating_points(data: OperatingData) -> OperatingPoints:
     """Return the operating points of telemetry; without a time, each sample is one.
 
-    Raises
-    ------
-    CoverageError
-        When the drive never rests.
+    Raises CoverageError when the drive never rests.
     """
     if data.time is None or len(data) < LEAST_SAMPLES:
         ones = np.ones(len(data), np.int64)
@@ -138,10 +135,7 @@ def operating_points(data: OperatingData) -> OperatingPoints:
 def joined_points(parts: list[OperatingPoints]) -> OperatingPoints:
     """Join the points of several logs; a quantity that one log lacks is left out for all.
 
-    Raises
-    ------
-    CoverageError
-        When some logs have a time and others do not.
+    Raises CoverageError when some logs have a time and others do not.
     """
     if len(parts) == 1:
         return parts[0]

@@ -72,7 +72,6 @@ def simulate_current(
 
     Parameters
     ----------
-    samples : Samples
     model : TensorSpline
         Of f_0 and of every harmonic.
     gamma : (P,) float
@@ -146,7 +145,6 @@ def flux_table(
 
     Parameters
     ----------
-    model : TensorSpline
     parts : sequence of (P,) float
         Parameters of f_0, then of a_h and b_h of each harmonic, Wb.
     inductances : float, float

@@ -58,11 +58,7 @@ class AngleBins(NamedTuple):
 
 
 def residual_voltage(
-    samples: Samples,
-    flux: Flux,
-    resistance: float,
-    drop: tuple[FloatArray, FloatArray],
-    span: float = np.deg2rad(5.0),
+    samples: Samples, flux: Flux, resistance: float, drop: tuple[FloatArray, FloatArray], span: float = np.deg2rad(5.0)
 ) -> Residual:
     """Evaluate the voltage balance over adjacent windows of a few degrees.
 
@@ -121,7 +117,6 @@ def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
 
     Parameters
     ----------
-    residual : Residual
     bins : int
         Of one electrical turn.
     """
@@ -137,7 +132,6 @@ def over_time(residual: Residual, bins: int = 400) -> TimeBins:
 
     Parameters
     ----------
-    residual : Residual
     bins : int
         Fewer when there are not at least eight windows for each.
     """

@@ -47,7 +47,6 @@ def simulated_current(
 
     Parameters
     ----------
-    pieces : sequence of Samples
     simulated, measured : sequence of (N, 2) float
         i_dq of each piece, A.
 

@@ -17,10 +17,7 @@ _HALF = 20
 def equal_steps(count: int, low: float, high: float) -> FloatArray:
     """Return equally spaced points from ``low`` to ``high``, A, one of which is exactly zero.
 
-    Raises
-    ------
-    ConfigurationError
-        When zero is not among them.
+    Raises ConfigurationError when zero is not among them.
     """
     if not 4 <= count <= _MOST_POINTS:
         raise ConfigurationError(f"--grid is {count}: choose 4 to {_MOST_POINTS} points.")
@@ -49,10 +46,7 @@ def _has_zero(count: int, low: float, high: float) -> bool:
 def listed(text: str, name: str) -> FloatArray:
     """Return the axis that ``-300,-200,0`` or ``-300:20:0`` (first, step, last) lists, A.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is no such list, does not increase strictly, or does not contain 0.
+    Raises ConfigurationError when it is no such list, does not increase strictly, or does not contain 0.
     """
     try:
         if ":" in text:

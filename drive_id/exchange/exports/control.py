@@ -42,10 +42,7 @@ class ControlTable:
 def control_table(table: MapTable) -> ControlTable:
     """Compute the references of a drive for its DC-link voltage and i_max.
 
-    Raises
-    ------
-    ConfigurationError
-        When pole pairs, resistance or DC-link voltage are unknown, or no speed can be driven.
+    Raises ConfigurationError when pole pairs, resistance or DC-link voltage are unknown, or no speed can be driven.
     """
     machine = table.machine
     machine.known_pole_pairs()

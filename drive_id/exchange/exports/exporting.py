@@ -14,7 +14,7 @@ from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import powertrain
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.fitting.result import Identification, load
+from drive_id.result.result import Result
 from drive_id.types import FloatArray
 
 _COARSE = 0.01
@@ -79,7 +79,7 @@ class Exported:
 
 
 def content_of(
-    result: Identification, name: str, choice: TableChoice | None = None, options: ExportOptions | None = None
+    result: Result, name: str, choice: TableChoice | None = None, options: ExportOptions | None = None
 ) -> tuple[bytes, Exported]:
     """Return the content of a file in a format, and a description of it.
 
@@ -122,7 +122,7 @@ def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
 
 
 def export_map(
-    result: Identification | str | Path,
+    result: Result | str | Path,
     name: str,
     path: str | Path,
     choice: TableChoice | None = None,
@@ -153,7 +153,7 @@ def export_map(
     ConfigurationError, CoverageError
         See :func:`content_of`.
     """
-    result = result if isinstance(result, Identification) else load(result)
+    result = result if isinstance(result, Result) else Result.load(result)
     path, usual = Path(path), export_format(name).suffix
     if path.suffix.lower() != usual:
         said = f"ends in {path.suffix}" if path.suffix else "has no suffix"

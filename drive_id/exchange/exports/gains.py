@@ -51,10 +51,7 @@ class ControlGains:
     def of(cls, table: MapTable, options: ExportOptions) -> ControlGains:
         """Choose the bandwidth, and evaluate the inductances on the axes of a table.
 
-        Raises
-        ------
-        CoverageError
-            When the map gives no positive inductances.
+        Raises CoverageError when the map gives no positive inductances.
         """
         machine = table.machine
         found = np.diagonal(machine.control_inductances(*table.grid), axis1=-2, axis2=-1)
@@ -75,10 +72,7 @@ class ControlGains:
     def per_unit(self, table: MapTable) -> tuple[float, float]:
         """Return the bases of voltage, u_dc / sqrt(3), and current, i_max; V and A.
 
-        Raises
-        ------
-        ConfigurationError
-            When the DC-link voltage is unknown.
+        Raises ConfigurationError when the DC-link voltage is unknown.
         """
         return table.machine.known_u_dc() / math.sqrt(3), table.machine.i_max
 
@@ -86,10 +80,7 @@ class ControlGains:
 def q15(values: FloatArray) -> tuple[IntArray, int]:
     """Return values as int16 numbers, and the shift: ``value = number * 2^-shift``, the largest in 15 bits.
 
-    Raises
-    ------
-    ConfigurationError
-        When all values are zero, or not finite.
+    Raises ConfigurationError when all values are zero, or not finite.
     """
     largest = float(np.abs(values).max(initial=0.0))
     if not (largest > 0 and math.isfinite(largest)):

@@ -12,7 +12,7 @@ import numpy as np
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.fitting.result import Identification
+from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
@@ -30,7 +30,6 @@ class MapTable:
 
     Parameters
     ----------
-    result : drive_id.Identification
     machine : MachineModel
         Continued beyond the data.
     i_d, i_q : (D,), (Q,) float
@@ -39,7 +38,7 @@ class MapTable:
         Points without data hold the continuation of the map.
     """
 
-    result: Identification
+    result: Result
     machine: MachineModel
     i_d: FloatArray
     i_q: FloatArray
@@ -48,7 +47,7 @@ class MapTable:
     @classmethod
     def of(
         cls,
-        result: Identification,
+        result: Result,
         i_d: FloatArray,
         i_q: FloatArray,
         *,
@@ -60,7 +59,6 @@ class MapTable:
 
         Parameters
         ----------
-        result : drive_id.Identification
         i_d, i_q : (D,), (Q,) float
             Axes, A.
         filled : bool
@@ -123,9 +121,18 @@ class MapTable:
         return np.asarray(1.5 * self.machine.known_pole_pairs() * (psi_d * i_q - psi_q * i_d))
 
     @cached_property
-    def torque_if_known(self) -> FloatArray | None:
-        """Torque (D, Q), Nm; None without pole pairs."""
-        return None if self.machine.pole_pairs is None else self.torque
+    def quantities(self) -> dict[str, tuple[FloatArray, str, str]]:
+        """Values (D, Q), unit and description by name; the torque where the pole pairs are known."""
+        found = {f"psi_{x}": (psi, "Wb", f"flux linkage, {x} axis") for x, psi in zip("dq", self.psi, strict=True)}
+        found |= {
+            f"sigma_{x}": (sigma, "Wb", f"standard error of psi_{x}") for x, sigma in zip("dq", self.sigma, strict=True)
+        }
+        if self.machine.pole_pairs is not None:
+            found["torque"] = self.torque, "N m", "torque, averaged over the rotor position"
+        for j, a in enumerate("dq"):
+            for k, b in enumerate("dq"):
+                found[f"L_{a}{b}"] = self.inductances[..., j, k], "H", f"incremental inductance, dpsi_{a}/di_{b}"
+        return found
 
     @cached_property
     def harmonics(self) -> tuple[tuple[int, FloatArray], ...]:
@@ -145,10 +152,7 @@ class MapTable:
     def repeating(self, span: float) -> MapTable:
         """Return this table with only those harmonics that repeat after an electrical angle, rad.
 
-        Raises
-        ------
-        ConfigurationError
-            When one that does not is larger than a hundredth of the largest flux.
+        Raises ConfigurationError when one that does not is larger than a hundredth of the largest flux.
         """
         kept = []
         largest = float(np.nanmax(np.hypot(*self.psi)))
@@ -182,10 +186,7 @@ class MapTable:
     def torque_theta(self, theta: FloatArray) -> FloatArray:
         """Return the torque (D, Q, H), Nm, at electrical angles (H,), rad, without the cogging at zero current.
 
-        Raises
-        ------
-        ConfigurationError
-            When the pole pairs are unknown.
+        Raises ConfigurationError when the pole pairs are unknown.
         """
         ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
         return self.masked(self.torque[..., None] + ripple)
@@ -239,13 +240,7 @@ class MapTable:
         return {name: text for name, text in texts.items() if text} | known
 
     def known_resistance(self) -> float:
-        """Return the resistance, ohm.
-
-        Raises
-        ------
-        ConfigurationError
-            When it is unknown.
-        """
+        """Return the resistance, ohm; raises ConfigurationError when it is unknown."""
         if not np.isfinite(self.machine.resistance):
             raise ConfigurationError(
                 "The result does not tell the resistance, which this format needs: import the map with --resistance."

@@ -106,7 +106,6 @@ def converted(points: MapPoints, conventions: Conventions) -> MapPoints:
 
     Parameters
     ----------
-    points : MapPoints
     conventions : Conventions
         Those of the file. Where ``points.shape`` is given, their order was that of the indices, and is done with.
     """

@@ -19,7 +19,6 @@ class ImportFormat:
 
     Parameters
     ----------
-    title : str
     read : callable
         Returns the points of a :class:`~.source.Source`; raises ConfigurationError.
     mark : str
@@ -44,10 +43,7 @@ _SUFFIXES = {".npz": "npz", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat":
 def format_of(source: Source, name: str | None) -> str:
     """Return the name of a file's format: the given one, or that of its suffix and its variables.
 
-    Raises
-    ------
-    ConfigurationError
-        When the name is unknown, or the file does not tell its format.
+    Raises ConfigurationError when the name is unknown, or the file does not tell its format.
     """
     known = ", ".join(IMPORTS)
     if name is not None:

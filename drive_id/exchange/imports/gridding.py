@@ -36,8 +36,6 @@ class Gridded:
 
     Parameters
     ----------
-    flux_map : FluxMap
-    harmonics : tuple of HarmonicMap
     mirrored : bool
         The file covers one sign of i_q; the other half is its mirror image.
     scattered : bool

@@ -98,13 +98,7 @@ def read_motor_cad(source: Source) -> MapPoints:
 
 
 def load(source: Source) -> Mapping[str, Any]:
-    """Return the variables of a ``.mat`` file up to version 7.
-
-    Raises
-    ------
-    ConfigurationError
-        When it cannot be read.
-    """
+    """Return the variables of a ``.mat`` file up to version 7; raises ConfigurationError when it cannot be read."""
     from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
 
     try:

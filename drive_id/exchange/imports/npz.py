@@ -74,10 +74,7 @@ def read_npz(source: Source) -> MapPoints:
 def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q: int) -> FloatArray:
     """Return an array indexed [i_d, i_q, ...] from one with the source's index order.
 
-    Raises
-    ------
-    ConfigurationError
-        When its shape does not fit the axes.
+    Raises ConfigurationError when its shape does not fit the axes.
     """
     turned = np.swapaxes(values, 0, 1) if source.order == "qd" and values.ndim >= 2 else values
     if turned.ndim not in (2, 3) or turned.shape[:2] != (count_d, count_q):
@@ -100,13 +97,7 @@ def known_scalars(found: Mapping[str, Any], given: Mapping[str, Any]) -> dict[st
 
 
 def real(path: Path, name: str, value: Any) -> FloatArray:
-    """Return an array of real numbers.
-
-    Raises
-    ------
-    ConfigurationError
-        When it is none.
-    """
+    """Return an array of real numbers; raises ConfigurationError when it is none."""
     found = np.asarray(value)
     if found.dtype.kind not in "fiub":
         raise ConfigurationError(f"'{name}' in '{path}' is of type {found.dtype}: it must hold real numbers.")
@@ -153,10 +144,7 @@ def turning_points(
 ) -> MapPoints:
     """Group entries (N), one for each current and rotor position, by current.
 
-    Raises
-    ------
-    ConfigurationError
-        When rotor positions are missing at some currents.
+    Raises ConfigurationError when rotor positions are missing at some currents.
     """
     if theta.shape != i_dq.shape[:1]:
         raise ConfigurationError(f"The rotor positions in '{path}' are {theta.size} for {len(i_dq)} points.")

@@ -56,10 +56,8 @@ class MapPoints:
     def complete(self) -> MapPoints:
         """Return the points whose flux linkages are not NaN.
 
-        Raises
-        ------
-        ConfigurationError
-            When there are too few, the numbers of values differ, or values are infinite or missing.
+        Raises ConfigurationError when there are too few, the numbers of values differ, or values are infinite or
+        missing.
         """
         known = np.asarray(~np.isnan(self.psi_dq).any(axis=(1, 2)))
         optional = {"torques": self.torque, "standard errors": self.sigma_dq}

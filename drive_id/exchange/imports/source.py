@@ -17,7 +17,6 @@ class Source:
 
     Parameters
     ----------
-    path : Path
     order : {"dq", "qd"}
         Of the indices of arrays whose axes are one-dimensional.
     columns : mapping of str to str
@@ -60,10 +59,7 @@ class Source:
     def electrical(self, degrees_or_radians: Any) -> Any:
         """Return rotor positions as electrical angles.
 
-        Raises
-        ------
-        ConfigurationError
-            When they are mechanical and the pole pairs were not given.
+        Raises ConfigurationError when they are mechanical and the pole pairs were not given.
         """
         if self.angle == "electrical":
             return degrees_or_radians

@@ -48,7 +48,6 @@ def read_arrays(
 
     Parameters
     ----------
-    source : stream or bytes
     names : collection of str, optional
         Arrays to read if they are there; default: all.
     largest : int

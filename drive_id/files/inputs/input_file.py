@@ -49,7 +49,6 @@ def open_input(path: Path, most: int | None = None, *, buffering: int = -1) -> B
 
     Parameters
     ----------
-    path : Path
     most : int, optional
         Largest size, bytes.
     buffering : int

@@ -23,7 +23,6 @@ def check_unpacked_size(path: Path, limit: int | None = None) -> None:
 
     Parameters
     ----------
-    path : Path
     limit : int, optional
         Most bytes, packed or not; default: those of a map.
 

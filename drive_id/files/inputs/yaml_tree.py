@@ -24,7 +24,6 @@ def load_yaml(text: str, most: int = MOST_ENTRIES) -> Any:
 
     Parameters
     ----------
-    text : str
     most : int
         Entries.
 

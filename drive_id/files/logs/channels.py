@@ -16,10 +16,7 @@ _NUMBERS = "iufb"
 
 
 def _parts(
-    groups: Sequence[ColumnGroup],
-    wanted: Sequence[Column],
-    rows: int,
-    read: Callable[[Column, slice], NDArray[Any]],
+    groups: Sequence[ColumnGroup], wanted: Sequence[Column], rows: int, read: Callable[[Column, slice], NDArray[Any]]
 ) -> Iterator[Rows]:
     """Yield the wanted columns part by part, each read by its group's rows."""
     lengths = {group.name: group.rows or 0 for group in groups if group.name in {c.group for c in wanted}}

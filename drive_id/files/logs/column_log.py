@@ -92,10 +92,7 @@ class ColumnLog(Protocol):
 def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Column:
     """Find a column by its name, in a group or in the only group that has it.
 
-    Raises
-    ------
-    MissingTopicError
-        When there is none, or several groups have one.
+    Raises MissingTopicError when there is none, or several groups have one.
     """
     if not log.groups:
         raise MissingTopicError(f"{log.path} holds no column of numbers: give a log that does.")

@@ -42,8 +42,6 @@ class CsvDialect:
         Line of the names, from 0.
     skipped : tuple of int
         Lines below it that hold no numbers, such as units.
-    names : tuple of str
-    encoding : str
     """
 
     delimiter: str
@@ -133,13 +131,7 @@ class ParquetLog:
 
 
 def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
-    """Return dates as ns, and texts of numbers as numbers.
-
-    Raises
-    ------
-    MessageTypeError
-        When they are neither.
-    """
+    """Return dates as ns, and texts of numbers as numbers; raises MessageTypeError when they are neither."""
     if found.dtype.kind == "M":
         return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
     numbers = pd.to_numeric(found, errors="coerce")
@@ -163,10 +155,7 @@ def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
 def csv_dialect(path: Path) -> CsvDialect:
     """Tell delimiter, decimal sign and header from the first lines.
 
-    Raises
-    ------
-    MessageTypeError
-        When there is no table with names above.
+    Raises MessageTypeError when there is no table with names above.
     """
     with path.open("rb") as stream:
         head = stream.read(_HEAD)

@@ -32,10 +32,7 @@ def encode_truth(truth: GroundTruth) -> bytes:
 def decode_truth(data: bytes, where: str) -> GroundTruth:
     """Read the content of such a file.
 
-    Raises
-    ------
-    BagError
-        When ``data``, from the recording ``where``, were not written by :func:`encode_truth`.
+    Raises BagError when ``data``, from the recording ``where``, were not written by :func:`encode_truth`.
     """
     try:
         file = read_arrays(data, (*_ARRAYS, *_NUMBERS, "machine", "details"), largest=_LARGEST)
@@ -60,10 +57,7 @@ def decode_truth(data: bytes, where: str) -> GroundTruth:
 def write_truth(path: Path, truth: GroundTruth) -> None:
     """Write the ground truth to a file, all of it or nothing; an existing file is replaced.
 
-    Raises
-    ------
-    OutputError
-        When the file cannot be written.
+    Raises OutputError when the file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.part")
     try:

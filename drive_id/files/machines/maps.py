@@ -83,7 +83,6 @@ def write_machine(path: str | os.PathLike[str], machine_map: MachineMap) -> None
     ----------
     path : path
         Ending in ``.npz``; an existing file is replaced.
-    machine_map : MachineMap
 
     Raises
     ------

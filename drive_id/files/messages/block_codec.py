@@ -73,7 +73,6 @@ def encode_block(
     ----------
     stamp : int
         Time of the first sample, ns, in [0, 2**31 s).
-    first_sample : int
     sample_period : float
         s.
     values : sequence of (n,) float32
@@ -104,10 +103,7 @@ def encode_block(
 def read_head(data: bytes | memoryview) -> BlockHead:
     """Read the head of a block of any of our types, without its arrays.
 
-    Raises
-    ------
-    ValueError
-        When the message does not begin like a block.
+    Raises ValueError when the message does not begin like a block.
     """
     return _read_head(data)[0]
 
@@ -131,10 +127,7 @@ def _read_head(data: bytes | memoryview) -> tuple[BlockHead, int]:
 def decode_block(data: bytes | memoryview, fields: int) -> Block:
     """Deserialize one block with ``fields`` float32 arrays, of either byte order.
 
-    Raises
-    ------
-    ValueError
-        When the message is not such a block; says why.
+    Raises ValueError when the message is not such a block; says why.
     """
     head, position = _read_head(data)
     number, floats = _NUMBER[data[1]], _FLOATS[data[1]]

@@ -42,10 +42,7 @@ class FieldPath:
     def values(self, message: object) -> FloatArray:
         """Return the numbers at the path as (n,) float.
 
-        Raises
-        ------
-        FieldPathError
-            When the message has no such field, or no numbers there.
+        Raises FieldPathError when the message has no such field, or no numbers there.
         """
         found = self.find(message)
         if type(found) is float or type(found) is int:

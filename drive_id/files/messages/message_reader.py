@@ -75,10 +75,7 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
 def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryview], object]:
     """Return the function that decodes a message of a topic; it raises one of :data:`DECODE_ERRORS`.
 
-    Raises
-    ------
-    MessageTypeError
-        When the type or the encoding of the topic is not known.
+    Raises MessageTypeError when the type or the encoding of the topic is not known.
     """
     name = topic.type_name
     if topic.encoding == "json":

@@ -7,13 +7,7 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from rosbags.typesys import (
-    Stores,
-    TypesysError,
-    get_types_from_idl,
-    get_types_from_msg,
-    get_typestore,
-)
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from drive_id.errors import MessageTypeError
@@ -37,10 +31,7 @@ _IDL_SEPARATOR = "=" * 80 + "\n"
 def typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
     """Return a typestore that can deserialize the messages of a topic.
 
-    Raises
-    ------
-    MessageTypeError
-        When the definition is missing or cannot be parsed.
+    Raises MessageTypeError when the definition is missing or cannot be parsed.
     """
     name = topic.type_name
     if not _TYPE_NAME.fullmatch(name):

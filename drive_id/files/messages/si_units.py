@@ -23,7 +23,6 @@ def in_si_units(columns: list[FloatArray], source: TimeSource) -> FloatArray:
     ----------
     columns : list of (N,) float
         By ``source.paths``.
-    source : TimeSource
 
     Returns
     -------

@@ -391,7 +391,6 @@ class SignalMap:
     ----------
     currents, voltages : PhaseSource
         Measured phase currents, A, and commanded phase voltages, V.
-    resolver : RotorSource
     reference : ReferenceSource or None
         Optional in the log even when it is given here.
     optional : dict of str to ScalarSource

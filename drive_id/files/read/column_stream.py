@@ -61,11 +61,6 @@ class _Section:
 class ColumnStream(LogSignals):
     """The signals of one drive in an open log of columns.
 
-    Parameters
-    ----------
-    log : ColumnLog
-    signals : SignalMap
-
     Raises
     ------
     MissingTopicError

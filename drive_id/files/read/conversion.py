@@ -39,7 +39,6 @@ def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Sig
     ----------
     found : dict of str to Signal
         By section.
-    signals : SignalMap
 
     Returns
     -------

@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
-from drive_id.files.messages.message_reader import (
-    DECODE_ERRORS,
-    STAMP_LIMIT,
-    MessageSamples,
-    Reader,
-    message_reader,
-)
+from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
 from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
@@ -42,8 +36,6 @@ def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) 
 
     Parameters
     ----------
-    bag : Bag
-    signals : SignalMap
     topics : dict
         Section of the signal map (``currents``, ...) to its topic in the bag.
 
@@ -93,7 +85,6 @@ class LogSignals:
     ----------
     path : Path
         Of the log.
-    signals : SignalMap
     sources : dict of str to TimeSource
         By section of the signal map.
     names : dict of str to str
@@ -196,8 +187,6 @@ class SignalStream(LogSignals):
 
     Parameters
     ----------
-    bag : Bag
-    signals : SignalMap
     topics : dict
         Section of the signal map to its topic in the bag.
 
@@ -242,10 +231,8 @@ class SignalBuilder:
 
     Parameters
     ----------
-    topic : str
     section : str
         Of the signal map.
-    source : TimeSource
     """
 
     def __init__(self, topic: str, section: str, source: TimeSource) -> None:
@@ -263,12 +250,7 @@ class SignalBuilder:
         self._last_angle: float | None = None
 
     def build(self, pieces: list[MessageSamples]) -> Signal:
-        """Return the next pieces, one or more, as a signal.
-
-        Raises
-        ------
-        MessageTypeError, SamplePeriodError
-        """
+        """Return the next pieces, one or more, as a signal; raises MessageTypeError, SamplePeriodError."""
         count = np.array([len(piece.columns[0]) for piece in pieces])
         self._check_periods(pieces)
         if all(isinstance(piece.stamp, int) for piece in pieces):

@@ -25,21 +25,16 @@ class BagInfo:
 
     Parameters
     ----------
-    path : str
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : str
         Empty for none; ``(file)`` after it means whole files, ``(message)`` single messages.
-    files : tuple of str
     size : int
         Of all files, bytes.
-    topics : tuple of TopicInfo
-    messages : int
     start : int
         Log time of the first message, ns.
     duration : float
         Between first and last message, s.
-    complete : bool
     problem : str
         What is wrong with an incomplete one.
     ground_truth : bool
@@ -61,13 +56,7 @@ class BagInfo:
 
 
 def bag_info(path: Path) -> BagInfo:
-    """Describe a recording, also an incomplete one.
-
-    Raises
-    ------
-    BagError
-        When nothing of it can be read.
-    """
+    """Describe a recording, also an incomplete one; raises BagError when nothing of it can be read."""
     if log_kind(path):
         from drive_id.files.logs.open_log import open_log  # noqa: PLC0415  # numpy takes longer than to list a bag
 

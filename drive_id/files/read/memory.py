@@ -33,10 +33,7 @@ class MemoryGuard:
     def add(self, samples: int, progress: float) -> None:
         """Count further samples of the currents; ``progress`` is the share of the log that has been read.
 
-        Raises
-        ------
-        ConfigurationError
-            When the whole log needs more memory than is available.
+        Raises ConfigurationError when the whole log needs more memory than is available.
         """
         self._samples += samples
         if self._samples < self._next or not 0.0 < progress <= 1.0:

@@ -28,14 +28,12 @@ class OperatingLog:
 
     Parameters
     ----------
-    data : OperatingData
     truth : GroundTruth or None
         Of a simulation.
     digests : dict of str to str
         File to its sha256.
     last_stamp : int
         ns.
-    warnings : tuple of Message
     """
 
     data: OperatingData
@@ -54,7 +52,6 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
 
     Parameters
     ----------
-    path : Path
     signals : SignalMap, optional
         Default: our own messages.
     namespace : str

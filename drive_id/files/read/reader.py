@@ -67,9 +67,6 @@ class BagFacts:
 
     Parameters
     ----------
-    files : tuple of Path
-    truth : GroundTruth or None
-    warnings : tuple of Message
     checked : bool
         Whether checksums covered all of it.
     """
@@ -93,8 +90,6 @@ def bag_pieces(
 
     Parameters
     ----------
-    path : Path
-    signals : SignalMap
     namespace : str
         Of the drive, when the bag holds several.
     whole : bool

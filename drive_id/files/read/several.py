@@ -77,8 +77,6 @@ class SeveralBags:
 
     Parameters
     ----------
-    bags : sequence of Path
-    signals : SignalMap
     namespace : str
         Of the drive, when a bag holds several.
     tell : callable
@@ -190,10 +188,7 @@ class SeveralBags:
 def digests_of(bags: Sequence[Path]) -> dict[str, str]:
     """Return the digests of all files, file to its sha256, in order; a bag that cannot be read ends them.
 
-    Raises
-    ------
-    ConfigurationError
-        When two bags hold the same file.
+    Raises ConfigurationError when two bags hold the same file.
     """
     found: dict[str, str] = {}
     for bag in bags:

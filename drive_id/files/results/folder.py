@@ -28,7 +28,6 @@ def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, 
 
     Parameters
     ----------
-    directory : Path
     force : bool
         Allow a folder that holds other files.
     marker, kind : str
@@ -58,10 +57,7 @@ def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, 
 def check_absent(path: Path) -> None:
     """Check, before the work is done, that a path is free and can be written.
 
-    Raises
-    ------
-    OutputError
-        When something is there already, or the path cannot be written.
+    Raises OutputError when something is there already, or the path cannot be written.
     """
     try:
         if _is_there(path):
@@ -90,7 +86,6 @@ def replace_folder(
     ----------
     directory : Path
         Created when missing; other files in it stay.
-    files : mapping of str to bytes
     marker, kind, force
         See :func:`check_output`.
     stale : collection of str
@@ -169,10 +164,7 @@ def _linked(source: str, target: str) -> None:
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file completely or not at all, in the place of one of this name; folders above it are created.
 
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
+    Raises OutputError when it cannot be written.
     """
     try:
         grown = make_folder(path.parent, exist_ok=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -39,6 +38,7 @@ from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, r
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS
+from drive_id.quantity import plain
 from drive_id.settings import from_mapping
 from drive_id.version import VERSION
 
@@ -70,7 +70,6 @@ class Provenance:
     ----------
     inputs : dict of str to str
         File to its sha256.
-    settings : FitSettings
     machine : str
         Name, empty when unknown.
     nrmse : (float, float) or None
@@ -122,8 +121,6 @@ def write_results(
     ----------
     directory : Path
         See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
-    identification : IdentifiedDrive
-    provenance : Provenance
     force : bool
         Write into a folder that holds other files.
     pictures : mapping of str to bytes, optional
@@ -217,10 +214,7 @@ def _content(directory: Path, name: str, tree: Mapping[str, Any]) -> bytes:
 def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
     """Read the diagnostics beside a result; None where there are none, as in folders of earlier versions.
 
-    Raises
-    ------
-    ResultError
-        When the file is damaged.
+    Raises ResultError when the file is damaged.
     """
     try:
         if not (directory / DIAGNOSTICS).exists():
@@ -276,7 +270,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "inputs": [{"file": file, "sha256": digest} for file, digest in known.inputs.items()],
         "versions": dict(known.versions) or _versions(),
     }
-    finite: dict[str, Any] = _finite(tree)
+    finite: dict[str, Any] = plain(tree)
     return finite
 
 
@@ -475,16 +469,6 @@ def _number(value: float | None, unknown: float = np.nan) -> float:
 
 def _array(values: list[float | None] | None) -> np.ndarray[Any, np.dtype[np.float64]] | None:
     return None if values is None else np.array([_number(value, np.inf) for value in values])
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _versions() -> dict[str, str]:

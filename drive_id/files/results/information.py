@@ -53,7 +53,6 @@ class StoredInformation:
 
     Parameters
     ----------
-    accumulated : Accumulated
     software : str
         Version of drive_id that wrote it.
     """
@@ -65,10 +64,7 @@ class StoredInformation:
 def check_information_output(path: Path) -> None:
     """Check, before the work is done, that an information file can be written to a path.
 
-    Raises
-    ------
-    OutputError
-        When something else is there, or the path cannot be written.
+    Raises OutputError when something else is there, or the path cannot be written.
     """
     try:
         with open_input(path, LARGEST) as opened:
@@ -84,7 +80,6 @@ def write_information(path: Path, accumulated: Accumulated) -> None:
 
     Parameters
     ----------
-    path : Path
     accumulated : Accumulated
         Of its excerpts, only the first 2 s of at most 10 recordings are kept.
 
@@ -100,10 +95,7 @@ def write_information(path: Path, accumulated: Accumulated) -> None:
 def read_information(path: Path) -> StoredInformation:
     """Read an information file.
 
-    Raises
-    ------
-    InformationError
-        When it cannot be read, is damaged, is another file, or was written by a newer version.
+    Raises InformationError when it cannot be read, is damaged, is another file, or was written by a newer version.
     """
     try:
         with open_input(path, LARGEST) as stream:
@@ -148,10 +140,7 @@ def encode_information(accumulated: Accumulated) -> bytes:
 def decode_information(data: bytes, where: str) -> StoredInformation:
     """Decode the content of an information file.
 
-    Raises
-    ------
-    InformationError
-        See :func:`read_information`; naming ``where``.
+    Raises InformationError, see :func:`read_information`; naming ``where``.
     """
     return _decoded(io.BytesIO(data), where)
 

@@ -49,7 +49,6 @@ def plan_yaml(plan: Plan, machine: str = "") -> str:
 
     Parameters
     ----------
-    plan : Plan
     machine : str
         For the simulated bench: a shipped machine by name, or a machine file.
     """
@@ -157,10 +156,7 @@ def _rounded(value: Any) -> Any:
 def check_plan_output(path: Path) -> None:
     """Check, before the work is done, that a plan may be written to a path.
 
-    Raises
-    ------
-    OutputError
-        When there is something else than an earlier plan.
+    Raises OutputError when there is something else than an earlier plan.
     """
     try:
         with open_input(path) as opened:
@@ -174,10 +170,7 @@ def check_plan_output(path: Path) -> None:
 def write_plan(path: Path, text: str) -> None:
     """Write a plan, all of it or nothing; an earlier one is replaced.
 
-    Raises
-    ------
-    OutputError
-        When there is something else under this name, or it cannot be written.
+    Raises OutputError when there is something else under this name, or it cannot be written.
     """
     check_plan_output(path)
     replace_file(path, text.encode())

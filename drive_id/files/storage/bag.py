@@ -41,12 +41,10 @@ class Bag:
 
     Parameters
     ----------
-    path : Path
     files : tuple of Path
         The storage files in order.
     storages : tuple of Storage
         The same, open.
-    metadata : BagMetadata or None
     compression : str
         Of the files as a whole, or within them; empty for none.
     packed_with_checksum : bool
@@ -74,10 +72,7 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics``, file by file in order of arrival.
 
-        Raises
-        ------
-        BagError
-            When a file is damaged, or holds more or fewer messages than declared.
+        Raises BagError when a file is damaged, or holds more or fewer messages than declared.
         """
         found: Counter[str] = Counter()
         self._budget.restart()
@@ -88,13 +83,7 @@ class Bag:
         self._check_counts(topics, found)
 
     def _check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
-        """Compare the numbers of messages found with ``metadata.yaml``.
-
-        Raises
-        ------
-        MessageCountError
-            When they differ.
-        """
+        """Compare the numbers of messages found with ``metadata.yaml``; raises MessageCountError when they differ."""
         declared = self.metadata.counts if self.metadata else {}
         for topic in topics:
             if topic in declared and declared[topic] != found.get(topic, 0):
@@ -166,7 +155,6 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
 
     Parameters
     ----------
-    path : Path
     salvage : bool
         Open damaged MCAP files as far as they can be read: to describe them, not to fit them.
 
@@ -233,10 +221,8 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
 def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     """Return the storage files of a recording in order, and its metadata if there are any.
 
-    Raises
-    ------
-    NotABagError
-        When there is none, or ``metadata.yaml`` is unreadable or names other files than those that are there.
+    Raises NotABagError when there is none, or ``metadata.yaml`` is unreadable or names other files than those that are
+    there.
     """
     with _readable(path):
         described = path.is_dir() and (path / "metadata.yaml").exists()
@@ -264,10 +250,7 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
 def present_files(path: Path) -> tuple[Path, ...]:
     """Return the storage files of a recording in order of their names, ignoring ``metadata.yaml``.
 
-    Raises
-    ------
-    NotABagError
-        When there is none.
+    Raises NotABagError when there is none.
     """
     with _readable(path):
         files = _present(path)
@@ -310,13 +293,7 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
 
 
 def file_digest(path: Path) -> str:
-    """Return the sha256 of a file, hexadecimal.
-
-    Raises
-    ------
-    BagError
-        When it cannot be read.
-    """
+    """Return the sha256 of a file, hexadecimal; raises BagError when it cannot be read."""
     digest = hashlib.sha256()
     try:
         with open_input(path) as stream:

@@ -209,10 +209,7 @@ def _take(budget: UnpackBudget, count: int, path: Path) -> None:
 def decompress(data: bytes, kind: str, size: int | None = None) -> bytes:
     """Decompress a chunk (of ``size`` bytes) or a message, piece by piece, so that a false size takes no memory.
 
-    Raises
-    ------
-    ValueError
-        When the data are damaged, of an unknown kind, or not of the declared size.
+    Raises ValueError when the data are damaged, of an unknown kind, or not of the declared size.
     """
     if kind == "":
         plain = data

@@ -18,7 +18,6 @@ def make_folder(path: Path, *, exist_ok: bool = False) -> set[Path]:
 
     Parameters
     ----------
-    path : Path
     exist_ok : bool
         Accept an existing folder.
 

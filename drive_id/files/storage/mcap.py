@@ -75,7 +75,6 @@ class McapFile:
 
     Parameters
     ----------
-    path : Path
     shown : Path
         Name of the file in errors.
 
@@ -251,8 +250,6 @@ def chunk_records(chunk: bytes, position: int, known: set[bytes] | None = None) 
 
     Parameters
     ----------
-    chunk : bytes
-    position : int
     known : set of bytes, optional
         Schemas and channels seen before, which are skipped; extended.
     """
@@ -294,7 +291,6 @@ class McapStorage:
 
     Parameters
     ----------
-    path : Path
     shown : Path
         Name of the file in errors.
     salvage : bool

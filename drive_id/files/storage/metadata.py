@@ -35,10 +35,7 @@ class BagMetadata:
 def read_metadata(path: Path) -> BagMetadata:
     """Read ``metadata.yaml`` of rosbag2, any version.
 
-    Raises
-    ------
-    NotABagError
-        When it is not such a file; names what is wrong.
+    Raises NotABagError when it is not such a file; names what is wrong.
     """
     advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
     try:
@@ -158,7 +155,6 @@ def bag_information(
 
     Parameters
     ----------
-    topics : sequence of TopicEntry
     files : sequence of FileEntry
         In order.
     distro : str

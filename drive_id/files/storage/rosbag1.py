@@ -26,7 +26,6 @@ class Rosbag1Storage:
 
     Parameters
     ----------
-    path : Path
     shown : Path
         Its name in errors.
 

@@ -28,7 +28,6 @@ class SqliteStorage:
 
     Parameters
     ----------
-    path : Path
     shown : Path
         Name of the file in errors.
     """

@@ -122,10 +122,7 @@ class _Copy:
         self._file = McapFile(source, shown)
         self._stream = McapStream(target)
         self._writer = Writer(
-            cast(IO[Any], self._stream),
-            chunk_size=_CHUNK_SIZE,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
+            cast(IO[Any], self._stream), chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
 
     def release(self) -> None:

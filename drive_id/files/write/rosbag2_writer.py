@@ -297,7 +297,6 @@ class Rosbag2McapWriter:
             Absolute name.
         type_name : str
             ``package/msg/Name``.
-        qos : Qos, optional
         definition, hash_ : str
             Complete ``ros2msg`` definition and RIHS01 hash; known for our own sample messages.
         """
@@ -313,7 +312,6 @@ class Rosbag2McapWriter:
 
         Parameters
         ----------
-        topic : str
         data : bytes
             CDR.
         log_time : int
@@ -372,10 +370,7 @@ class Rosbag2McapWriter:
     def end_early(self) -> None:
         """End the file behind what reached the disk, after an error of the disk: without an index, but readable.
 
-        Raises
-        ------
-        OutputError
-            When the disk refuses that, too; then the file breaks off, as if the process had been killed.
+        Raises OutputError when the disk refuses that, too; then the file breaks off, as if the process had been killed.
         """
         self._closed = True
         self._free_reserve()
@@ -457,10 +452,7 @@ def whole_or_nothing(path: Path) -> Iterator[Path]:
 
     A writer has synced what is in the folder by then, so that ``path`` is also whole after a power cut.
 
-    Raises
-    ------
-    OutputError
-        When ``path`` exists or cannot be written.
+    Raises OutputError when ``path`` exists or cannot be written.
     """
     if path.exists() or path.is_symlink():
         raise OutputError(f"{path} exists already: choose another name, or remove it.")

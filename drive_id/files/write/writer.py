@@ -12,13 +12,7 @@ from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import encode_truth
 from drive_id.files.messages.block_codec import NANOSECONDS, encode_block
-from drive_id.files.messages.messages import (
-    CURRENT_REFERENCE,
-    PHASE_CURRENTS,
-    PHASE_VOLTAGES,
-    RESOLVER,
-    SCALAR_SAMPLES,
-)
+from drive_id.files.messages.messages import CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, RawMessage
 from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray, Samples
@@ -68,7 +62,6 @@ def write_recording(
         Stored as float32, like the messages.
     truth : GroundTruth, optional
         Stored as the attachment ``ground_truth.npz``.
-    topics : Topics, optional
     block_size : int
         Samples per message.
     scalar_periods : mapping of str to float, optional

@@ -15,8 +15,7 @@ class IdentificationSettings:
         "recordings", "Folder of the recordings that may be requested; relative to the working directory"
     )
     output_directory: str = setting(
-        "identifications",
-        "Folder in which each fit makes a new one; relative to the working directory",
+        "identifications", "Folder in which each fit makes a new one; relative to the working directory"
     )
     signals: str = setting("", "Signals file of a bench with topics of its own; empty: our messages")
     picture: bool = setting(False, "Draw the maps beside the result files; takes about a second")

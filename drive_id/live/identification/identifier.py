@@ -27,7 +27,7 @@ from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
-from drive_id.live.identification.operating_points import OperatingPoints
+from drive_id.live.identification.operating_points import PointDecimator
 from drive_id.live.identification.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.live.identification.result_folders import LastMap, ResultFolders, new_folder
 from drive_id.live.publishers import Publisher, publisher_findings
@@ -98,8 +98,6 @@ class Identifier:
 
     Parameters
     ----------
-    settings : IdentificationSettings
-    fit : FitSettings
     topics : tuple of str
         Of currents, voltages and resolver, for messages.
     scalar_topics : mapping of str to str, optional
@@ -118,7 +116,7 @@ class Identifier:
     ) -> None:
         self.settings = settings
         self.folders = ResultFolders(settings, node)
-        self.operating_points = OperatingPoints(settings.operating_point_rate)
+        self.operating_points = PointDecimator(settings.operating_point_rate)
         self.topics = topics
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)

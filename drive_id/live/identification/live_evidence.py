@@ -21,13 +21,11 @@ _WAIT = 0.2
 
 
 @dataclass(eq=False)
-class Gathered:
+class LiveSums:
     """What is kept of joined samples.
 
     Parameters
     ----------
-    evidence : Evidence
-    prescan : Prescan
     excerpt : Spans
         Of the trajectory, for the MAD; rests are left out of it, for at rest every map looks good.
     resting : bool
@@ -48,9 +46,9 @@ class Gathered:
         if not self.resting:
             self.excerpt.add(replace(piece, continues=piece.continues and not before))
 
-    def copy(self, settings: FitSettings) -> Gathered:
+    def copy(self, settings: FitSettings) -> LiveSums:
         """Return an independent copy for another method."""
-        return Gathered(self.evidence.copy(settings), self.prescan.copy(), self.excerpt.copy(), self.resting)
+        return LiveSums(self.evidence.copy(settings), self.prescan.copy(), self.excerpt.copy(), self.resting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +59,12 @@ class Snapshot:
     ----------
     join : StreamJoin
         Finished.
-    gathered : Gathered
     rest : tuple of Piece
         Of the join, not yet gathered.
     """
 
     join: StreamJoin
-    gathered: Gathered
+    gathered: LiveSums
     rest: tuple[Piece, ...]
 
     @property
@@ -128,11 +125,11 @@ class LiveEvidence:
     def reset(self) -> None:
         """Forget all samples."""
         self.join = StreamJoin(self._names, wait=_WAIT)
-        self._gathered: Gathered | None = None
+        self._gathered: LiveSums | None = None
         if self.settings.i_max is not None:
             evidence = Evidence.within(self.settings, self.settings.i_max)
             evidence.next_recording()  # the live samples are the first one
-            self._gathered = Gathered(evidence, Prescan(), Spans())
+            self._gathered = LiveSums(evidence, Prescan(), Spans())
 
     def configure(self, settings: FitSettings) -> bool:
         """Take other settings, and tell whether the samples had to be forgotten.

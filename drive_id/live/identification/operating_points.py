@@ -31,7 +31,7 @@ class Point:
     speed: float
 
 
-class OperatingPoints:
+class PointDecimator:
     """Decimates currents and resolver. Not for several threads.
 
     Parameters

@@ -35,12 +35,10 @@ class Refit:
 
     Parameters
     ----------
-    settings : FitSettings
     samples : int
         Number of samples, rests not counted.
     stamp : int
         Stamp of the last sample, ns.
-    conclusion : Conclusion
     selected : bool
         Whether the fit selected its model itself instead of reusing an earlier selection.
     """
@@ -79,7 +77,6 @@ class Refits:
 
     Parameters
     ----------
-    settings : IdentificationSettings
     clock : callable
         Returns the time, s.
     """

@@ -35,7 +35,6 @@ class Stage:
         Waiting, Reading, Accumulating, Solving or Writing.
     share : float
         Estimated share of the whole request that is done, 0 to 1.
-    sentence : str
     """
 
     name: str
@@ -130,7 +129,6 @@ class Requests:
 
         Parameters
         ----------
-        request : Request
         may_wait : bool
             It may wait for the one under way if no other one does.
         """

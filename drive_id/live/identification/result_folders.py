@@ -27,8 +27,6 @@ class LastMap:
 
     Parameters
     ----------
-    result : Identification
-    folder : Path
     stamp : int
         Of the last sample, ns.
     """
@@ -43,7 +41,6 @@ class ResultFolders:
 
     Parameters
     ----------
-    settings : IdentificationSettings
     node : str
         Full name of the node.
     """

@@ -16,7 +16,6 @@ class TopicState:
 
     Parameters
     ----------
-    topic, type_name : str
     publishers : sequence of Publisher
         All of the topic, of any type.
     silent_for : float or None

@@ -14,7 +14,6 @@ class TopicReport:
 
     Parameters
     ----------
-    topic : str
     messages : int
         In the bag.
     received, written : int
@@ -77,7 +76,6 @@ class RecordingReport:
         The bag.
     topics : tuple of TopicReport
         The first one, the phase currents, gives ``samples`` and ``duration``.
-    files : int
     size : int
         Bytes on the disk.
     waiting : int

@@ -99,7 +99,6 @@ class RecordingSession:
         Bag to create.
     topics : sequence of RecordedTopic
         The first is the one whose samples are reported.
-    settings : RecordingSettings
     ros_distro : str
         For the record.
     opener : callable
@@ -195,7 +194,6 @@ class RecordingSession:
 
         Parameters
         ----------
-        topic : str
         data : bytes
             CDR.
         log_time : int
@@ -255,14 +253,7 @@ class RecordingSession:
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
         return RecordingReport(
-            self.path,
-            tuple(topics),
-            len(files),
-            self._writer.size,
-            waiting,
-            self._error,
-            self.remark,
-            self._free,
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark, self._free
         )
 
     # -- the writing thread ----------------------------------------------------------------------------------------

@@ -23,10 +23,7 @@ _FOR_MIDDLEWARE = "qos_overrides."
 def ros_arguments() -> Iterator[None]:
     """Turn errors of rcl about ROS arguments into ConfigurationError, around ``init`` or the creation of a node.
 
-    Raises
-    ------
-    ConfigurationError
-        For a missing parameter file, an invalid name, or an unknown or incomplete argument.
+    Raises ConfigurationError for a missing parameter file, an invalid name, or an unknown or incomplete argument.
     """
     try:
         yield

@@ -42,10 +42,6 @@ class PacedServices:
 
     With the default quality of service, a client loses the replies that arrive while ten others wait. So the first few
     replies are sent at once, and what else is to be sent in the same moment waits for its turn.
-
-    Parameters
-    ----------
-    node : Node
     """
 
     def __init__(self, node: Node) -> None:
@@ -74,7 +70,7 @@ class PacedServices:
             self._waiting.popleft()[1]()
 
 
-class Reply:
+class LaterResponse:
     """Sends the response of one request to its client."""
 
     def __init__(self, send: Callable[[Any, Any], None]) -> None:
@@ -97,32 +93,32 @@ class Reply:
 
 
 class DeferredService:
-    """A service whose callback gets a :class:`Reply` to call at once or later.
+    """A service whose callback gets a :class:`LaterResponse` to call at once or later.
 
     Not an ``async`` callback: the events executor of rclpy 7.1 does not support these, and the others keep a core busy
     while one awaits. Instead, the callback returns the reply itself, and ``send_response`` is replaced to wait for it.
 
     Parameters
     ----------
-    services : PacedServices
     kind : type
         Service type.
-    name : str
     callback : callable
-        Called with the request and its :class:`Reply`.
+        Called with the request and its :class:`LaterResponse`.
     """
 
-    def __init__(self, services: PacedServices, kind: Any, name: str, callback: Callable[[Any, Reply], None]) -> None:
+    def __init__(
+        self, services: PacedServices, kind: Any, name: str, callback: Callable[[Any, LaterResponse], None]
+    ) -> None:
         self._callback = callback
         self.service = services.create(kind, name, self._on_request)
         self._send_now = self.service.send_response
         self.service.send_response = self._send
 
-    def _on_request(self, request: Any, _: Any) -> Reply:
-        reply = Reply(self._send_now)
+    def _on_request(self, request: Any, _: Any) -> LaterResponse:
+        reply = LaterResponse(self._send_now)
         self._callback(request, reply)
         return reply
 
     @staticmethod
-    def _send(reply: Reply, header: Any) -> None:
+    def _send(reply: LaterResponse, header: Any) -> None:
         reply.attach(header)

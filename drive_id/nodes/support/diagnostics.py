@@ -13,12 +13,11 @@ from drive_id.health import Health
 _PERIOD = 1.0  # s
 
 
-class Diagnostics:
+class HealthPublisher:
     """Publishes a node's health every second of the steady clock.
 
     Parameters
     ----------
-    node : Node
     read : callable
         Returns the present health.
     """

@@ -24,7 +24,6 @@ class ExtraTopics:
 
     Parameters
     ----------
-    node : Node
     own : collection of str
         Absolute names of the topics that are recorded anyway.
     receive : callable
@@ -47,10 +46,7 @@ class ExtraTopics:
     def want(self, names: Sequence[str]) -> None:
         """Take other topics, relative or absolute; subscriptions stay until the process ends.
 
-        Raises
-        ------
-        ConfigurationError
-            When a name is none.
+        Raises ConfigurationError when a name is none.
         """
         wanted = self.resolved(names)
         self._wanted = [name for name in dict.fromkeys(wanted) if name not in self._own]

@@ -19,7 +19,6 @@ class ForeignTopics:
 
     Parameters
     ----------
-    node : Node
     translator : Translator
         Receives the messages.
     depth : int

@@ -17,10 +17,6 @@ def guard_transitions(node: LifecycleNode) -> None:
     """Answer requests for impossible transitions by ``success: false``.
 
     rclpy raises an error in the callback instead, which ends the process: with the events executor by SIGSEGV.
-
-    Parameters
-    ----------
-    node : LifecycleNode
     """
     (service,) = (service for service in node.services if service.srv_type is ChangeState)
     change = service.callback
@@ -42,10 +38,6 @@ class ManagedNode(LifecycleNode):
 
     Subclasses call :meth:`bring_up` at the end of their constructor, and define :meth:`connect`, :meth:`disconnect` and
     :meth:`rest`. Services and diagnostics are there in every state.
-
-    Parameters
-    ----------
-    name : str
     """
 
     def __init__(self, name: str) -> None:

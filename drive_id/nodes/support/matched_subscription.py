@@ -19,7 +19,6 @@ class MatchedSubscription:
 
     Parameters
     ----------
-    node : Node
     kind : type
         Message type.
     topic : str

@@ -22,10 +22,7 @@ _PRIMITIVES = {
 def message_class(type_name: str) -> Any:
     """Return the class of a message type, ``package/msg/Name``.
 
-    Raises
-    ------
-    ConfigurationError
-        When its package is not installed, or it has no such type.
+    Raises ConfigurationError when its package is not installed, or it has no such type.
     """
     found = _TYPE.fullmatch(type_name)
     if found is None:

@@ -41,7 +41,6 @@ def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str
 
     Parameters
     ----------
-    node : Node
     cls : type
         Settings dataclass; its fields carry description, unit and bounds.
     read_only : iterable of str
@@ -80,10 +79,7 @@ def _declare_array(
 def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] = ()) -> Settings:
     """Return the settings from the node's parameters, with changes that are about to be made.
 
-    Raises
-    ------
-    ConfigurationError
-        When they are inconsistent.
+    Raises ConfigurationError when they are inconsistent.
     """
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # a settings dataclass
     values = {name: node.get_parameter(name).value for name in names}
@@ -100,7 +96,6 @@ def on_change(
 
     Parameters
     ----------
-    node : Node
     cls : type
         Settings dataclass.
     check : callable

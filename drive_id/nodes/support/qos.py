@@ -54,7 +54,6 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
 
     Parameters
     ----------
-    node : Node
     topic : str
         As given to ``create_publisher``.
     """

@@ -39,11 +39,8 @@ class RequestAction:
 
     Parameters
     ----------
-    node : Node
     kind : type
         Action type, whose feedback has ``stage``, ``progress`` and ``message``.
-    name : str
-    requests : Requests
     make : callable
         Returns the job of a goal's request.
     fill : callable

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drive_id.analysis.verification import Judgement, Verification
-from drive_id.fitting.result import Identification
 from drive_id.pictures.panels import CURRENT, PSI, add_colour_bar, levels, name, place
 from drive_id.pictures.plots import rendered
 from drive_id.quantity import measured
 from drive_id.report.page.html import GENERATOR, environment
+from drive_id.result.result import Result
 from drive_id.version import VERSION
 
 _WIDEST = 5.0
@@ -39,16 +39,11 @@ def row(entry: Judgement) -> tuple[str, str, str, str]:
     return entry.name, value, "" if entry.limit is None else f"{entry.limit:g}", word
 
 
-def certificate(
-    result: Identification, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]
-) -> str:
+def certificate(result: Result, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]) -> str:
     """Render the certificate.
 
     Parameters
     ----------
-    result : drive_id.Identification
-    found : Verification
-    judged : sequence of Judgement
     recordings : sequence of str
         Names of the recordings and their digests.
     """

@@ -6,24 +6,26 @@ significant digits.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
 
-from drive_id.fitting.result import Identification
 from drive_id.pictures.panels import COLOURS
+from drive_id.quantity import plain
 from drive_id.report.page.content import map_difference
 from drive_id.report.page.operation import TorqueMap
+from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
 MOST_POINTS = 97
 """Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
-_DIGITS = 5
+_listed = partial(plain, digits=5)
 _RPM = 30 / np.pi
 
 
-def charts_of(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
+def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return the data of all charts, ready for JSON; a chart without data is None."""
     return {
         "i_max": result.i_max,
@@ -37,7 +39,7 @@ def charts_of(result: Identification, operation: TorqueMap | None) -> dict[str, 
     }
 
 
-def _map(result: Identification, operation: TorqueMap | None) -> dict[str, Any]:
+def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
     found = result.flux_map
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
@@ -84,7 +86,7 @@ def _quantity(name: str, label: str, unit: str, values: FloatArray, sigma: Float
     }
 
 
-def _comparison(result: Identification) -> dict[str, Any] | None:
+def _comparison(result: Result) -> dict[str, Any] | None:
     """Return the difference of the paper's maps from the result's, where there are data."""
     judged = result.diagnostics
     found = result.flux_map
@@ -106,7 +108,7 @@ def _comparison(result: Identification) -> dict[str, Any] | None:
     }
 
 
-def _inverter(result: Identification) -> dict[str, Any] | None:
+def _inverter(result: Result) -> dict[str, Any] | None:
     curve = result.inverter_curve
     if not result.origin.inverter or not np.any(curve.voltage):
         return None
@@ -122,7 +124,7 @@ def _inverter(result: Identification) -> dict[str, Any] | None:
     }
 
 
-def _residuals(result: Identification) -> dict[str, Any] | None:
+def _residuals(result: Result) -> dict[str, Any] | None:
     judged = result.diagnostics
     if judged is None or not np.isfinite(judged.over_time.mean).any():
         return None
@@ -141,7 +143,7 @@ def _statistics(mean: FloatArray, rms: FloatArray) -> dict[str, list[Any]]:
     }
 
 
-def _currents(result: Identification) -> dict[str, Any] | None:
+def _currents(result: Result) -> dict[str, Any] | None:
     found = result.diagnostics.simulated if result.diagnostics else None
     if found is None:
         return None
@@ -187,10 +189,3 @@ def _thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 def _masked(values: FloatArray, known: BoolArray) -> FloatArray:
     return np.where(known, values, np.nan)
-
-
-def _listed(values: FloatArray, digits: int = _DIGITS) -> list[Any]:
-    """Return nested lists of numbers of some significant digits, None where they are not finite."""
-    if values.ndim > 1:
-        return [_listed(row, digits) for row in values]
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]

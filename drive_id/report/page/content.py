@@ -12,14 +12,14 @@ import numpy as np
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import Provenance, results_tree
-from drive_id.fitting.advice import single_speed, sorted_statements
-from drive_id.fitting.result import Identification
 from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.quantity import Quantity, measured
 from drive_id.report.page.operation import TorqueMap
 from drive_id.report.page.wording import NOT_STORED
 from drive_id.report.shaft import shaft_values
+from drive_id.result.advice import single_speed, sorted_statements
+from drive_id.result.result import Result
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
@@ -34,7 +34,6 @@ class Merit:
 
     Parameters
     ----------
-    name, value : str
     level : str
         ``good``, ``fair``, ``weak`` or ``unknown``; empty where there is nothing to judge.
     meaning : str
@@ -49,14 +48,7 @@ class Merit:
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows of text below a header.
-
-    Parameters
-    ----------
-    caption : str
-    header : tuple of str
-    rows : tuple of tuple of str
-    """
+    """Rows of text below a header."""
 
     caption: str
     header: tuple[str, ...]
@@ -69,17 +61,14 @@ class Content:
 
     Parameters
     ----------
-    title, subtitle : str
     headline : tuple of Quantity
         What is asked for first.
     figures : tuple of Merit
         Quality at a glance.
     advice : str
         What would help most; empty where nothing is known.
-    warnings : tuple of str
     knowledge : dict of str to tuple of str
         Sentences by their heading: what the result states, what the data leave open, and what to do next.
-    values, methods, operation, calibrations, settings, inputs, versions : TextTable
     drop : str
         What the inverter's drop amounts to; empty where the DC link is not known.
     comparison : str
@@ -113,7 +102,7 @@ class Content:
     twin: dict[str, Any]
 
 
-def content_of(result: Identification, operation: TorqueMap | None) -> Content:
+def content_of(result: Result, operation: TorqueMap | None) -> Content:
     """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
     known = _without_folders(result.provenance)
     twin = results_tree(result.drive, known)
@@ -154,14 +143,14 @@ def content_of(result: Identification, operation: TorqueMap | None) -> Content:
     )
 
 
-def largest_flux(result: Identification) -> float:
+def largest_flux(result: Result) -> float:
     """Return the largest amplitude of the flux linkage where there are data, Wb; NaN without data."""
     found = result.flux_map
     amplitude = np.hypot(found.psi_d, found.psi_q)[found.inside]
     return float(amplitude.max()) if amplitude.size else math.nan
 
 
-def flux_sigma(result: Identification) -> float:
+def flux_sigma(result: Result) -> float:
     """Return the median of the larger standard error of both fluxes where there are data, Wb; NaN where unknown."""
     found = result.flux_map
     sigma = np.maximum(found.sigma_d, found.sigma_q)[found.inside]
@@ -182,7 +171,7 @@ def _without_folders(known: Provenance) -> Provenance:
     return replace(known, inputs=inputs, warnings=warnings)
 
 
-def _figures(result: Identification) -> tuple[Merit, ...]:
+def _figures(result: Result) -> tuple[Merit, ...]:
     metrics, origin = result.metrics, result.origin
     flux, sigma = largest_flux(result), flux_sigma(result)
     count = len(result.warnings)
@@ -241,7 +230,7 @@ def level(value: float, good: float, weak: float) -> str:
     return GOOD if value <= good else FAIR if value <= weak else WEAK
 
 
-def _values(result: Identification) -> TextTable:
+def _values(result: Result) -> TextTable:
     drive, metrics = result.drive, result.metrics
     given = result.provenance.settings
     names = {"Serial number": given.serial, "Bench": given.bench, "Operator": given.operator, "Notes": given.notes}
@@ -279,22 +268,18 @@ def _values(result: Identification) -> TextTable:
     return TextTable("Identified values (± standard error) and the experiment", ("Quantity", "Value"), tuple(rows))
 
 
-def _speed(result: Identification) -> str:
+def _speed(result: Result) -> str:
     if result.speed_range is None:
         return "unknown"
-    low, high = result.speed_range
-    text = f"{number(low)} rad/s" if single_speed(result.provenance) else f"{number(low)} to {number(high)} rad/s"
+    ends = result.speed_range[:1] if single_speed(result.provenance) else result.speed_range
+    text = f"{' to '.join(map(number, ends))} rad/s"
     if result.pole_pairs is None:
         return text
-    rpm = [speed * 30 / math.pi / result.pole_pairs for speed in (low, high)]
-    return (
-        f"{text} ({number(rpm[0])} rpm)"
-        if single_speed(result.provenance)
-        else f"{text} ({number(rpm[0])} to {number(rpm[1])} rpm)"
-    )
+    rpm = (number(speed * 30 / math.pi / result.pole_pairs) for speed in ends)
+    return f"{text} ({' to '.join(rpm)} rpm of the shaft)"
 
 
-def _methods(result: Identification) -> TextTable:
+def _methods(result: Result) -> TextTable:
     """Lay out the result beside the paper's methods."""
     rows: list[tuple[str, ...]] = []
     judged, metrics = result.diagnostics, result.metrics
@@ -337,7 +322,7 @@ def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
     )
 
 
-def _comparison(result: Identification) -> str:
+def _comparison(result: Result) -> str:
     """Say how far the map without a model of the inverter, or with one if this has none, is from the result."""
     judged = result.diagnostics
     every = {found.method: found for found in judged.comparisons} if judged else {}
@@ -355,36 +340,38 @@ def _comparison(result: Identification) -> str:
     )
 
 
-def map_difference(result: Identification, other: ComparedMethod) -> tuple[FloatArray, FloatArray]:
+def map_difference(result: Result, other: ComparedMethod) -> tuple[FloatArray, FloatArray]:
     """Return psi_d and psi_q (D, Q) of another method minus those of the result, Wb."""
     assert other.psi_d is not None
     assert other.psi_q is not None
     return other.psi_d - result.flux_map.psi_d, other.psi_q - result.flux_map.psi_q
 
 
-def _calibrations(result: Identification) -> TextTable:
+def _calibrations(result: Result) -> TextTable:
     rows = []
     for found in result.calibrations:
+        if not (found.applied or math.isfinite(found.sigma)):
+            continue  # nothing was estimated
         done = "corrected" if found.applied else "not corrected"
         rows.append((found.name, measured(found.value, found.sigma, found.unit), done))
     return TextTable("Sensor faults and effects of the drive", ("Name", "Value", "In the map"), tuple(rows))
 
 
-def _settings(result: Identification) -> TextTable:
+def _settings(result: Result) -> TextTable:
     usual = FitSettings()
     rows: list[tuple[str, ...]] = []
     if not result.origin.fitted:
         return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), ())
     for name, value in vars(result.provenance.settings).items():
         changed = "default" if value == getattr(usual, name) else "set"
-        rows.append((name, _setting(value), changed))
+        rows.append((name, _setting(name, value), changed))
     return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
 
 
-def _setting(value: object) -> str:
+def _setting(name: str, value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(map(str, value)) or "none"
-    return "automatic" if value is None else str(value)
+    return "automatic" if value is None or (name == "pole_pairs" and not value) else str(value)
 
 
 def _operation(operation: TorqueMap | None) -> TextTable:
@@ -404,7 +391,7 @@ def _operation(operation: TorqueMap | None) -> TextTable:
     return TextTable("Points of the lines of operation, where there are data", header, tuple(rows))
 
 
-def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, str]:
+def _missing(result: Result, operation: TorqueMap | None) -> dict[str, str]:
     """Say why a section has nothing to show."""
     judged, missing = result.diagnostics, {}
     if judged is None:
@@ -439,7 +426,7 @@ def _missing(result: Identification, operation: TorqueMap | None) -> dict[str, s
     return missing
 
 
-def _drop(result: Identification) -> str:
+def _drop(result: Result) -> str:
     """Say of which dead time the drop is, if it is of nothing else: the dead time costs u_dc t_d / T_switching."""
     if not result.origin.inverter or not result.u_dc or not math.isfinite(result.voltage_error):
         return ""
@@ -452,7 +439,7 @@ def _drop(result: Identification) -> str:
     )
 
 
-def _paragraph(result: Identification) -> str:
+def _paragraph(result: Result) -> str:
     """Write a paragraph of method with the result's own numbers, to be pasted into a paper or a test report."""
     metrics, origin = result.metrics, result.origin
     what = f"of the machine {result.name}" if result.name else "of the machine"

@@ -23,7 +23,6 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
 
     Parameters
     ----------
-    content : Content
     charts : mapping
         See :func:`~drive_id.report.page.charts.charts_of`.
     pictures : mapping of str to bytes

@@ -11,7 +11,7 @@ from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelop
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
-from drive_id.fitting.result import Identification
+from drive_id.result.result import Result
 from drive_id.types import FloatArray
 
 _WEAKENING = 4.0
@@ -28,7 +28,6 @@ class Line:
 
     Parameters
     ----------
-    name : str
     i_d, i_q : (N,) float
         A.
     torque, sigma_torque : (N,) float
@@ -92,7 +91,7 @@ class TorqueMap:
     speeds: SpeedMap | None
 
 
-def torque_map(result: Identification) -> TorqueMap | None:
+def torque_map(result: Result) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown."""
     if result.pole_pairs is None:
         return None
@@ -113,14 +112,14 @@ def torque_map(result: Identification) -> TorqueMap | None:
     )
 
 
-def _ripple(result: Identification, model: MachineModel) -> FloatArray:
+def _ripple(result: Result, model: MachineModel) -> FloatArray:
     found = result.flux_map
     ripple = TorqueRipple.of(model, found, result.harmonics, result.i_max)
     values = ripple.peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
     return np.where(found.inside, values, np.nan)
 
 
-def _speed_map(result: Identification, model: MachineModel) -> SpeedMap | None:
+def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     """Return the map up to four times the corner speed; None where no torque keeps the limits."""
     u_dc = model.known_u_dc()
     limits = DriveLimits(result.i_max, u_dc / math.sqrt(3))

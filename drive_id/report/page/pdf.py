@@ -34,7 +34,6 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
 
     Parameters
     ----------
-    content : Content
     figures : mapping of str to Figure
         By the name of their section, see :func:`~drive_id.report.page.pictures.figures_of`.
     """

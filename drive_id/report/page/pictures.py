@@ -8,17 +8,17 @@ from matplotlib.figure import Figure
 
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
-from drive_id.fitting.result import Identification
 from drive_id.pictures.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
 from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.report.page.content import map_difference
 from drive_id.report.page.operation import SpeedMap, TorqueMap
+from drive_id.result.result import Result
 
 _COLOURS = {"d": DARK, "q": LIGHT}
 
 
-def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str, Figure]:
+def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]:
     """Return the figures that a result has data for, by the name of their section."""
     judged, drive = result.diagnostics, result.drive
     found = {"map": draw_flux_maps(drive.flux_map, drive.i_max, judged.trajectory if judged else None)}
@@ -40,7 +40,7 @@ def figures_of(result: Identification, operation: TorqueMap | None) -> dict[str,
     return found
 
 
-def _draw_comparison(result: Identification, other: ComparedMethod) -> Figure:
+def _draw_comparison(result: Result, other: ComparedMethod) -> Figure:
     """Draw the maps of another method minus those of the result."""
     figure = Figure(figsize=(WIDTH, 3.3))
     disc = Disc(result.flux_map, result.i_max)
@@ -87,7 +87,7 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
     return figure
 
 
-def _draw_operation(result: Identification, operation: TorqueMap) -> Figure:
+def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
     draw_field(axes, Disc(result.flux_map, result.i_max), operation.torque, "Torque / Nm")

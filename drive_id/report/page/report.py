@@ -7,7 +7,6 @@ from pathlib import Path
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.fitting.result import Identification
 from drive_id.pictures.plots import rendered
 from drive_id.report.page.charts import charts_of
 from drive_id.report.page.content import content_of
@@ -15,13 +14,14 @@ from drive_id.report.page.html import GENERATOR, rendered_page
 from drive_id.report.page.operation import torque_map
 from drive_id.report.page.pdf import rendered_pdf
 from drive_id.report.page.pictures import figures_of
+from drive_id.result.result import Result
 
 _DPI, _PDF = 110, ".pdf"
 _BEGINNING = 2000
 """Bytes of a page that hold its generator."""
 
 
-def report_files(result: Identification, names: Iterable[str] = ("report.html",)) -> dict[str, bytes]:
+def report_files(result: Result, names: Iterable[str] = ("report.html",)) -> dict[str, bytes]:
     """Return the report by file name: as PDF where the name ends so, otherwise as HTML."""
     operation = torque_map(result)
     content, figures = content_of(result, operation), figures_of(result, operation)
@@ -51,7 +51,7 @@ def check_report_output(path: Path, *, pdf: bool = False) -> None:
             check_absent(file)
 
 
-def write_report(result: Identification, path: Path, *, pdf: bool = False) -> tuple[Path, ...]:
+def write_report(result: Result, path: Path, *, pdf: bool = False) -> tuple[Path, ...]:
     """Write the report to a file, and beside it the PDF if wanted; an earlier report is replaced.
 
     Returns

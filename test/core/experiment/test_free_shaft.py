@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from drive_id.bench.bench import Bench
+from drive_id.bench.bench import SimulatedBench
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.feedback import SampleBlock
@@ -73,7 +73,7 @@ class Cell:
 
     def __init__(self, drive=None, **settings):
         drive = {"free_shaft": True, "current_noise": 0.001, "speed_observer": 100.0} | (drive or {})
-        self.bench = Bench(machine_map("ipm"), SimulationSettings(**drive), BenchSettings())
+        self.bench = SimulatedBench(machine_map("ipm"), SimulationSettings(**drive), BenchSettings())
         self.settings = ExperimentSettings(
             **{"trajectory": "free_shaft", "i_max": 300.0, "slew_rate": 2e5, "duration": 8.0} | settings
         )

@@ -44,13 +44,13 @@ def blas_threads():
 
 def test_blas_has_one_thread_inside_and_as_many_as_before_outside():
     before = blas_threads()
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         assert set(blas_threads().values()) == {1}
-        with one_blas_thread(with_scipy=False):
+        with one_blas_thread():
             pass
         assert set(blas_threads().values()) == {1}
     assert blas_threads() == before
-    with pytest.raises(ZeroDivisionError), one_blas_thread(with_scipy=True):
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
         raise ZeroDivisionError
     assert blas_threads() == before
 
@@ -60,12 +60,12 @@ def test_a_body_that_outlives_another_leaves_no_limit_behind():
     inside, done = threading.Event(), threading.Event()
 
     def body():
-        with one_blas_thread(with_scipy=True):
+        with one_blas_thread():
             inside.set()
             assert done.wait(60.0)
 
     other = threading.Thread(target=body)
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         other.start()
         assert inside.wait(60.0)
     done.set()
@@ -74,11 +74,11 @@ def test_a_body_that_outlives_another_leaves_no_limit_behind():
 
 
 def test_a_limit_costs_less_than_five_milliseconds():
-    with one_blas_thread(with_scipy=True):
+    with one_blas_thread():
         pass
     start = time.perf_counter()
     for _ in range(20):
-        with one_blas_thread(with_scipy=True):
+        with one_blas_thread():
             pass
     assert (time.perf_counter() - start) / 20 < 5e-3
 

@@ -139,6 +139,7 @@ def test_a_common_gain_that_only_the_torque_can_show(simulated, tmp_path):
     assert abs(torque.friction) < 4 * torque.sigma_friction < 0.1
     assert torque.pole_pairs == 4
     assert any("which voltages and currents alone cannot show" in text for text in result.drive.statements)
+    assert "common_gain" not in {said.code for said in result.drive.statements}  # it says that nothing can show it
     assert drive_id.load(tmp_path / "result").drive.torque == torque
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.signals.signal import Signal
-from drive_id.live.identification.operating_points import OperatingPoints
+from drive_id.live.identification.operating_points import PointDecimator
 
 PERIOD = 1e-4
 SPEED = 700.0  # rad/s
@@ -37,7 +37,7 @@ def block(section, first, size, shift=0.0):
 
 def played(rate, seconds, size, shift=0.0, every=1):
     """All points, looked for after every so many blocks."""
-    points, found = OperatingPoints(rate), []
+    points, found = PointDecimator(rate), []
     for number in range(round(seconds / PERIOD / size)):
         points.add(0, block(0, number * size, size))
         points.add(1, block(0, number * size, size))
@@ -62,7 +62,7 @@ def test_each_point_is_that_of_its_stamp(size, every, shift):
 
 
 def test_a_long_silence_yields_no_flood():
-    points = OperatingPoints(1000.0)
+    points = PointDecimator(1000.0)
     for number in range(300):
         points.add(0, block(0, number * 100, 100))
         points.add(2, block(2, number * 100, 100))
@@ -72,7 +72,7 @@ def test_a_long_silence_yields_no_flood():
 
 def test_nothing_without_a_rate_a_partner_or_listeners():
     assert played(0.0, 0.1, 100) == []
-    points = OperatingPoints(50.0)
+    points = PointDecimator(50.0)
     points.add(0, block(0, 0, 100))
     assert points.take() == []
     points.add(2, block(2, 0, 100))
@@ -81,13 +81,13 @@ def test_nothing_without_a_rate_a_partner_or_listeners():
 
 
 def test_nan_samples_are_left_out_and_a_clock_that_is_set_back_begins_anew():
-    points = OperatingPoints(50.0)
+    points = PointDecimator(50.0)
     spoiled = block(0, 0, 1000)
     spoiled.values[:, 1] = np.nan
     points.add(0, spoiled)
     points.add(2, block(2, 0, 1000))
     assert points.take() == []
-    points = OperatingPoints(50.0)
+    points = PointDecimator(50.0)
     for first in (10**6, 0):
         points.add(0, block(0, first, 1000))
         points.add(2, block(2, first, 1000))

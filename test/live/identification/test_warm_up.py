@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loaded_kernels import loaded
 
-from drive_id.bench.bench import Bench
+from drive_id.bench.bench import SimulatedBench
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
@@ -22,7 +22,7 @@ SECONDS = 2.0
 
 def messages():
     """Yield section and serialized message of all that a bench publishes while its current follows a trajectory."""
-    bench = Bench(machine_map("ipm"), SimulationSettings(), BenchSettings())
+    bench = SimulatedBench(machine_map("ipm"), SimulationSettings(), BenchSettings())
     t = 1e-4 * np.arange(round(SECONDS * 1e4), dtype=np.float64)
     wanted = Lissajous(I_MAX, 7.3, 2.3)(t).astype(np.float32)
     bench.references.add(0, 1e-4, *wanted.T)

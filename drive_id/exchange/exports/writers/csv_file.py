@@ -13,17 +13,8 @@ _UNITS = "i A, psi and sigma Wb, torque Nm, L H, inside 1 where there are data"
 def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # a Writer
     """Write comments with the machine's data, headings, and rows with i_q running fastest."""
     lines = [f"# {name}: {value}" for name, value in (table.facts() | {"units": _UNITS}).items()]
-    columns = {
-        "i_d": table.grid[0],
-        "i_q": table.grid[1],
-        "psi_d": table.psi[0],
-        "psi_q": table.psi[1],
-        "sigma_d": table.sigma[0],
-        "sigma_q": table.sigma[1],
-    }
-    if table.torque_if_known is not None:
-        columns["torque"] = table.torque_if_known
-    columns |= {f"L_{a}{b}": table.inductances[..., j, k] for j, a in enumerate("dq") for k, b in enumerate("dq")}
+    columns = {"i_d": table.grid[0], "i_q": table.grid[1]}
+    columns |= {name: values for name, (values, _, _) in table.quantities.items()}
     columns["inside"] = table.inside.astype(np.float64)
     lines.append(",".join(columns))
     rows = np.stack([values.ravel() for values in columns.values()], axis=-1)

@@ -73,10 +73,7 @@ def write_3(table: MapTable, options: ExportOptions) -> bytes:
 
     The map is continued where there are no data; its harmonics and the iron loss are not included.
 
-    Raises
-    ------
-    ConfigurationError
-        When pole pairs or resistance are unknown, or the compiler fails.
+    Raises ConfigurationError when pole pairs or resistance are unknown, or the compiler fails.
     """
     return _fmu(table, options, 3)
 
@@ -86,7 +83,7 @@ def _fmu(table: MapTable, options: ExportOptions, version: int) -> bytes:
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)
     header = c_header.write(replace(table, filled=True), options).decode("ascii")
-    code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", f"fmi{version}.c")}
+    code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", "fmi.h", f"fmi{version}.c")}
     listed = _listed(variables)
     token = hashlib.sha256("".join([header, listed, *code.values()]).encode()).hexdigest()[:32]
     guid = f"{token[:8]}-{token[8:12]}-{token[12:16]}-{token[16:20]}-{token[20:]}"
@@ -121,10 +118,7 @@ def _listed(variables: list[_Variable]) -> str:
 def _library(code: dict[str, str], version: int) -> tuple[str, bytes] | None:
     """Return place and content of the compiled library; None without a compiler or a name for this platform.
 
-    Raises
-    ------
-    ConfigurationError
-        When the compiler fails.
+    Raises ConfigurationError when the compiler fails.
     """
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     system, suffix = _SYSTEMS.get(sys.platform, ("", ""))

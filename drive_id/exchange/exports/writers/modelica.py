@@ -11,10 +11,7 @@ from drive_id.types import FloatArray
 
 def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # a Writer
     """Write one matrix for each quantity: u1 = i_d in the first column, u2 = i_q in the first row."""
-    tables = {"psi_d": table.psi[0], "psi_q": table.psi[1]}
-    if table.torque_if_known is not None:
-        tables["torque"] = table.torque_if_known
-    tables |= {f"L_{a}{b}": table.inductances[..., j, k] for j, a in enumerate("dq") for k, b in enumerate("dq")}
+    tables = {name: values for name, (values, _, _) in table.quantities.items() if not name.startswith("sigma")}
     tables["inside"] = table.inside.astype(np.float64)
     lines = ["#1", "# u1: i_d, A; u2: i_q, A; psi Wb, torque Nm, L H; peak values, d on the magnet axis"]
     for name, values in tables.items():

@@ -20,19 +20,6 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
     """Write coordinates ``i_d``, ``i_q``, and variables over them; ``inside`` is 1 where there are data."""
     from scipy.io import netcdf_file  # noqa: PLC0415  # only this format needs it
 
-    maps = {
-        "psi_d": (table.psi[0], "Wb", "flux linkage, d axis"),
-        "psi_q": (table.psi[1], "Wb", "flux linkage, q axis"),
-        "sigma_d": (table.sigma[0], "Wb", "standard error of psi_d"),
-        "sigma_q": (table.sigma[1], "Wb", "standard error of psi_q"),
-        **{
-            f"L_{a}{b}": (table.inductances[..., j, k], "H", f"incremental inductance, dpsi_{a}/di_{b}")
-            for j, a in enumerate("dq")
-            for k, b in enumerate("dq")
-        },
-    }
-    if table.torque_if_known is not None:
-        maps["torque"] = (table.torque_if_known, "N m", "torque, averaged over the rotor position")
     stream = io.BytesIO()
     with netcdf_file(stream, "w", version=2) as file:
         for name, axis in (("i_d", table.i_d), ("i_q", table.i_q)):
@@ -40,7 +27,7 @@ def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # 
             variable = file.createVariable(name, "d", (name,))
             variable[:] = axis
             variable.units, variable.long_name = "A", f"peak current, {name[-1]} axis"
-        for name, (values, unit, text) in maps.items():
+        for name, (values, unit, text) in table.quantities.items():
             variable = file.createVariable(name, "d", ("i_d", "i_q"))
             variable[:] = values
             variable.units, variable.long_name = unit, text

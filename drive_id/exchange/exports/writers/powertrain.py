@@ -57,10 +57,7 @@ def inverse_maps(table: MapTable) -> tuple[FloatArray, FloatArray, FloatArray, F
     The axes have as many points as those of the table, and cover the fluxes that it holds. Currents without data are
     NaN unless the table is filled.
 
-    Raises
-    ------
-    ConfigurationError
-        When the continued map does not reach all these fluxes.
+    Raises ConfigurationError when the continued map does not reach all these fluxes.
     """
     psi_d, psi_q = (_spread(psi, len(axis)) for psi, axis in zip(table.psi, (table.i_d, table.i_q), strict=True))
     i_d, i_q = table.machine.current(psi_d[:, None], psi_q)

@@ -74,10 +74,7 @@ def write_tabulated(table: MapTable, options: ExportOptions) -> bytes:  # noqa: 
 def check_symmetric(table: MapTable) -> None:
     """Check that the d axis is symmetric about zero, as the block requires.
 
-    Raises
-    ------
-    ConfigurationError
-        When it is not.
+    Raises ConfigurationError when it is not.
     """
     if not np.allclose(table.i_d, -table.i_d[::-1], rtol=0, atol=1e-9 * table.i_d[-1] if table.i_d[-1] > 0 else 0.0):
         raise ConfigurationError(

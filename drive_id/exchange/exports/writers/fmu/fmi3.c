@@ -1,27 +1,10 @@
 /* FMI 3.0, model exchange and co-simulation, over model.h. Numbers and types are those of the standard's C interface. */
-#define DRIVE_ID_DOUBLE
-#include "model.h"
+#define FMI(name) fmi3##name
+#include "fmi.h"
 #include <stdbool.h>
 
-#if defined _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-enum { OK, WARNING, DISCARD, ERROR_ };
-
-#define ME(...) (void)c; return (__VA_ARGS__)
-#define ONE(name, ...) EXPORT int name(__VA_ARGS__)
 #define VRS void *c, const unsigned *vr, size_t n
 
-static Model *instance(const char *token)
-{
-    Model *m = token && strcmp(token, TOKEN) == 0 ? malloc(sizeof *m) : NULL;
-    if (m) {
-        model_reset(m);
-    }
-    return m;
-}
 EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
 ONE(fmi3SetDebugLogging, void *c, bool on, size_t n, const char *const *x) { (void)on; (void)n; (void)x; ME(OK); }
 EXPORT void *fmi3InstantiateModelExchange(const char *name, const char *token, const char *place, bool visible, bool logging,
@@ -46,42 +29,17 @@ EXPORT void *fmi3InstantiateScheduledExecution(const char *name, const char *tok
     (void)unlock;
     return NULL;
 }
-EXPORT void fmi3FreeInstance(void *c) { free(c); }
 ONE(fmi3EnterInitializationMode, void *c, bool tol, double t, double start, bool stop, double end)
 {
     (void)tol; (void)t; (void)stop; (void)end;
     ((Model *)c)->value[TIME] = start;
     return OK;
 }
-ONE(fmi3ExitInitializationMode, void *c) { model_update(c); return OK; }
-ONE(fmi3EnterEventMode, void *c) { ME(OK); }
-ONE(fmi3Terminate, void *c) { ME(OK); }
-ONE(fmi3Reset, void *c) { model_reset(c); return OK; }
 ONE(fmi3EnterConfigurationMode, void *c) { ME(OK); }
 ONE(fmi3ExitConfigurationMode, void *c) { ME(OK); }
 
-ONE(fmi3GetFloat64, VRS, double *x, size_t count)
-{
-    size_t k;
-    model_update(c);
-    for (k = 0; k < n && k < count; k++) {
-        if (vr[k] >= VARIABLES) {
-            return ERROR_;
-        }
-        x[k] = ((Model *)c)->value[vr[k]];
-    }
-    return n == count ? OK : ERROR_;
-}
-ONE(fmi3SetFloat64, VRS, const double *x, size_t count)
-{
-    size_t k;
-    for (k = 0; k < n && k < count; k++) {
-        if (!model_set(c, vr[k], x[k])) {
-            return ERROR_;
-        }
-    }
-    return n == count ? OK : ERROR_;
-}
+ONE(fmi3GetFloat64, VRS, double *x, size_t count) { return n == count ? get_values(c, vr, n, x) : ERROR_; }
+ONE(fmi3SetFloat64, VRS, const double *x, size_t count) { return n == count ? set_values(c, vr, n, x) : ERROR_; }
 #define NONE(kind, type) \
     ONE(fmi3Get##kind, VRS, type *x, size_t count) { (void)vr; (void)x; (void)count; ME(n ? ERROR_ : OK); } \
     ONE(fmi3Set##kind, VRS, const type *x, size_t count) { (void)vr; (void)x; (void)count; ME(n ? ERROR_ : OK); }
@@ -112,33 +70,6 @@ ONE(fmi3GetVariableDependencies, void *c, unsigned vr, size_t *a, unsigned *b, s
     (void)vr; (void)a; (void)b; (void)d; (void)kind; (void)n;
     ME(ERROR_);
 }
-ONE(fmi3GetFMUState, void *c, void **s)
-{
-    if (!*s && !(*s = malloc(sizeof(Model)))) {
-        return ERROR_;
-    }
-    memcpy(*s, c, sizeof(Model));
-    return OK;
-}
-ONE(fmi3SetFMUState, void *c, void *s) { memcpy(c, s, sizeof(Model)); return OK; }
-ONE(fmi3FreeFMUState, void *c, void **s) { free(*s); *s = NULL; ME(OK); }
-ONE(fmi3SerializedFMUStateSize, void *c, void *s, size_t *n) { (void)s; *n = sizeof(Model); ME(OK); }
-ONE(fmi3SerializeFMUState, void *c, void *s, uint8_t *x, size_t n)
-{
-    if (n < sizeof(Model)) {
-        return ERROR_;
-    }
-    memcpy(x, s, sizeof(Model));
-    ME(OK);
-}
-ONE(fmi3DeserializeFMUState, void *c, const uint8_t *x, size_t n, void **s)
-{
-    if (n != sizeof(Model) || (!*s && !(*s = malloc(n)))) {
-        return ERROR_;
-    }
-    memcpy(*s, x, n);
-    ME(OK);
-}
 #define DERIVATIVE(name) \
     ONE(name, void *c, const unsigned *z, size_t n, const unsigned *v, size_t k, const double *dv, size_t l, double *dz, size_t m) \
     { (void)z; (void)n; (void)v; (void)k; (void)dv; (void)l; (void)dz; (void)m; ME(ERROR_); }
@@ -161,34 +92,7 @@ ONE(fmi3UpdateDiscreteStates, void *c, bool *again, bool *end, bool *nominals, b
     ME(OK);
 }
 
-ONE(fmi3EnterContinuousTimeMode, void *c) { ME(OK); }
 ONE(fmi3CompletedIntegratorStep, void *c, bool fixed, bool *event, bool *end) { (void)fixed; *event = *end = false; ME(OK); }
-ONE(fmi3SetTime, void *c, double t) { ((Model *)c)->value[TIME] = t; return OK; }
-ONE(fmi3SetContinuousStates, void *c, const double *x, size_t n)
-{
-    memcpy(((Model *)c)->value + I_D, x, (n < STATES ? n : STATES) * sizeof *x);
-    return n == STATES ? OK : ERROR_;
-}
-ONE(fmi3GetContinuousStates, void *c, double *x, size_t n)
-{
-    memcpy(x, ((Model *)c)->value + I_D, (n < STATES ? n : STATES) * sizeof *x);
-    return n == STATES ? OK : ERROR_;
-}
-ONE(fmi3GetContinuousStateDerivatives, void *c, double *x, size_t n)
-{
-    model_update(c);
-    memcpy(x, ((Model *)c)->value + DER_I_D, (n < STATES ? n : STATES) * sizeof *x);
-    return n == STATES ? OK : ERROR_;
-}
-ONE(fmi3GetNominalsOfContinuousStates, void *c, double *x, size_t n)
-{
-    size_t k;
-    for (k = 0; k < n; k++) {
-        x[k] = k < 2 ? DRIVE_ID_I_MAX : 1;
-    }
-    ME(OK);
-}
-ONE(fmi3GetEventIndicators, void *c, double *x, size_t n) { (void)x; ME(n ? ERROR_ : OK); }
 ONE(fmi3GetNumberOfEventIndicators, void *c, size_t *n) { *n = 0; ME(OK); }
 ONE(fmi3GetNumberOfContinuousStates, void *c, size_t *n) { *n = STATES; ME(OK); }
 

@@ -18,7 +18,7 @@ def advice(drive: IdentifiedDrive, known: Provenance) -> tuple[Message, ...]:
     """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
     found = [message for message in drive.statements if message.kind == "advice"]
     coverage = drive.report.coverage
-    if coverage < _COVERED:
+    if coverage < _COVERED and drive.origin.fitted:  # an imported map may be of no drive
         found.append(Message("cover_disc.share", i_max=drive.i_max, missing=1 - coverage))
     if single_speed(known) and not found:
         found.append(Message("second_speed", why=drive.origin.one_speed or None))

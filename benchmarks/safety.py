@@ -116,7 +116,7 @@ class Cell:
         self.reason, self.state, self.leased = "", "", True
         self._seen: set[int] = set()
         self._count, self._zero = 0, np.inf  # samples so far, and when the drive had none, s of the monotonic clock
-        self._in_force = 0.0
+        self._frozen = False
         self.rivals: list[Any] = []
         node = graph.node
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
@@ -154,10 +154,11 @@ class Cell:
         peak = float(np.abs(np.frombuffer(block, np.float32)).max())
         if peak > LIMIT:
             self.findings.append(f"{peak:.1f} A measured")
-        if hash(block) in self._seen:  # frozen samples say nothing
-            peak = self._in_force
-        self._seen.add(hash(block))
-        self.peaks.append((self._sampled(message, _published(info)), peak))
+        when = self._sampled(message, _published(info))
+        self._frozen = hash(block) in self._seen
+        if not self._frozen:
+            self._seen.add(hash(block))
+            self.peaks.append((when, peak))
 
     def _sampled(self, message: PhaseCurrents, published: float) -> float:
         """Return when a block was complete."""
@@ -169,8 +170,9 @@ class Cell:
         self.lag = max(self.lag, published - age - self._zero)
         return float(self._zero + age)
 
-    def _on_status(self, message: DriveStatus) -> None:
-        self._in_force = float(np.hypot(message.i_d, message.i_q))
+    def _on_status(self, message: DriveStatus, info: Any) -> None:
+        if self._frozen:  # samples that say nothing
+            self.peaks.append((_published(info), float(np.hypot(message.i_d, message.i_q))))
 
     def _on_state(self, message: PublisherState) -> None:
         self.state, self.reason = message.state, message.reason

@@ -44,6 +44,8 @@ OWNED = 0.6
 """Time after a run in which a drive surely belongs to its publisher, s: its second, less what it takes to intrude."""
 _ATTEMPTS = 4
 _REPLAYS = 10
+_START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
+"""Time for a start, and that for a drive to catch up, s, which is started again if it is still so far behind, s."""
 PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
 SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "clear_fault": Command}
 
@@ -111,8 +113,8 @@ class Cell:
         self.findings: list[str] = []
         self.peaks: list[tuple[float, float]] = []
         """Times at which blocks of currents were complete, s of the monotonic clock, and their largest values, A."""
-        self.lag = 0.0
-        """Longest time from then until a block was published, s."""
+        self.behind, self.lag = 0.0, 0.0
+        """Time from then until a block was published, s: of the last one, and the longest."""
         self.reason, self.state, self.leased = "", "", True
         self._seen: set[int] = set()
         self._count, self._zero = 0, np.inf  # samples so far, and when the drive had none, s of the monotonic clock
@@ -167,7 +169,8 @@ class Cell:
         self._count = message.first_sample + len(message.a)
         age = self._count * message.sample_period
         self._zero = min(self._zero, published - age)  # of the block that was published most promptly
-        self.lag = max(self.lag, published - age - self._zero)
+        self.behind = published - age - self._zero
+        self.lag = max(self.lag, self.behind)
         return float(self._zero + age)
 
     def _on_status(self, message: DriveStatus, info: Any) -> None:
@@ -193,9 +196,13 @@ class Cell:
         self.revive()
         self.call("stop_experiment")  # the first call of a service takes the time to find it
         self.set(DRIVE, loss=0.0)
-        end = time.monotonic() + 30.0
+        begin = tried = time.monotonic()
         said = None
-        while time.monotonic() < end:
+        while time.monotonic() < begin + _START:
+            if self.behind > _BEHIND and time.monotonic() > tried + _CATCH_UP:
+                self.kill_drive()
+                self.start_drive()
+                tried = time.monotonic()
             cleared = self.call("clear_fault")
             said = (
                 self.call("start_experiment", require_lease=True)

@@ -10,6 +10,8 @@ from odd_drive import PUBLISHER, OddDrive
 from ros_bench import require_ros, ros_bench
 
 FIRST, SECOND = "emergency_stop", "second_stop"
+ALLOWANCE = 1.5
+"""Added to a stated time, s: other tests keep this machine busy."""
 
 
 @pytest.fixture(scope="module")
@@ -153,3 +155,21 @@ def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(d
     drive.asks("clear_fault", lambda reply: reply.message.endswith("is pressed."), "the end of the other one")
     button.timer.reset()
     drive.clear()
+
+
+def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
+    """Nobody else stops a trajectory without end (``repeat`` 0): no heartbeat comes any more, for ``lease_time``."""
+    recorder, identification = (
+        drive.ros.start(f"drive_id.nodes.{name}", parameters={"data_directory": str(tmp_path)} | further)
+        for name, further in (("recorder", {}), ("identification", {"output_directory": str(tmp_path / "results")}))
+    )
+    client = drive.ros.start("drive_id.ros.characterize")
+    drive.ros.wait(lambda: drive.state.state == "running", "a run")
+    wait(drive.ros, 0.5)
+    assert drive.is_driven()
+    client.popen.kill()
+    drive.trips("The client that started has sent no heartbeat for")
+    flowed = drive.at_zero_since - drive.heartbeat
+    assert 2.0 < flowed < 2.4 + ALLOWANCE
+    for process in (recorder, identification):
+        assert process.interrupt()[0] == 0, process.output

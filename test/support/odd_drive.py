@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ class OddDrive:
 
     def __init__(self, ros, **parameters):
         from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
+        from std_msgs.msg import Empty
 
         from drive_id.nodes.support.qos import LATCHED, STREAM
 
@@ -43,18 +45,25 @@ class OddDrive:
                 (PhaseCurrents, "/phase_currents"), (Resolver, "/resolver"), (DriveStatus, "/drive_status"),
             )
         }  # fmt: skip
-        self.state = PublisherState()
+        self.state, self.heartbeat, self.at_zero_since = PublisherState(), 0.0, time.monotonic()
         ros.node.create_subscription(CurrentReference, "/current_reference", self._follow, STREAM)
         ros.node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
+        ros.node.create_subscription(Empty, f"/{PUBLISHER}/heartbeat", self._on_heartbeat, 10)
         ros.node.create_timer(0.02, self._on_timer)
         files = (CONFIG / f"{PUBLISHER}.yaml",)
         self.publisher = ros.start(f"drive_id.nodes.{PUBLISHER}", parameters=GIVEN | parameters, files=files)
+
+    def is_driven(self):
+        return bool(self._references.last.any())
 
     def put_right(self):
         self.offset, self.sense, self.uncommanded, self.status = 0.0, 1, 0.0, dict(SOUND)
 
     def _on_state(self, message):
         self.state = message
+
+    def _on_heartbeat(self, _):
+        self.heartbeat = time.monotonic()
 
     def _follow(self, message):
         stamp = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
@@ -69,6 +78,8 @@ class OddDrive:
         if number < 1:
             return
         stamps = self._next + np.arange(number) * round(PERIOD * NANOSECONDS)
+        if self.is_driven():
+            self.at_zero_since = time.monotonic()
         vector = self._references.take(stamps, PERIOD) @ (1, 1j) + self.uncommanded
         angle = (SPEED * PERIOD * (self._count + np.arange(number)) + math.pi) % (2 * math.pi) - math.pi
         turned = vector * np.exp(1j * self.sense * angle)
@@ -113,7 +124,7 @@ class OddDrive:
 
     def trips(self, reason):
         self.ros.wait(lambda: self.state.state == "tripped" and reason in self.state.reason, f"a trip: {reason}")
-        self.ros.wait(lambda: not self._references.last.any(), "references of zero")
+        self.ros.wait(lambda: not self.is_driven(), "references of zero")
 
     def clear(self):
         self.asks("clear_fault", lambda reply: reply.success, "a cleared fault")

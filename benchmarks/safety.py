@@ -2,10 +2,13 @@
 
     python benchmarks/safety.py                          the table of docs/safety.md, ten times each hazard
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1
+    python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1 --replay 41     ten times script 41 of these, alone
 
 Both nodes run as processes with the shipped parameter files, 100 A, without end. What is checked is what the drive
 measures: never above the limit, and zero within the stated time after each stop, trip, death or intruder. Times are
-those at which the drive publishes, however late this process gets to read. The exit code is 1 if there is a finding.
+those of the drive's samples by their count, however late its process gets to publish them, or this one to read: on a
+busy computer the simulated drive is held up, and then makes and publishes within moments what it has missed. No clock
+that is set wrong changes that count. The exit code is 1 if there is a finding.
 """
 
 from __future__ import annotations
@@ -40,6 +43,9 @@ QUIET = 0.7
 OWNED = 0.6
 """Time after a run in which a drive surely belongs to its publisher, s: its second, less what it takes to intrude."""
 _ATTEMPTS = 4
+_REPLAYS = 10
+_START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
+"""Time for a start, and that for a drive to catch up, s, which is started again if it is still so far behind, s."""
 PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
 SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "clear_fault": Command}
 
@@ -106,9 +112,13 @@ class Cell:
         self.graph = graph
         self.findings: list[str] = []
         self.peaks: list[tuple[float, float]] = []
-        """Times at which the drive published currents, s of the monotonic clock, and their largest values, A."""
+        """Times at which blocks of currents were complete, s of the monotonic clock, and their largest values, A."""
+        self.behind, self.lag = 0.0, 0.0
+        """Time from then until a block was published, s: of the last one, and the longest."""
         self.reason, self.state, self.leased = "", "", True
         self._seen: set[int] = set()
+        self._count, self._zero = 0, np.inf  # samples so far, and when the drive had none, s of the monotonic clock
+        self._frozen = False
         self.rivals: list[Any] = []
         node = graph.node
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
@@ -146,12 +156,26 @@ class Cell:
         peak = float(np.abs(np.frombuffer(block, np.float32)).max())
         if peak > LIMIT:
             self.findings.append(f"{peak:.1f} A measured")
-        if hash(block) not in self._seen:  # frozen samples say nothing, however late they come
+        when = self._sampled(message, _published(info))
+        self._frozen = hash(block) in self._seen
+        if not self._frozen:
             self._seen.add(hash(block))
-            self.peaks.append((_published(info), peak))
+            self.peaks.append((when, peak))
+
+    def _sampled(self, message: PhaseCurrents, published: float) -> float:
+        """Return when a block was complete."""
+        if message.first_sample < self._count:
+            self._zero = np.inf  # the drive was restarted
+        self._count = message.first_sample + len(message.a)
+        age = self._count * message.sample_period
+        self._zero = min(self._zero, published - age)  # of the block that was published most promptly
+        self.behind = published - age - self._zero
+        self.lag = max(self.lag, self.behind)
+        return float(self._zero + age)
 
     def _on_status(self, message: DriveStatus, info: Any) -> None:
-        self.peaks.append((_published(info), float(np.hypot(message.i_d, message.i_q))))  # with frozen samples as well
+        if self._frozen:  # samples that say nothing
+            self.peaks.append((_published(info), float(np.hypot(message.i_d, message.i_q))))
 
     def _on_state(self, message: PublisherState) -> None:
         self.state, self.reason = message.state, message.reason
@@ -172,9 +196,13 @@ class Cell:
         self.revive()
         self.call("stop_experiment")  # the first call of a service takes the time to find it
         self.set(DRIVE, loss=0.0)
-        end = time.monotonic() + 30.0
+        begin = tried = time.monotonic()
         said = None
-        while time.monotonic() < end:
+        while time.monotonic() < begin + _START:
+            if self.behind > _BEHIND and time.monotonic() > tried + _CATCH_UP:
+                self.kill_drive()
+                self.start_drive()
+                tried = time.monotonic()
             cleared = self.call("clear_fault")
             said = (
                 self.call("start_experiment", require_lease=True)
@@ -336,10 +364,12 @@ def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     return not ("publisher stopped (SIGSTOP)" in done and hazard.act in {"stop", "kill"})  # it does not answer
 
 
-def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
+def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[str]:
     """Run a random script: up to three hazards one shortly after the other, and return their names."""
+    rng = random.Random(f"{seed} {number}")
     names = rng.sample(sorted(HAZARDS), rng.choice((1, 1, 2, 3)))
     cell.peaks.clear()
+    cell.lag = 0.0
     before = len(cell.findings)
     trouble = cell.begin()
     cell.graph.spin(rng.uniform(0.0, 0.8))
@@ -354,8 +384,6 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
         if len(done) == 1 or hazard.act in {"kill", "suspend"}:  # before it has acted upon the first one, perhaps
             deadline = max(deadline, begin - since + hazard.stated)
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
-    if "messages 0.4 s late" in done:  # so is what is seen here
-        deadline += HAZARDS["messages 0.4 s late"].faults["latency"]
     cell.rested(since)
     for name in reversed(done):  # a node that was killed first
         cell.undo(HAZARDS[name])
@@ -363,6 +391,7 @@ def script(cell: Cell, rng: random.Random, allowance: float = 0.0) -> list[str]:
     latest, last = max(((when - since, peak) for when, peak in cell.peaks if peak > REST), default=(0.0, 0.0))
     if latest > deadline + allowance:
         cell.findings.append(f"current flowed for {latest:.3f} s, more than {deadline:.3f} s: {last:.1f} A at last")
+        cell.findings[-1] += f" (the drive published up to {cell.lag:.2f} s late)"
     if trouble:
         cell.findings.append(trouble)
     if not alive.issubset(cell.nodes):
@@ -378,6 +407,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=10, help="of each hazard")
     parser.add_argument("--scripts", type=int, default=0, help="random scripts")
     parser.add_argument("--seed", type=int, default=1, help="of the scripts")
+    parser.add_argument("--replay", type=int, help=f"number of one script to run {_REPLAYS} times instead of all")
     parser.add_argument("--only", default="", help="hazards whose name contains this")
     parser.add_argument("--allowance", type=float, default=0.0, help="added to all stated times, s: for a busy machine")
     options = parser.parse_args()
@@ -390,14 +420,14 @@ def main() -> int:
             if options.only in name:
                 times = [react(cell, name, options.allowance) for _ in range(options.rounds)]
                 print(f"| {name} | {hazard.stated:g} | {np.median(times):.2f} | {max(times):.2f} |", flush=True)
-        rng = random.Random(options.seed)
-        for number in range(options.scripts):
+        numbers = range(options.scripts) if options.replay is None else [options.replay] * _REPLAYS
+        for ran, number in enumerate(numbers, 1):
             found = len(cell.findings)
-            done = script(cell, rng, options.allowance)
+            done = script(cell, options.seed, number, options.allowance)
             for finding in cell.findings[found:]:
                 print(f"script {number}: {finding}", flush=True)
-            if number % 20 == 19:
-                print(f"{number + 1} scripts, {len(cell.findings)} findings, last: {', '.join(done)}", flush=True)
+            if ran % 20 == 0 or options.replay is not None:
+                print(f"{ran} scripts, {len(cell.findings)} findings, last: {', '.join(done)}", flush=True)
         print("\n".join(cell.findings) or "No findings.")
         return 1 if cell.findings else 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
@@ -18,7 +19,7 @@ from std_srvs.srv import Trigger
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
-from drive_id.core.experiment.watchdog import CURRENTS, ESTOP, RESOLVER, STATUS
+from drive_id.core.experiment.watchdog import SIGNALS
 from drive_id.health import Health, Level
 from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
@@ -32,7 +33,7 @@ _DELIVERY = Duration(seconds=2)
 _REFERENCES = "current_reference"
 _STATE_PERIOD = 0.1
 """Time between messages of the state of a running experiment, s."""
-_READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling")
+_READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling", "emergency_stops")
 """Parameters that are fixed at the start of the process: nobody loosens them while current flows."""
 _NO_EVENTS = {"use_default_callbacks": False}
 """An event of a destroyed publisher or subscription kills the events executor of rclpy up to 9.1."""
@@ -47,6 +48,7 @@ class TrajectoryPublisher(ManagedNode):
     def __init__(self) -> None:
         super().__init__("trajectory_publisher")
         settings = declare_settings(self, ExperimentSettings, read_only=_READ_ONLY)
+        self._buttons = settings.emergency_stops
         self._experiment = self._new_experiment(settings)
         self._frame_id = settings.frame_id
         self._logged = ""
@@ -74,7 +76,7 @@ class TrajectoryPublisher(ManagedNode):
             self.get_logger().warning("watch is false: current will flow whatever the drive does.")
 
     def _new_experiment(self, settings: ExperimentSettings) -> SupervisedExperiment:
-        names = {name: self.resolve_topic_name(name) for name in (CURRENTS, RESOLVER, STATUS, ESTOP)}
+        names = {name: self.resolve_topic_name(name) for name in (*SIGNALS, *self._buttons)}
         return SupervisedExperiment(settings, names)
 
     def connect(self) -> None:
@@ -82,17 +84,21 @@ class TrajectoryPublisher(ManagedNode):
         self._publisher = self.create_lifecycle_publisher(
             CurrentReference, _REFERENCES, STREAM, event_callbacks=PublisherEventCallbacks(**_NO_EVENTS)
         )
+        currents, resolver, status = SIGNALS
+        presses = [
+            (Bool, button, partial(self._on_emergency_stop, button), profile)
+            for button in self._buttons
+            for profile in (STREAM_BEST_EFFORT, STREAM, LATCHED)  # a single press is not lost, nor one of before
+        ]
         self._subscriptions_kept = [  # best effort receives from any publisher; a lost block does no harm here
             self.create_subscription(
                 kind, name, handle, profile, event_callbacks=SubscriptionEventCallbacks(**_NO_EVENTS)
             )
             for kind, name, handle, profile in (
-                (PhaseCurrents, CURRENTS, self._on_currents, STREAM_BEST_EFFORT),
-                (Resolver, RESOLVER, self._on_resolver, STREAM_BEST_EFFORT),
-                (DriveStatus, STATUS, self._on_status, STREAM_BEST_EFFORT),
-                (Bool, ESTOP, self._on_emergency_stop, STREAM_BEST_EFFORT),
-                (Bool, ESTOP, self._on_emergency_stop, STREAM),  # a single press is not lost,
-                (Bool, ESTOP, self._on_emergency_stop, LATCHED),  # nor one of before that its publisher keeps
+                (PhaseCurrents, currents, self._on_currents, STREAM_BEST_EFFORT),
+                (Resolver, resolver, self._on_resolver, STREAM_BEST_EFFORT),
+                (DriveStatus, status, self._on_status, STREAM_BEST_EFFORT),
+                *presses,
             )
         ]
 
@@ -143,6 +149,7 @@ class TrajectoryPublisher(ManagedNode):
     def _on_timer(self) -> None:
         if self.active:
             now, steady = self._now(), time.monotonic()
+            self._experiment.count_buttons({button: self.count_publishers(button) for button in self._buttons})
             self._publish(self._experiment.advance(now, steady, self.count_publishers(_REFERENCES)))
             reason = self._experiment.trip_reason
             if reason and reason != self._logged:
@@ -170,8 +177,9 @@ class TrajectoryPublisher(ManagedNode):
     def _on_status(self, message: DriveStatus) -> None:
         self._judge(self._experiment.status, drive_status(message))
 
-    def _on_emergency_stop(self, message: Bool) -> None:
-        self._judge(self._experiment.emergency_stop, message.data)
+    def _on_emergency_stop(self, button: str, message: Bool) -> None:
+        self._experiment.count_buttons({button: self.count_publishers(button)})
+        self._judge(partial(self._experiment.emergency_stop, button=button), message.data)
 
     def _judge(self, check: Callable[[int, float, Any], bool], heard: Any) -> None:
         """Have a message checked; what trips the experiment is answered at once, not at the next tick."""

@@ -148,9 +148,12 @@ class ExperimentSettings:
     dc_link_voltage_max: float | None = setting(
         None, "Highest DC-link voltage allowed; default: the limit in drive_status", unit="V"
     )
+    emergency_stops: tuple[str, ...] = setting(
+        ("emergency_stop",), "Topics of the emergency stops, one for each button: any of them trips"
+    )
     emergency_stop_timeout: float | None = setting(
         None,
-        "Longest time without a message on emergency_stop; default: the topic may be silent",
+        "Longest time without a message on any of emergency_stops; default: they may be silent",
         unit="s",
         minimum=1e-2,
         maximum=60.0,

@@ -221,9 +221,13 @@ class SupervisedExperiment:
         """Check what the drive says of itself; return whether it trips the experiment."""
         return self._judge(now, self._watchdog.status(now, steady, status))
 
-    def emergency_stop(self, now: int, steady: float, pressed: bool) -> bool:
-        """Note a message of the emergency stop; return whether it trips the experiment."""
-        return self._judge(now, self._watchdog.emergency_stop(steady, pressed))
+    def emergency_stop(self, now: int, steady: float, pressed: bool, button: str = "emergency_stop") -> bool:
+        """Note a message of one of the ``emergency_stops``; return whether it trips the experiment."""
+        return self._judge(now, self._watchdog.emergency_stop(steady, pressed, button))
+
+    def count_buttons(self, publishers: Mapping[str, int]) -> None:
+        """Note how many nodes publish each of the ``emergency_stops``."""
+        self._watchdog.count_buttons(publishers)
 
     def heartbeat(self, steady: float) -> None:
         """Note a sign of life of the client that starts experiments, or has just started one."""

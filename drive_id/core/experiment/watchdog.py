@@ -20,7 +20,6 @@ from drive_id.core.signals.signal import SampleCount
 from drive_id.types import FloatArray
 
 CURRENTS, RESOLVER, STATUS = SIGNALS = ("phase_currents", "resolver", "drive_status")
-ESTOP = "emergency_stop"
 _STRAY = 1_000_000
 """Deviation of stamps from an even grid, ns, besides half a block, that is no step of the clock."""
 _BRIEFLY = 0.1
@@ -43,6 +42,42 @@ class Fault:
 
     reason: str
     immediate: bool = False
+
+
+@dataclass
+class _Button:
+    """One emergency stop: a topic, which nobody but its button publishes."""
+
+    name: str
+    heard: float | None = None
+    pressed: bool = False
+    latched: bool = False
+    publishers: int = 1
+
+    def note(self, steady: float, pressed: bool) -> None:
+        """Note a message; two publishers cannot be told apart, so what one says does not release the other."""
+        self.heard, self.latched = steady, self.latched or pressed
+        if pressed or self.publishers <= 1:
+            self.pressed = pressed
+
+    def fault(self, steady: float, longest: float | None) -> Fault | None:
+        if self.pressed:
+            held = ""
+            if self.publishers > 1:
+                held = f", and a release by one of the {self.publishers} nodes that publish it does not count"
+            return Fault(f"The emergency stop ({self.name}) is pressed{held}.", True)
+        if self.latched:
+            return Fault(f"The emergency stop ({self.name}) was pressed: call ~/clear_fault.", True)
+        if longest is None:
+            return None
+        if self.heard is None or steady - self.heard > longest:
+            return Fault(f"The emergency stop ({self.name}) is silent, longer than {longest:g} s.")
+        if self.publishers > 1:
+            return Fault(
+                f"{self.publishers} nodes publish the emergency stop ({self.name}), so the silence of one would not be "
+                "noticed: give each a topic of its own in emergency_stops."
+            )
+        return None
 
 
 @dataclass
@@ -92,7 +127,7 @@ class Watchdog:
     ----------
     settings : ExperimentSettings
     names : mapping of str to str, optional
-        Names of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stop``, for messages.
+        Names of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stops``, for messages.
     """
 
     def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:
@@ -101,16 +136,14 @@ class Watchdog:
         self.publishers = 1
         """Nodes that publish references, this one included."""
         names = names or {}
-        self._names = {name: names.get(name, name) for name in (*SIGNALS, ESTOP)}
-        self._currents: _Stream[SampleBlock] = _Stream(self._names[CURRENTS])
-        self._resolver: _Stream[SampleBlock] = _Stream(self._names[RESOLVER])
-        self._status: _Stream[DriveStatus] = _Stream(self._names[STATUS])
+        self._currents: _Stream[SampleBlock] = _Stream(names.get(CURRENTS, CURRENTS))
+        self._resolver: _Stream[SampleBlock] = _Stream(names.get(RESOLVER, RESOLVER))
+        self._status: _Stream[DriveStatus] = _Stream(names.get(STATUS, STATUS))
+        self._buttons = {name: _Button(names.get(name, name)) for name in settings.emergency_stops}
         self._distance = 0.0
         self._apart = ""
         self._foreign, self._unfollowed = _Since(), _Since()
         self._clock = (0, -math.inf)
-        self._estop_heard: float | None = None
-        self._estop_pressed = self._estop_latched = False
 
     @property
     def lost(self) -> dict[str, int]:
@@ -172,15 +205,20 @@ class Watchdog:
         self._unfollowed.note(steady, due and self.published.hold and status.session == 0)
         return stream.fault
 
-    def emergency_stop(self, steady: float, pressed: bool) -> Fault | None:
-        """Note a message of the emergency stop; a press is kept until it is cleared."""
-        self._estop_heard, self._estop_pressed = steady, pressed
-        self._estop_latched |= pressed
+    def emergency_stop(self, steady: float, pressed: bool, button: str) -> Fault | None:
+        """Note a message of an emergency stop; a press is kept until it is cleared."""
+        self._buttons[button].note(steady, pressed)
         return self._estop(steady)
 
+    def count_buttons(self, publishers: Mapping[str, int]) -> None:
+        """Note how many nodes publish each emergency stop."""
+        for name, number in publishers.items():
+            self._buttons[name].publishers = number
+
     def release(self) -> None:
-        """Forget an earlier press of the emergency stop."""
-        self._estop_latched = self._estop_pressed
+        """Forget earlier presses of the emergency stops."""
+        for button in self._buttons.values():
+            button.latched = button.pressed
 
     def _take(
         self, stream: _Stream[SampleBlock], now: int, steady: float, block: SampleBlock, fault: Fault | None
@@ -276,14 +314,8 @@ class Watchdog:
             yield self._following_fault(steady)
 
     def _estop(self, steady: float) -> Fault | None:
-        name, longest = self._names[ESTOP], self.settings.emergency_stop_timeout
-        if self._estop_pressed:
-            return Fault(f"The emergency stop ({name}) is pressed.", True)
-        if self._estop_latched:
-            return Fault(f"The emergency stop ({name}) was pressed: call ~/clear_fault.", True)
-        if longest is not None and (self._estop_heard is None or steady - self._estop_heard > longest):
-            return Fault(f"The emergency stop ({name}) is silent, longer than {longest:g} s.")
-        return None
+        faults = [button.fault(steady, self.settings.emergency_stop_timeout) for button in self._buttons.values()]
+        return max((fault for fault in faults if fault is not None), key=lambda fault: fault.immediate, default=None)
 
     def _clock_fault(self, now: int, steady: float) -> Fault | None:
         if now != self._clock[0]:

@@ -470,6 +470,67 @@ def test_an_emergency_stop_that_is_silent_is_one():
     trips(bench, "The emergency stop (emergency_stop) is silent, longer than 0.1 s.", 0.12)
 
 
+def two_buttons(**values):
+    """Return a bench with two emergency stops, both of them released, and what presses or releases one."""
+    bench = Bench(dataclasses.replace(SETTINGS, emergency_stops=("left", "right"), **values))
+
+    def say(button, *, pressed):
+        return bench.watched.emergency_stop(bench.now, bench.steady, pressed, button)
+
+    say("left", pressed=False)
+    say("right", pressed=False)
+    bench.ticks(3)
+    return bench, say
+
+
+@pytest.mark.parametrize(("pressed", "other"), [("left", "right"), ("right", "left")])
+def test_no_emergency_stop_releases_another(pressed, other):
+    bench, say = two_buttons()
+    assert bench.start()[0]
+    assert say(pressed, pressed=True)
+    say(other, pressed=False)
+    bench.ticks(30)
+    assert bench.clear()[1] == f"Not cleared: The emergency stop ({pressed}) is pressed."
+    say(other, pressed=True)
+    say(pressed, pressed=False)
+    assert bench.clear()[1] == f"Not cleared: The emergency stop ({other}) is pressed."
+    say(other, pressed=False)
+    bench.ticks(30)
+    assert bench.clear()[0]
+
+
+@pytest.mark.parametrize("silent", ["left", "right"])
+def test_the_silence_of_each_emergency_stop_is_noticed(silent):
+    bench, say = two_buttons(emergency_stop_timeout=0.1)
+    assert bench.start()[0]
+    for _ in range(12):
+        bench.ticks(1)
+        say("right" if silent == "left" else "left", pressed=False)
+    assert bench.watched.trip_reason == f"The emergency stop ({silent}) is silent, longer than 0.1 s."
+
+
+def test_a_release_by_one_of_two_on_a_topic_does_not_count(running):
+    """Nobody can tell who said it: only when one is left does its word hold again."""
+    running.watched.count_buttons({"emergency_stop": 2})
+    for pressed in (True, False):
+        running.watched.emergency_stop(running.now, running.steady, pressed=pressed)
+    running.ticks(30)
+    why = "The emergency stop (emergency_stop) is pressed, and a release by one of the 2 nodes that publish it does not"
+    assert why in running.clear()[1]
+    running.watched.count_buttons({"emergency_stop": 1})
+    assert running.clear()[1] == "Not cleared: The emergency stop (emergency_stop) is pressed."
+    running.watched.emergency_stop(running.now, running.steady, pressed=False)
+    assert running.clear()[0]
+
+
+def test_two_on_a_topic_cannot_be_watched_for_silence():
+    bench, _ = two_buttons(emergency_stop_timeout=10.0)
+    assert bench.start()[0]
+    bench.watched.count_buttons({"left": 2, "right": 1})
+    bench.ticks(1)
+    assert "2 nodes publish the emergency stop (left), so the silence of one would not be" in bench.watched.trip_reason
+
+
 def test_a_client_that_dies_brings_the_current_to_zero():
     bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
     bench.ticks(3)

@@ -1,0 +1,175 @@
+"""What forbids a start or trips, at process level: a drive with something wrong, and two emergency stops."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import pytest
+from odd_drive import PUBLISHER, OddDrive
+from ros_bench import require_ros, ros_bench
+
+FIRST, SECOND = "emergency_stop", "second_stop"
+ALLOWANCE = 1.5
+"""Added to a stated time, s: other tests keep this machine busy."""
+
+
+@pytest.fixture(scope="module")
+def shared():
+    require_ros()
+    with ros_bench() as ros:
+        yield OddDrive(ros, emergency_stops=[FIRST, SECOND])
+
+
+@pytest.fixture
+def drive(shared):
+    shared.asks("clear_fault", lambda reply: reply.success, "a sound drive")
+    yield shared
+    shared.put_right()
+    shared.call("stop_experiment")
+
+
+def wait(ros, seconds):
+    until = time.monotonic() + seconds
+    ros.wait(lambda: time.monotonic() > until, "a while")
+
+
+@pytest.mark.parametrize(("offset", "side"), [(5.0, "ahead of"), (-5.0, "behind")])
+def test_a_clock_that_is_wrong_refuses_a_start(drive, offset, side):
+    drive.offset = offset
+    drive.refuses("fault", f"s {side} the clock of this node, more than clock_offset, 0.5 s")
+
+
+def test_a_start_asks_for_the_largest_speed(drive):
+    drive.status["speed_limit"] = math.nan
+    drive.refuses("limit", "speed_max is not set, and the drive reports no speed_limit")
+
+
+def test_a_start_beyond_the_limit_of_the_drive_is_refused(drive):
+    drive.status["current_limit"] = 40.0
+    drive.refuses("limit", "i_max is 50 A, above the current_limit of the drive, 40 A.")
+
+
+def test_exchanged_phases_trip(drive):
+    drive.sense = -1
+    drive.asks("start_experiment", lambda reply: reply.success, "a start")
+    drive.trips("The current does not follow the reference")
+
+
+def test_a_current_that_nobody_commands_is_told(drive):
+    drive.uncommanded = 20.0
+    drive.refuses("fault", "The current does not follow the reference")
+    reply = drive.call("stop_experiment")
+    assert (reply.success, reply.code) == (False, "current_flows")
+    assert reply.message.endswith("But the drive does not go to zero current: use the emergency stop.")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"winding_temperature": 130.0}, "The winding has 130 degC, above temperature_max, 120 degC."),
+        ({"dc_link_voltage": 420.0}, "The DC link has 420 V, outside of -inf to 400 V."),
+    ],
+)
+def test_a_limit_that_the_status_exceeds_trips(drive, wrong, reason):
+    drive.runs()
+    drive.status |= wrong
+    drive.trips(reason)
+    drive.asks("clear_fault", lambda reply: reply.message == f"Not cleared: {reason}", "a refusal")
+
+
+class Button:
+    """An emergency stop that repeats its state every 50 ms while the test waits, until it falls silent."""
+
+    def __init__(self, ros, topic):
+        from std_msgs.msg import Bool
+
+        self.ros, self.pressed, self.message = ros, False, Bool
+        self.publisher = ros.node.create_publisher(Bool, f"/{topic}", 10)
+        self.timer = ros.node.create_timer(0.05, self.say)
+        ros.wait(lambda: self.publisher.get_subscription_count() >= 2, "the subscriptions")
+
+    def say(self):
+        self.publisher.publish(self.message(data=self.pressed))
+
+    def fall_silent(self):
+        self.timer.cancel()
+
+    def leave(self):
+        self.ros.node.destroy_timer(self.timer)
+        self.ros.node.destroy_publisher(self.publisher)
+
+
+@pytest.fixture
+def buttons(drive):
+    made = [Button(drive.ros, topic) for topic in (FIRST, SECOND)]
+    yield made
+    for button in made:
+        button.leave()
+
+
+def test_of_two_emergency_stops_each_trips_and_none_releases_the_other(drive, buttons):
+    for one in buttons:
+        drive.runs()
+        one.pressed = True
+        drive.trips(f"The emergency stop ({one.publisher.topic_name}) is pressed.")
+        wait(drive.ros, 0.3)  # the other one says false meanwhile
+        drive.asks("clear_fault", lambda reply: reply.code == "fault", "an end of the run")
+        assert drive.call("clear_fault").message.endswith(f"({one.publisher.topic_name}) is pressed.")
+        one.pressed = False
+        drive.clear()
+
+
+def test_the_silence_of_each_of_two_emergency_stops_trips(drive, buttons):
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    def timeout(value):
+        given = [Parameter("emergency_stop_timeout", value=value).to_parameter_msg()]
+        reply = drive.ros.call(SetParameters, f"/{PUBLISHER}/set_parameters", parameters=given)
+        assert reply.results[0].successful
+
+    timeout(1.5)
+    for one in buttons:
+        drive.runs()
+        one.fall_silent()
+        drive.trips(f"The emergency stop ({one.publisher.topic_name}) is silent, longer than 1.5 s.")
+        one.timer.reset()
+        drive.clear()
+    timeout(math.nan)
+
+
+def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(drive, buttons):
+    """Nothing in rclpy tells who has sent a message."""
+    button, other = buttons[0], Button(drive.ros, FIRST)
+    drive.runs()
+    other.pressed = True
+    drive.trips("The emergency stop (/emergency_stop) is pressed")
+    other.fall_silent()
+    wait(drive.ros, 0.3)
+    why = "a release by one of the 2 nodes that publish it does not count"
+    drive.asks("clear_fault", lambda reply: reply.code == "fault", "an end of the run")
+    assert why in drive.call("clear_fault").message
+    button.fall_silent()
+    other.leave()
+    drive.asks("clear_fault", lambda reply: reply.message.endswith("is pressed."), "the end of the other one")
+    button.timer.reset()
+    drive.clear()
+
+
+def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
+    """Nobody else stops a trajectory without end (``repeat`` 0): no heartbeat comes any more, for ``lease_time``."""
+    recorder, identification = (
+        drive.ros.start(f"drive_id.nodes.{name}", parameters={"data_directory": str(tmp_path)} | further)
+        for name, further in (("recorder", {}), ("identification", {"output_directory": str(tmp_path / "results")}))
+    )
+    client = drive.ros.start("drive_id.ros.characterize")
+    drive.ros.wait(lambda: drive.state.state == "running", "a run")
+    wait(drive.ros, 0.5)
+    assert drive.is_driven()
+    client.popen.kill()
+    drive.trips("The client that started has sent no heartbeat for")
+    flowed = drive.at_zero_since - drive.heartbeat
+    assert 2.0 < flowed < 2.4 + ALLOWANCE
+    for process in (recorder, identification):
+        assert process.interrupt()[0] == 0, process.output

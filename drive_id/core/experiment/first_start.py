@@ -94,10 +94,8 @@ def first_start(samples: Samples) -> FirstStart:
     runs = list(_runs(vector, largest))
     if not runs:
         raise ExperimentError("No current vector that turns evenly is in the recording: record trajectory first_start.")
-    ratios = [
-        (angle[run][-1] - angle[run][0]) / (phase[-1] - phase[0])
-        for run, phase in ((r, _phase(vector[r])) for r in runs)
-    ]
+    # slopes, not ends: a heavy rotor swings about the vector by half a radian
+    ratios = [float(np.polyfit(_phase(vector[run]), angle[run], 1)[0]) for run in runs]
     ratio = float(np.median(ratios))
     if abs(ratio) * _MOST_PAIRS < _LEAST_MOTION:
         raise ExperimentError(

@@ -63,8 +63,8 @@ class BlockRegression:
             Indices of C.
         cosines : int
             At least 1, below N.
-        more : (M, C) float, optional
-            Products of the columns with independent causes of errors of the response, each by one standard error.
+        more : (M, K) float, optional
+            Products of the columns chosen with independent errors of the response, one standard error each.
         """
         total, count = data.T @ data, len(data)
         inverse = _inverse(total[np.ix_(columns, columns)])
@@ -73,7 +73,7 @@ class BlockRegression:
         waves = np.cos(np.pi * np.arange(1, cosines + 1)[:, None] * (np.arange(count) + 0.5) / count)
         amplitudes = np.sqrt(2 / cosines) * waves @ scores
         if more is not None:
-            amplitudes = np.concatenate([amplitudes, more[:, columns]])
+            amplitudes = np.concatenate([amplitudes, more])
         return cls(response, columns, coefficients, inverse @ (amplitudes.T @ amplitudes) @ inverse, total)
 
     def estimate(self, column: int) -> tuple[float, float]:
@@ -88,6 +88,11 @@ class BlockRegression:
         amplitude = float(np.hypot(*both))
         direction = both / max(amplitude, np.finfo(np.float64).tiny)
         return amplitude, float(np.sqrt(direction @ self.covariance[k : k + 2, k : k + 2] @ direction))
+
+    def scatter(self, column: int) -> float:
+        """Return the standard error of a cosine and the sine behind it, in the direction that is known least."""
+        k = self.columns.index(column)
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[k : k + 2, k : k + 2])[-1]))
 
     def wald(self, column: int) -> float:
         """Return the Wald statistic of a cosine and the sine behind it."""

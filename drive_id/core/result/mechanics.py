@@ -87,7 +87,10 @@ def with_mechanics(
 
 _TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _HARMONICS = range(8)
 """Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
-speed, direction, 1, and from the last one on cosines and sines of the harmonics; all under a bell."""
+speed, direction, 1, and from the last one on the harmonics; all under a bell."""
+_PER_ORDER = 12
+"""Columns of each order: cosine and sine, of cogging, and the same times i_d, i_q, i_d^2, i_d i_q and i_q^2, for the
+ripple of the flux harmonics."""
 
 
 @one_blas_thread(with_scipy=True)
@@ -151,17 +154,17 @@ def _fitted(
     turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
     looked = [
         column
-        for column in range(_HARMONICS, data.shape[1], 2)
+        for column in range(_HARMONICS, data.shape[1], _PER_ORDER)
         if turned > _LEAST_TURN and np.sqrt(np.mean(data[:, column : column + 2] ** 2)) > _LEAST_WAVE
     ]
-    cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
-    solution = BlockRegression.of_series(data, _TORQUE, _columns(base, looked), cosines)
-    waves = [column for column in looked if solution.wald(column) > _SIGNIFICANT]
+    columns = [*base, *(column + part for column in looked for part in range(_PER_ORDER))]
     if modes is not None:
-        of_map = sum(motion.products(modes, flux_map, pole_pairs) for motion in motions) @ whole
+        of_map = np.sum([motion.products(modes, flux_map, pole_pairs, whole[:, columns]) for motion in motions], axis=0)
     else:
-        of_map = np.diag(np.sqrt(solution.total[_MAP, _MAP] * np.diag(solution.total)))
-    solution = BlockRegression.of_series(data, _TORQUE, _columns(base, waves), cosines, of_map)
+        squares = (data[:, columns] ** 2).sum(axis=0)
+        of_map = np.diag(np.sqrt((data[:, _MAP] ** 2).sum() * squares))
+    cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
+    solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map)
     energy = solution.total[_TORQUE, _TORQUE]
     explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
     coefficient, sigma = solution.estimate(_INERTIA)
@@ -182,19 +185,16 @@ def _fitted(
         load=load[0],
         sigma_load=load[1],
         cogging=tuple(
-            Cogging(ORDERS[(column - _HARMONICS) // 2], *(by * x for x in solution.amplitude(column)))
-            for column in waves
+            Cogging(ORDERS[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
+            for column in looked
+            if solution.wald(column) > _SIGNIFICANT
         ),
-        cogging_visible=None,
+        cogging_visible=by * math.sqrt(_SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
         gain=None if gain is None else gain[0],
         sigma_gain=None if gain is None else gain[1],
         explained=float(explained),
         seconds=len(data) * width / _BELLS,
     )
-
-
-def _columns(base: list[int], waves: list[int]) -> list[int]:
-    return [*base, *(column + part for column in waves for part in (0, 1))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +289,7 @@ class _Motion:
     bell : (2 H + 3,) float
     stride : int
         Samples from one bell to the next.
-    rows : (W, 7 + 2 O) float
+    rows : (W, C) float
         See the columns above.
     kept : (W,) bool
         The rows that enter.
@@ -313,12 +313,14 @@ class _Motion:
         slope, bend = (padded[2:] - padded[:-2]) / (2 * period), np.diff(padded, 2) / period**2
         wide = padded[1:-1]
         if len(run) < len(wide):
-            return cls(run, wide, stride, np.zeros((0, _HARMONICS + 2 * len(ORDERS))), np.zeros(0, np.bool_))
+            return cls(run, wide, stride, np.zeros((0, _HARMONICS + _PER_ORDER * len(ORDERS))), np.zeros(0, np.bool_))
         angle = np.unwrap(run.angle)
         speed = np.gradient(angle, period) / pole_pairs
         steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
         torque, sigma, outside = _torque(flux_map, flux, run, pole_pairs)
-        waves = [wave(order * angle) for order in ORDERS for wave in (np.cos, np.sin)]
+        i_d, i_q = frames.to_dq(run.i_abc, run.angle).T
+        factors = (np.ones(len(run)), i_d, i_q, i_d**2, i_d * i_q, i_q**2)
+        waves = [by * wave(order * angle) for order in ORDERS for by in factors for wave in (np.cos, np.sin)]
 
         def under(kernel: FloatArray, x: FloatArray) -> FloatArray:
             places = np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::stride]
@@ -334,9 +336,9 @@ class _Motion:
         kept = (under(wide, outside) < _OUTSIDE) & (size > _RESTING * size.max())
         return cls(run, wide, stride, np.column_stack(columns), kept)
 
-    def products(self, modes: ErrorModes, flux_map: FluxMap, pole_pairs: int) -> FloatArray:
-        """Return the products (M, 7 + 2 O) of the rows with the torque, Nm, of each mode of the map's errors."""
-        rows, count = np.where(self.kept[:, None], self.rows, 0.0), len(self.rows)
+    def products(self, modes: ErrorModes, flux_map: FluxMap, pole_pairs: int, chosen: FloatArray) -> FloatArray:
+        """Return the products (M, K) of combinations ``chosen`` (C, K) of the columns with the torque of each mode."""
+        rows, count = np.where(self.kept[:, None], self.rows @ chosen, 0.0), len(self.rows)
         weights = np.zeros((len(self.samples), rows.shape[1]))
         for k, height in enumerate(self.bell):
             weights[k : k + self.stride * count : self.stride][:count] += height * rows
@@ -354,5 +356,7 @@ def _statements(found: Mechanics) -> Iterator[Message]:
     else:
         confirmed = abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN)
         yield Message("motion.confirmed" if confirmed else "motion.gain", off=abs(found.gain - 1), **values)
+    if not found.cogging and found.cogging_visible is not None:
+        yield Message("cogging_unseen", visible=found.cogging_visible)
     if found.friction is None or found.viscous_friction is None:
         yield Message("friction_open")

@@ -215,6 +215,7 @@ def _require_plain(start: FirstStart) -> None:
 def signals_of(start: FirstStart) -> dict[str, Any]:
     """Return the signals file for recordings of a drive with this angle: angle and references are turned."""
     c, s = math.cos(start.angle_offset), math.sin(start.angle_offset)
+    fields = [{"d": c, "q": -s}, {"d": s, "q": c}] if s else ["d", "q"]
     block = {"sample_period": "sample_period", "first_sample": "first_sample"}
     return {
         "currents": {"topic": "phase_currents", "fields": ["a", "b", "c"], **block},
@@ -222,7 +223,7 @@ def signals_of(start: FirstStart) -> dict[str, Any]:
         "resolver": {
             "topic": "resolver", "angle": "angle", "speed": "speed", "angle_offset": -start.angle_offset, **block,
         },
-        "reference": {"topic": "current_reference", "fields": [{"d": c, "q": -s}, {"d": s, "q": c}], **block},
+        "reference": {"topic": "current_reference", "fields": fields, **block},
     }  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from drive_id.errors import ConfigurationError
 
 
 def found(encoder, offset, direction, pole_pairs):
-    """What a first start finds of a drive with this encoder; the true angle is direction * pole_pairs * raw - offset."""
+    """What a first start finds with this encoder; the true angle is direction * pole_pairs * raw - offset."""
     raw = (0.0, 0.1)
     seen = [encoder.factor * x - encoder.encoder_offset for x in raw]
     true = [direction * pole_pairs * x - offset for x in raw]

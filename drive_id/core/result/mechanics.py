@@ -19,11 +19,12 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression
-from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, Mechanics
+from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
-_Flux = Callable[[FloatArray], FloatArray]
+_Flux = Callable[[FloatArray, FloatArray], FloatArray]
+"""Flux psi_dq (N, 2), Wb, over currents (N, 2), A, and angles (N,), rad."""
 
 ORDERS = (6, 12, 18, 24)
 """Electrical orders of cogging that are looked for."""
@@ -50,6 +51,8 @@ _SAME_GAIN = 2e-3
 _LEAST_WAVE = 0.05
 """Rms of a harmonic under the bells below which it has averaged out."""
 _SAME_SPEED = 1.2
+_LEAST_VARIATION = 0.05
+"""Variation of the squared flux from which on the drag of iron loss is told from viscous friction."""
 _LEAST_TURN = 2 * math.pi
 """Range of the angle below which no harmonic is looked for, rad."""
 
@@ -79,15 +82,16 @@ def with_mechanics(
 
         pieces = [corrected(piece, drive.calibrations) for piece in pieces]
     discs = discs or (0.0,) * len(pieces)
-    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, settings.inertia, drive.error_modes)
+    known = settings.inertia, drive.error_modes, drive.harmonics
+    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, *known)
     if found is None:
         return drive
     return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
 
 
-_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _HARMONICS = range(8)
+_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _IRON, _HARMONICS = range(9)
 """Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
-speed, direction, 1, and from the last one on the harmonics; all under a bell."""
+speed, direction, 1, speed times the square of the flux as far as it varies, and then the harmonics; all under a bell."""
 _PER_ORDER = 12
 """Columns of each order: cosine and sine, of cogging, and the same times i_d, i_q, i_d^2, i_d i_q and i_q^2, for the
 ripple of the flux harmonics."""
@@ -101,6 +105,7 @@ def fit_mechanics(
     discs: Sequence[float] = (),
     inertia: float | None = None,
     modes: ErrorModes | None = None,
+    harmonics: Sequence[HarmonicMap] = (),
 ) -> Mechanics | None:
     """Fit inertia, friction, load and cogging to the motion.
 
@@ -115,6 +120,8 @@ def fit_mechanics(
         Known inertia without discs, kg m^2.
     modes : ErrorModes, optional
         Of the map. Without them, its errors count for each term as if they all fell on it.
+    harmonics : sequence of HarmonicMap, optional
+        Of the rotor position.
 
     Returns
     -------
@@ -122,9 +129,20 @@ def fit_mechanics(
         None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
     """
     known = flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), inertia
-    if _fitted(*known, flux_map.bilinear, None) is None:  # most shafts are held: no need to wait until scipy is loaded
+    # most shafts are held: no need to wait until scipy is loaded
+    if _fitted(*known, lambda i_dq, _: flux_map.bilinear(i_dq), None) is None:
         return None
-    return _fitted(*known, flux_map.continued, modes)
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        psi = flux_map.continued(i_dq)
+        for wave in harmonics:
+            parts = ((wave.psi_d_cos, wave.psi_d_sin), (wave.psi_q_cos, wave.psi_q_sin))
+            for axis, (cosine, sine) in enumerate(parts):
+                c, s = (flux_map.sampled(np.nan_to_num(values), *i_dq.T) for values in (cosine, sine))
+                psi[:, axis] += c * np.cos(wave.order * angle) + s * np.sin(wave.order * angle)
+        return psi
+
+    return _fitted(*known, flux, modes)
 
 
 def _fitted(
@@ -136,7 +154,7 @@ def _fitted(
     flux: _Flux,
     modes: ErrorModes | None,
 ) -> Mechanics | None:
-    """Fit the motion, with the flux psi_dq (N, 2), Wb, over currents (N, 2), A."""
+    """Fit the motion, with a function for the flux."""
     width = _bell_width(flux_map, flux, pieces)
     motions = [
         _Motion.of(flux_map, flux, run, pole_pairs, disc, width)
@@ -151,6 +169,8 @@ def _fitted(
     whole = _with_known(data.shape[1], inertia)
     data = data @ whole
     base = [_INERTIA, *([_DISC] if two_discs and inertia is None else []), *_of_speeds(data[:, _VISCOUS])]
+    if _VISCOUS in base and np.std(data[:, _IRON]) > _LEAST_VARIATION * np.std(data[:, _VISCOUS]):
+        base.append(_IRON)
     turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
     looked = [
         column
@@ -255,7 +275,7 @@ def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> fl
     """Return half the mean period of the torque, s, by its changes of sign."""
     changes, seconds = 0, 0.0
     for piece in pieces:
-        torque, _, _ = _torque(flux_map, flux, piece, 1)
+        torque = _torque(flux_map, flux, piece, 1)[0]
         step = max(1, round(1e-3 / piece.sample_period))
         smooth = torque[: len(torque) // step * step].reshape(-1, step).mean(axis=1)
         active = np.abs(smooth) > 0.1 * np.abs(smooth).max(initial=0.0)  # noise about zero torque is no swing
@@ -266,17 +286,17 @@ def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> fl
 
 def _torque(
     flux_map: FluxMap, flux: _Flux, samples: Samples, pole_pairs: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the torque of the map and its standard error (N,), Nm, and 1.0 where the current is beyond the data."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the torque of the map and its standard error, Nm; 1.0 where the current is beyond the data; |psi|^2 (N,)."""
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     i_d, i_q = i_dq.T
-    psi = flux(i_dq)
+    psi = flux(i_dq, samples.angle)
     sigma_d, sigma_q = flux_map.sigma(i_d, i_q)
     sigma = np.hypot(sigma_d * i_q, sigma_q * i_d)
     scale = 1.5 * pole_pairs
     inside = np.isfinite(sigma)
     torque = scale * (psi[:, 0] * i_q - psi[:, 1] * i_d)
-    return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0)
+    return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0), (psi**2).sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +337,8 @@ class _Motion:
         angle = np.unwrap(run.angle)
         speed = np.gradient(angle, period) / pole_pairs
         steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
-        torque, sigma, outside = _torque(flux_map, flux, run, pole_pairs)
+        torque, sigma, outside, squares = _torque(flux_map, flux, run, pole_pairs)
+        usual = np.mean((flux_map.psi_d**2 + flux_map.psi_q**2)[flux_map.inside])
         i_d, i_q = frames.to_dq(run.i_abc, run.angle).T
         factors = (np.ones(len(run)), i_d, i_q, i_d**2, i_d * i_q, i_q**2)
         waves = [by * wave(order * angle) for order in ORDERS for by in factors for wave in (np.cos, np.sin)]
@@ -331,7 +352,11 @@ class _Motion:
             under(wide, torque), under(wide, sigma), acceleration, disc * acceleration,
             -under(slope, angle) / pole_pairs, under(wide, np.sign(steady)),
         ]  # fmt: skip
-        columns += [np.ones(len(acceleration), np.float64), *(under(wide, wave) for wave in waves)]
+        columns += [
+            np.ones(len(acceleration), np.float64),
+            under(wide, speed * (squares / usual - 1)),
+            *(under(wide, wave) for wave in waves),
+        ]
         size = under(wide, np.abs(steady))
         kept = (under(wide, outside) < _OUTSIDE) & (size > _RESTING * size.max())
         return cls(run, wide, stride, np.column_stack(columns), kept)

@@ -91,7 +91,7 @@ def with_mechanics(
 
 _TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _IRON, _HARMONICS = range(9)
 """Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
-speed, direction, 1, speed times the square of the flux as far as it varies, and then the harmonics; all under a bell."""
+speed, direction, 1, speed times the variation of the squared flux, and then the harmonics; all under a bell."""
 _PER_ORDER = 12
 """Columns of each order: cosine and sine, of cogging, and the same times i_d, i_q, i_d^2, i_d i_q and i_q^2, for the
 ripple of the flux harmonics."""
@@ -287,7 +287,7 @@ def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> fl
 def _torque(
     flux_map: FluxMap, flux: _Flux, samples: Samples, pole_pairs: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the torque of the map and its standard error, Nm; 1.0 where the current is beyond the data; |psi|^2 (N,)."""
+    """Return torque and its standard error, Nm; 1.0 where the current is beyond the data; |psi|^2; (N,) each."""
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     i_d, i_q = i_dq.T
     psi = flux(i_dq, samples.angle)

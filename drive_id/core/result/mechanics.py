@@ -48,6 +48,8 @@ _SIGNIFICANT = 30.0
 _TOLD = 5.0
 """Standard errors of friction, viscous friction or load from which on the motion tells it."""
 _SAME_GAIN = 2e-3
+_COMMON = 1e-4
+"""What method full leaves in the size common to all fluxes of simulated drives, and no standard error holds."""
 _LEAST_WAVE = 0.05
 """Rms of a harmonic under the bells below which it has averaged out."""
 _SAME_SPEED = 1.2
@@ -183,6 +185,7 @@ def _fitted(
     else:
         squares = (data[:, columns] ** 2).sum(axis=0)
         of_map = np.diag(np.sqrt((data[:, _MAP] ** 2).sum() * squares))
+    of_map = np.vstack([of_map, _COMMON * data[:, _TORQUE] @ data[:, columns]])
     cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
     solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map)
     energy = solution.total[_TORQUE, _TORQUE]

@@ -86,7 +86,7 @@ def test_the_acceleration_is_that_of_the_torque():
 
 
 def test_the_acceleration_holds_reluctance_torque():
-    """Two thirds of this machine's largest torque come from its saliency: the swing at the frequency of i_q misses it."""
+    """Most of the largest torque is from saliency, which the swing at the frequency of i_q misses."""
     own = drive("pmsyrm")
     samples = own.step_block(FreeShaft(0.8 * own.machine.i_max, 25.0, 1.0)(np.arange(10_000) * 1e-4)).samples
     largest = DEFAULT_ACCELERATION * own.machine.pole_pairs

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from drive_id.core.experiment.encoder import Encoder
@@ -25,6 +26,10 @@ _SHAKES = (0.2, 0.8)
 """Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go; the larger one
 leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
+_NOTABLE = 0.9
+"""Amplitude relative to i_max below which a result says so."""
+_LARGEST_PEAK = 1.15
+"""Phase current relative to i_max to which a swing may overshoot: it trips at 1.2."""
 _LARGEST_REST = math.radians(3.0)
 """Offset that may be left when the drive has taken what was found: more than two first starts ever differ by."""
 _LARGEST_TURN = math.radians(10.0)
@@ -41,6 +46,8 @@ class Commissioned:
     start : FirstStart
     acceleration : float
         Electrical, by the largest current, T_max p / J, rad/s^2.
+    amplitude : float
+        Of the swing, relative to i_max: less than wanted where the current controller overshoots.
     signals, parameters : Path
         Signals file for its recordings, and parameters of the publisher.
     encoder : Encoder or None
@@ -49,6 +56,7 @@ class Commissioned:
 
     start: FirstStart
     acceleration: float
+    amplitude: float
     signals: Path
     parameters: Path
     encoder: Encoder | None = None
@@ -58,7 +66,13 @@ class Commissioned:
         written = ""
         if self.encoder is not None:
             written = f"The drive took {self.encoder.sentence()}. "
-        return written + self._found()
+        reduced = ""
+        if self.amplitude < _NOTABLE:
+            reduced = (
+                f" The current controller overshoots, so the swing takes {100 * self.amplitude:.0f} % of i_max: tune it, "
+                "or add inertia, which makes the swing slower, to map more."
+            )
+        return written + self._found() + reduced
 
     def _found(self) -> str:
         start = self.start
@@ -117,14 +131,16 @@ def commission(
     if bench.drive:
         encoder, start = _entered(bench, start, name, say, angle_known=angle_known)
     _require_plain(start)
-    acceleration = _shaken(bench, start, name, i_max, limit, say)
+    acceleration, overshoot = _shaken(bench, start, name, i_max, limit, say)
+    kept["amplitude"] = min(kept["amplitude"], _LARGEST_PEAK / overshoot)
     found = {"angle_offset": start.angle_offset, "shaft_acceleration": acceleration, "shaft_speed_max": limit}
     swing_up(bench, **kept, **found)
+    found["amplitude"] = kept["amplitude"]
     _write(folder / PARAMETERS, {"/**": {"ros__parameters": {"trajectory": FREE_SHAFT, "i_max": i_max, **found}}})
     _write(folder / SIGNALS, signals_of(start))
     if encoder is not None:
         _write(folder / DRIVE, {"/**": {"ros__parameters": asdict(encoder)}})
-    return Commissioned(start, acceleration, folder / SIGNALS, folder / PARAMETERS, encoder)
+    return Commissioned(start, acceleration, kept["amplitude"], folder / SIGNALS, folder / PARAMETERS, encoder)
 
 
 def _entered(
@@ -169,9 +185,12 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 
 def _shaken(
     bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
-) -> float:
-    """Shake the shaft, gently first; return its electrical acceleration by the full current, rad/s^2."""
-    acceleration, allowed = 0.0, 1.0
+) -> tuple[float, float]:
+    """Shake the shaft, gently first; return its electrical acceleration by the full current, rad/s^2, and the overshoot.
+
+    The overshoot is the largest phase current relative to the amplitude.
+    """
+    acceleration, overshoot, allowed = 0.0, 1.0, 1.0
     for number, amplitude in enumerate(_SHAKES, 1):
         share = min(amplitude, allowed)
         say("Shaking", f"The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
@@ -186,9 +205,10 @@ def _shaken(
         )
         samples = read_bag(bench.run_experiment(f"{name}_shake_{number}").uri)
         acceleration = i_max * shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
+        overshoot = float(np.abs(samples.i_abc).max()) / (share * i_max)
         # Where the torque rises with the square of the current, the swing does as well.
         allowed = share * math.sqrt(limit * 2 * math.pi * _SHAKE_FREQUENCY / (share * acceleration))
-    return acceleration
+    return acceleration, overshoot
 
 
 def _require_plain(start: FirstStart) -> None:

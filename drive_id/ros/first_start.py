@@ -69,8 +69,8 @@ class Commissioned:
         reduced = ""
         if self.amplitude < _NOTABLE:
             reduced = (
-                f" The current controller overshoots, so the swing takes {100 * self.amplitude:.0f} % of i_max: tune it, "
-                "or add inertia, which makes the swing slower, to map more."
+                f" The current controller overshoots, so the swing takes {100 * self.amplitude:.0f} % of i_max: tune "
+                "it, or add inertia, which makes the swing slower, to map more."
             )
         return written + self._found() + reduced
 
@@ -186,7 +186,7 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 def _shaken(
     bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
 ) -> tuple[float, float]:
-    """Shake the shaft, gently first; return its electrical acceleration by the full current, rad/s^2, and the overshoot.
+    """Shake the shaft, gently first; return its electrical acceleration by i_max, rad/s^2, and the overshoot.
 
     The overshoot is the largest phase current relative to the amplitude.
     """

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.first_start import FirstStart, first_start, shaft_acceleration
+from drive_id.core.experiment.free_shaft import FASTEST_SWING, swing_frequency
 from drive_id.core.experiment.settings import FIRST_START, FREE_SHAFT, ExperimentSettings, make_trajectory
 from drive_id.errors import ExperimentError
 from drive_id.fitting.sources import read_bag
@@ -28,8 +28,9 @@ leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
 _NOTABLE = 0.9
 """Amplitude relative to i_max below which a result says so."""
-_LARGEST_PEAK = 1.15
-"""Phase current relative to i_max to which a swing may overshoot: it trips at 1.2."""
+_SALIENT, _SALIENT_SWING = 2.0, 10.0
+"""Largest torque relative to that at the frequency of i_q from which on reluctance prevails; and the fastest swing
+then, Hz: 8 % of the bandwidth of a usual current controller. Faster ones have exceeded 1.2 i_max."""
 _LARGEST_REST = math.radians(3.0)
 """Offset that may be left when the drive has taken what was found: more than two first starts ever differ by."""
 _LARGEST_TURN = math.radians(10.0)
@@ -47,7 +48,7 @@ class Commissioned:
     acceleration : float
         Electrical, by the largest current, T_max p / J, rad/s^2.
     amplitude : float
-        Of the swing, relative to i_max: less than wanted where the current controller overshoots.
+        Of the swing, relative to i_max: less than wanted where the rotor is too light for its torque.
     signals, parameters : Path
         Signals file for its recordings, and parameters of the publisher.
     encoder : Encoder or None
@@ -69,8 +70,8 @@ class Commissioned:
         reduced = ""
         if self.amplitude < _NOTABLE:
             reduced = (
-                f" The current controller overshoots, so the swing takes {100 * self.amplitude:.0f} % of i_max: tune "
-                "it, or add inertia, which makes the swing slower, to map more."
+                f" The rotor is too light for its torque, so the swing takes {100 * self.amplitude:.0f} % of i_max: "
+                "add inertia, which makes it slower, to map more."
             )
         return written + self._found() + reduced
 
@@ -131,8 +132,11 @@ def commission(
     if bench.drive:
         encoder, start = _entered(bench, start, name, say, angle_known=angle_known)
     _require_plain(start)
-    acceleration, overshoot = _shaken(bench, start, name, i_max, limit, say)
-    kept["amplitude"] = min(kept["amplitude"], _LARGEST_PEAK / overshoot)
+    acceleration, by_magnets = _shaken(bench, start, name, i_max, limit, say)
+    if math.isnan(kept["swing_frequency"]):
+        fastest = _SALIENT_SWING if acceleration > _SALIENT * by_magnets else FASTEST_SWING
+        wanted = swing_frequency(kept["amplitude"] * acceleration, limit, kept["mean_speed"])
+        kept["amplitude"] *= min(1.0, fastest / wanted)
     found = {"angle_offset": start.angle_offset, "shaft_acceleration": acceleration, "shaft_speed_max": limit}
     swing_up(bench, **kept, **found)
     found["amplitude"] = kept["amplitude"]
@@ -186,11 +190,8 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 def _shaken(
     bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
 ) -> tuple[float, float]:
-    """Shake the shaft, gently first; return its electrical acceleration by i_max, rad/s^2, and the overshoot.
-
-    The overshoot is the largest phase current relative to the amplitude.
-    """
-    acceleration, overshoot, allowed = 0.0, 1.0, 1.0
+    """Shake the shaft, gently first; return its acceleration by i_max and that without reluctance torque, rad/s^2."""
+    acceleration, by_magnets, allowed = 0.0, 0.0, 1.0
     for number, amplitude in enumerate(_SHAKES, 1):
         share = min(amplitude, allowed)
         say("Shaking", f"The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
@@ -204,11 +205,11 @@ def _shaken(
             duration=_SHAKE_TIME,
         )
         samples = read_bag(bench.run_experiment(f"{name}_shake_{number}").uri)
-        acceleration = i_max * shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
-        overshoot = float(np.abs(samples.i_abc).max()) / (share * i_max)
+        found = shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
+        acceleration, by_magnets = i_max * found[0], i_max * found[1]
         # Where the torque rises with the square of the current, the swing does as well.
         allowed = share * math.sqrt(limit * 2 * math.pi * _SHAKE_FREQUENCY / (share * acceleration))
-    return acceleration, overshoot
+    return acceleration, by_magnets
 
 
 def _require_plain(start: FirstStart) -> None:

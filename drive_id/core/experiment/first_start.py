@@ -199,11 +199,11 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.mod(angle + math.pi, 2 * math.pi) - math.pi
 
 
-def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float = 0.0) -> float:
+def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float = 0.0) -> tuple[float, float]:
     """Return the electrical acceleration per amplitude of i_q of a shake, T p / (J i_q), rad/s^2/A.
 
-    The largest one counts, of all harmonics of the swing: where i_d sweeps, reluctance torque swings at about twice the
-    frequency of i_q.
+    First the largest one, of all harmonics of the swing: where i_d sweeps, reluctance torque swings at about twice the
+    frequency of i_q. Then that at the frequency of i_q alone.
 
     Parameters
     ----------
@@ -239,4 +239,5 @@ def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float =
         raise ExperimentError("The shaft does not swing with the torque: it is locked, loose, or the offset is wrong.")
     rates = np.tile((2 * np.pi * frequency * orders) ** 2, 2)[:, None]
     acceleration = basis[:, : 2 * len(orders)] @ (rates * both[: 2 * len(orders), :, 1])
-    return float((np.abs(acceleration).max(axis=0) / np.abs(current))[full].max())
+    largest = float((np.abs(acceleration).max(axis=0) / np.abs(current))[full].max())
+    return largest, float((2 * np.pi * frequency) ** 2 * np.abs(alpha).max())

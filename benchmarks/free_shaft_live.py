@@ -64,7 +64,8 @@ def row(machine_name: str, heavier: float, folder: Path) -> str:
         started(folder, "bench_simulator", drive), started(folder, "recorder", data),
         started(folder, "identification", fit), started(folder, "trajectory_publisher", publisher),
     ]  # fmt: skip
-    options = ["--first-start", "--free-shaft", *(["--angle-known"] if known else []), "--recording", "bag"]
+    options = ["--first-start", "--free-shaft", "--drive", "bench_simulator", "--recording", "bag"]
+    options += ["--angle-known"] if known else []
     command = [sys.executable, "-m", "drive_id.ros.characterize", *options, "--output", str(folder / "out")]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)

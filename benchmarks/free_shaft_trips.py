@@ -125,7 +125,7 @@ def outcome(seed: int, number: int, seconds: float) -> Outcome:
         trajectory="free_shaft", i_max=one.i_max, duration=seconds, sample_period=own.sample_period,
         slew_rate=1e6 * one.i_max, speed_max=1e5, shaft_speed_max=swing.speed_max * electrical,
         shaft_acceleration=torque * machine.pole_pairs / inertia * float(rng.uniform(0.9, 1.1)),
-        mean_speed=swing.mean_speed * electrical,
+        mean_speed=swing.mean_speed * electrical, swing_frequency=swing.frequency, amplitude=swing.amplitude,
     )  # fmt: skip
     cell = Cell(machine_map, own, settings, int(rng.integers(0, 6)))
     report = cell.run()

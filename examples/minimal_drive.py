@@ -17,6 +17,7 @@ from typing import Any
 
 import rclpy
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PhaseVoltages, Resolver
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.time import Time
@@ -70,7 +71,22 @@ class MinimalDrive(Node):
         self.session, self.owner, self.expected, self.applied, self.quiet = 0, 0, 0, 0, 0.0
         self.reference, self.stator_frame, self.fault = 0j, False, ""
         self.next = self.get_clock().now().nanoseconds  # time of the next sample
+        self.encoder = {"encoder_offset": 0.0, "encoder_direction": 1, "encoder_pole_pairs": 1}
+        self.add_on_set_parameters_callback(self.on_encoder)
+        self.declare_parameters("", list(self.encoder.items()))
         self.create_timer(BLOCK * PERIOD, self.on_timer)
+
+    def on_encoder(self, changes: list[Any]) -> SetParametersResult:
+        """Take what a first start found of the angle: never while current flows."""
+        if self.session or self.reference:
+            return SetParametersResult(successful=False, reason="A session is followed: stop it first.")
+        self.encoder |= {change.name: change.value for change in changes if change.name in self.encoder}
+        return SetParametersResult(successful=True)
+
+    def electrical(self, raw: float) -> float:
+        """Return the angle for control and resolver."""
+        offset, direction, pole_pairs = self.encoder.values()
+        return math.remainder(direction * pole_pairs * raw - offset, 2 * math.pi)
 
     def on_reference(self, message: CurrentReference) -> None:
         """Take up, ignore or refuse a block."""
@@ -125,8 +141,11 @@ class MinimalDrive(Node):
         while self.next + round(BLOCK * PERIOD * NS) <= self.get_clock().now().nanoseconds:
             begin, rows = self.next, []
             for _ in range(BLOCK):
-                turn = cmath.exp(-1j * self.machine.angle) if self.stator_frame else 1.0  # 7: into the rotor frame
-                rows.append(self.machine.step(self.take(self.next) * turn))
+                angle = self.electrical(self.machine.angle)
+                turn = cmath.exp(1j * ((0.0 if self.stator_frame else angle) - self.machine.angle))  # 7: the frame
+                row = self.machine.step(self.take(self.next) * turn)
+                _, direction, pole_pairs = self.encoder.values()
+                rows.append((*row[:6], angle, direction * pole_pairs * row[7]))
                 self.next += round(PERIOD * NS)
             columns = [array.array("f", column) for column in zip(*rows, strict=True)]
             head = {"first_sample": self.samples, "sample_period": PERIOD}

@@ -57,7 +57,9 @@ CONTRACT = {
         "float64 condition; float64 residual_rms; float64 mad_d; float64 mad_q; float64 coverage; string[] warnings; "
         "string[] warning_codes; string[] warning_values; "
         "float64 inertia; float64 sigma_inertia; float64 friction; float64 sigma_friction; float64 viscous_friction; "
-        "float64 sigma_viscous_friction; float64 torque_gain; float64 sigma_torque_gain; "
+        "float64 sigma_viscous_friction; float64 load; float64 sigma_load; uint32[] cogging_orders; "
+        "float64[] cogging_amplitudes; float64[] cogging_sigmas; float64 cogging_visible; "
+        "float64 torque_gain; float64 sigma_torque_gain; "
         "string[] calibration_names; float64[] calibration_values; float64[] calibration_sigmas; "
         "string[] calibration_units; bool[] calibration_applied"
     ),

@@ -14,7 +14,9 @@ from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import NANOSECONDS, ReferenceBuffer
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.feedback import DriveStatus
+from drive_id.errors import ConfigurationError
 from drive_id.health import Health, Level
 from drive_id.types import FloatArray, GroundTruth, MachineMap
 
@@ -138,6 +140,22 @@ class SimulatedBench:
         now, profile = self._drive.time, self._drive.profile
         present = float(np.interp(now, profile.time, profile.speed))
         self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
+
+    def set_encoder(self, encoder: Encoder) -> None:
+        """Change what the drive makes of its raw angle.
+
+        Raises
+        ------
+        ConfigurationError
+            While current flows, or a session might let it flow.
+        """
+        self.check_rest()
+        self._drive.set_encoder(encoder)
+
+    def check_rest(self) -> None:
+        """Raise ConfigurationError unless the drive is at zero current without a session."""
+        if not self.references.dry or self.references.last.any():
+            raise ConfigurationError("The drive follows a session: stop it before you change the encoder's parameters.")
 
     def advance(self, now: int) -> list[MessageBlock]:
         """Return the blocks that are complete by ``now``, ns; the oldest ones if there are too many.

@@ -16,6 +16,7 @@ from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.real_drive import run
 from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
@@ -133,6 +134,13 @@ class Drive:
     @stator_frame.setter
     def stator_frame(self, wanted: bool) -> None:
         self._effects.stator_frame = wanted and self.settings.free_shaft
+
+    def set_encoder(self, encoder: Encoder) -> None:
+        """Take the angle of the resolver, with its faults, as raw from the next sample on."""
+        raw = effects.angle_scale(self.settings)
+        self._effects.angle_scale = encoder.factor * raw
+        offset = encoder.factor * self.settings.resolver_offset - encoder.encoder_offset
+        self._sensors = self._sensors._replace(angle_offset=offset)
 
     @property
     def time(self) -> float:

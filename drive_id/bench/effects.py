@@ -179,7 +179,7 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
         largest_step=min(steps),
         free_shaft=s.free_shaft,
         stator_frame=False,
-        angle_scale=-s.angle_factor if s.angle_reversed else s.angle_factor,
+        angle_scale=angle_scale(s),
         torque_factor=1.5 * machine.pole_pairs,
         rotor_rate=machine.pole_pairs / shaft.inertia,
         friction=np.array((shaft.viscous_friction / machine.pole_pairs, shaft.coulomb_friction)),
@@ -187,6 +187,11 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
         load_torque=s.load_torque,
         observer_rate=2 * math.pi * s.speed_observer,
     )
+
+
+def angle_scale(settings: SimulationSettings) -> float:
+    """Return the measured electrical angle per true one."""
+    return -settings.angle_factor if settings.angle_reversed else settings.angle_factor
 
 
 class Shaft(NamedTuple):

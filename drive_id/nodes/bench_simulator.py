@@ -19,6 +19,7 @@ from drive_id.bench.bench import MessageBlock, Pace, SimulatedBench
 from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment import feedback
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
@@ -46,7 +47,9 @@ class BenchSimulator(Node):
         if self._follows_clock and self._settings.time_scale != 1.0:
             raise ConfigurationError("With time_scale this node publishes /clock: do not set use_sim_time for it, too.")
         faults = declare_settings(self, FaultSettings)
+        self._encoder = declare_settings(self, Encoder)
         self._bench = SimulatedBench(load_machine(self._settings.machine), self._drive, self._settings, faults)
+        self._bench.set_encoder(self._encoder)
         self._heard: Channel[CurrentReference] = Channel(self._drive.seed)
         self._said: Channel[MessageBlock | feedback.DriveStatus] = Channel(self._drive.seed + 1)
         self._pace: Pace | None = None
@@ -70,6 +73,7 @@ class BenchSimulator(Node):
         )
         self._subscription = self.create_subscription(CurrentReference, "current_reference", self._on_reference, STREAM)
         on_change(self, SimulationSettings, self._check, self._on_settings)
+        on_change(self, Encoder, self._check_encoder, self._on_encoder)
         on_change(self, FaultSettings, lambda _: None, self._on_faults)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
@@ -159,6 +163,16 @@ class BenchSimulator(Node):
         if settings.speeds != self._drive.speeds:
             self._bench.set_speeds(settings.speeds, settings.ramp_time)
         self._drive = settings
+
+    def _check_encoder(self, encoder: Encoder) -> None:
+        if encoder != self._encoder:
+            self._bench.check_rest()
+
+    def _on_encoder(self, encoder: Encoder) -> None:
+        if encoder != self._encoder:
+            self._bench.set_encoder(encoder)
+            self._encoder = encoder
+            self.get_logger().info(f"The encoder's parameters were changed: {encoder}.")
 
     def _on_faults(self, faults: FaultSettings) -> None:
         if faults.restarts != self._bench.faults.restarts:

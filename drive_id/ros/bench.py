@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import Empty
 
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
 from drive_id.nodes.support.arguments import ros_arguments
@@ -28,6 +29,7 @@ from drive_id.nodes.support.middleware import fast_dds
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
 MEASURED = ("phase_currents", "phase_voltages", "resolver")
+PARAMETERS = {"get_parameters": GetParameters, "set_parameters_atomically": SetParametersAtomically}
 SERVICES = {
     f"{RECORDER}/start": StartRecording,
     f"{RECORDER}/stop": StopRecording,
@@ -139,6 +141,8 @@ class Bench:
     ----------
     namespace : str
         Of the drive's nodes.
+    drive : str
+        Node of the drive with the parameters of :class:`~drive_id.core.experiment.encoder.Encoder`, where it has them.
     timeout : float
         For each step, s; for a trajectory, in addition to its duration.
     tell : callable, optional
@@ -156,6 +160,7 @@ class Bench:
         self,
         namespace: str = "",
         *,
+        drive: str = "",
         timeout: float = 60.0,
         tell: Callable[[Progress], None] | None = None,
         arguments: Sequence[str] = (),
@@ -172,7 +177,10 @@ class Bench:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._names = {self._node.resolve_service_name(node): node for node in NODES}
-        self._services = {name: self._node.create_client(kind, name) for name, kind in SERVICES.items()}
+        self.drive = drive
+        of_drive = {f"{drive}/{name}": kind for name, kind in PARAMETERS.items()} if drive else {}
+        kinds = SERVICES | of_drive
+        self._services = {name: self._node.create_client(kind, name) for name, kind in kinds.items()}
         self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=steady)
@@ -212,7 +220,7 @@ class Bench:
         """
 
         def waiting() -> str:
-            missing = {name.partition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
+            missing = {name.rpartition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
             missing |= set(NODES) - set(self._statuses)
             missing |= set() if self._heartbeats.get_subscription_count() else {PUBLISHER}
             if missing:
@@ -259,14 +267,37 @@ class Bench:
         ExperimentError
             When the publisher refuses them.
         """
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        result = self._called(f"{PUBLISHER}/set_parameters_atomically", parameters=parameters).result
-        if not result.successful:
-            raise ExperimentError(f"{PUBLISHER}: {result.reason}")
+        self._configure(PUBLISHER, values)
 
     def publisher_value(self, name: str) -> float:
         """Return a parameter of the trajectory publisher that is a number, NaN where it is the default."""
         return self._parameter(PUBLISHER, name)
+
+    def encoder(self) -> Encoder:
+        """Return what the drive makes of its raw angle, by the parameters of its node.
+
+        Raises
+        ------
+        ExperimentError
+            When the node does not answer, or lacks them.
+        """
+        names = list(Encoder.__dataclass_fields__)
+        values = [parameter_value_to_python(value) for value in self._values(self.drive, names)]
+        if None in values or len(values) < len(names):
+            raise ExperimentError(
+                f"{self.drive} has no parameters {', '.join(names)}: enter the angle by hand, without --drive."
+            )
+        return Encoder(**dict(zip(names, values, strict=True)))
+
+    def set_encoder(self, encoder: Encoder) -> None:
+        """Set what the drive makes of its raw angle.
+
+        Raises
+        ------
+        ExperimentError
+            When the node refuses, as while current flows.
+        """
+        self._configure(self.drive, asdict(encoder))
 
     def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "") -> Identified:
         """Identify the drive.
@@ -347,17 +378,26 @@ class Bench:
             simulated = " and ".join(node for node, own in clocks.items() if own)
             raise ExperimentError(f"Only {simulated} follows /clock: give all nodes the same use_sim_time.")
 
+    def _configure(self, node: str, values: Mapping[str, Any]) -> None:
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        result = self._called(f"{node}/set_parameters_atomically", parameters=parameters).result
+        if not result.successful:
+            raise ExperimentError(f"{node}: {result.reason}")
+
+    def _values(self, node: str, names: Sequence[str]) -> list[ParameterValue]:
+        return list(self._called(f"{node}/get_parameters", names=names).values)
+
     def _parameter(self, node: str, name: str) -> float:
         """Return a parameter of a node that is a number or true, 0 if it is neither."""
-        value = self._called(f"{node}/get_parameters", names=[name]).values[0]
+        (value,) = self._values(node, [name])
         if value.type == ParameterType.PARAMETER_DOUBLE:
             return float(value.double_value)
         return float(value.bool_value) if value.type == ParameterType.PARAMETER_BOOL else 0.0
 
     def _called(self, name: str, /, **fields: Any) -> Any:
         """Call a service and return its response, which itself tells of success."""
-        future = self._services[name].call_async(SERVICES[name].Request(**fields))
-        node = name.partition("/")[0]
+        node, client = name.rpartition("/")[0], self._services[name]
+        future = client.call_async(client.srv_type.Request(**fields))
         self._wait(future.done, lambda: f"service {name} does not answer", lambda: f"{node}: {self._said(node)}")
         return future.result()
 

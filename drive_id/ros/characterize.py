@@ -203,6 +203,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--angle-known", action="store_true", help="with --first-start: angle_offset is set already, only shake"
     )
+    parser.add_argument(
+        "--drive", default="", help="with --first-start: node of the drive, with parameters encoder_offset, ..."
+    )
     parser.add_argument("--free-shaft", action="store_true", help="trajectory free_shaft: without load machine")
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
     parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
@@ -240,7 +243,7 @@ def _run(options: argparse.Namespace) -> int:
         if options.output:
             prepare_output(options.output, COMPARED if options.compare else REQUESTS)
         with telling(_CONSOLE) as tell:
-            bench = Bench(timeout=options.timeout, tell=tell, arguments=sys.argv)
+            bench = Bench(drive=options.drive, timeout=options.timeout, tell=tell, arguments=sys.argv)
             return characterize(bench, options)
     except (DriveIdError, OSError, KeyboardInterrupt, ROSInterruptException) as error:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -39,6 +39,9 @@ class CommissioningSettings:
     output_directory: str = setting(
         "first_starts", "Folder in which each first start makes a new one; relative to the working directory"
     )
+    drive: str = setting(
+        "", "Node that takes the angle by its parameters encoder_offset, ...; empty: the angle is only told"
+    )
     timeout: float = setting(
         60.0, "For each step, and for all nodes to be ready", unit="s", minimum=1.0, maximum=3600.0
     )
@@ -86,7 +89,7 @@ class Commissioning(Node):
 
     def _job(self, request: Any) -> Job:
         folder = _new_folder(Path(self._settings.output_directory), request.name)
-        return partial(_first_start, self.get_namespace(), self._settings.timeout, folder, request.angle_known)
+        return partial(_first_start, self.get_namespace(), self._settings, folder, request.angle_known)
 
     def _said(self, response: Any, reply: Reply) -> Any:
         response.success, response.code, response.message = reply.success, reply.code, reply.message
@@ -115,7 +118,9 @@ def _new_folder(directory: Path, name: str) -> Path:
     return folder
 
 
-def _first_start(namespace: str, timeout: float, folder: Path, angle_known: bool, tell: Progress) -> Reply:
+def _first_start(
+    namespace: str, settings: CommissioningSettings, folder: Path, angle_known: bool, tell: Progress
+) -> Reply:
     """Run a first start; where it tells its progress, it can be cancelled, which stops the drive."""
     stage = ["Turning"]
 
@@ -128,8 +133,8 @@ def _first_start(namespace: str, timeout: float, folder: Path, angle_known: bool
 
     try:
         tell(stage[0], 0.0)
-        with Bench(namespace, timeout=timeout, tell=step) as bench:
-            bench.wait_until_ready(timeout)
+        with Bench(namespace, drive=settings.drive, timeout=settings.timeout, tell=step) as bench:
+            bench.wait_until_ready(settings.timeout)
             found = commission(bench, folder, folder.name, say, angle_known=angle_known)
         return _Outcome("ok", found.sentence(), commissioned=found)
     except DriveIdError as error:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.first_start import FirstStart, first_start, shaft_acceleration
+from drive_id.core.experiment.free_shaft import FASTEST_SWING, swing_frequency
 from drive_id.core.experiment.settings import FIRST_START, FREE_SHAFT, ExperimentSettings, make_trajectory
 from drive_id.errors import ExperimentError
 from drive_id.fitting.sources import read_bag
 from drive_id.ros.bench import Bench
 
-SIGNALS, PARAMETERS = "signals.yaml", "trajectory_publisher.yaml"
+SIGNALS, PARAMETERS, DRIVE = "signals.yaml", "trajectory_publisher.yaml", "drive.yaml"
 _SHAKE_FREQUENCY = 25.0
 """Hz: slow enough for the current controllers, so fast that the shaft turns by a part of a revolution only."""
 _SHAKE_TIME = 1.0  # s
@@ -24,6 +26,16 @@ _SHAKES = (0.2, 0.8)
 """Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go; the larger one
 leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
+_NOTABLE = 0.9
+"""Amplitude relative to i_max below which a result says so."""
+_SALIENT, _SALIENT_SWING = 2.0, 10.0
+"""Largest torque relative to that at the frequency of i_q from which on reluctance prevails; and the fastest swing
+then, Hz: 8 % of the bandwidth of a usual current controller. Faster ones have exceeded 1.2 i_max."""
+_LARGEST_REST = math.radians(3.0)
+"""Offset that may be left when the drive has taken what was found: more than two first starts ever differ by."""
+_LARGEST_TURN = math.radians(10.0)
+"""Offset up to which turned references suffice: a controller that decouples in axes further off has exceeded 1.2 i_max
+with interior-magnet machines."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +47,35 @@ class Commissioned:
     start : FirstStart
     acceleration : float
         Electrical, by the largest current, T_max p / J, rad/s^2.
+    amplitude : float
+        Of the swing, relative to i_max: less than wanted where the rotor is too light for its torque.
     signals, parameters : Path
         Signals file for its recordings, and parameters of the publisher.
+    encoder : Encoder or None
+        Parameters that were written into the drive; ``start`` is what is left since.
     """
 
     start: FirstStart
     acceleration: float
+    amplitude: float
     signals: Path
     parameters: Path
+    encoder: Encoder | None = None
 
     def sentence(self) -> str:
         """Return the result as one sentence."""
+        written = ""
+        if self.encoder is not None:
+            written = f"The drive took {self.encoder.sentence()}. "
+        reduced = ""
+        if self.amplitude < _NOTABLE:
+            reduced = (
+                f" The rotor is too light for its torque, so the swing takes {100 * self.amplitude:.0f} % of i_max: "
+                "add inertia, which makes it slower, to map more."
+            )
+        return written + self._found() + reduced
+
+    def _found(self) -> str:
         start = self.start
         if math.isnan(start.angle_sigma):
             return (
@@ -81,6 +111,10 @@ def commission(
     ------
     ExperimentError
         When the result is not clear, or the drive has to be set up differently.
+
+    Notes
+    -----
+    Where the bench knows the node of the drive, the angle is entered there, and a second first start verifies it.
     """
     limit = bench.publisher_value("shaft_speed_max")
     if not limit > 0:
@@ -93,15 +127,52 @@ def commission(
         start = FirstStart((0.0,) * 3, 1, 1, bench.publisher_value("angle_offset"), math.nan, math.nan)
     else:
         say("Turning", "The current vector turns slowly, forwards and backwards.")
-        bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
-        start = first_start(read_bag(bench.run_experiment(f"{name}_first_start").uri))
-        _require_plain(start)
-    acceleration = _shaken(bench, start, name, i_max, limit, say)
+        start = _turned(bench, f"{name}_first_start")
+    encoder = None
+    if bench.drive:
+        encoder, start = _entered(bench, start, name, say, angle_known=angle_known)
+    _require_plain(start)
+    acceleration, by_magnets = _shaken(bench, start, name, i_max, limit, say)
+    if math.isnan(kept["swing_frequency"]):
+        fastest = _SALIENT_SWING if acceleration > _SALIENT * by_magnets else FASTEST_SWING
+        wanted = swing_frequency(kept["amplitude"] * acceleration, limit, kept["mean_speed"])
+        kept["amplitude"] *= min(1.0, fastest / wanted)
     found = {"angle_offset": start.angle_offset, "shaft_acceleration": acceleration, "shaft_speed_max": limit}
     swing_up(bench, **kept, **found)
+    found["amplitude"] = kept["amplitude"]
     _write(folder / PARAMETERS, {"/**": {"ros__parameters": {"trajectory": FREE_SHAFT, "i_max": i_max, **found}}})
     _write(folder / SIGNALS, signals_of(start))
-    return Commissioned(start, acceleration, folder / SIGNALS, folder / PARAMETERS)
+    if encoder is not None:
+        _write(folder / DRIVE, {"/**": {"ros__parameters": asdict(encoder)}})
+    return Commissioned(start, acceleration, kept["amplitude"], folder / SIGNALS, folder / PARAMETERS, encoder)
+
+
+def _entered(
+    bench: Bench, start: FirstStart, name: str, say: Callable[[str, str], None], *, angle_known: bool
+) -> tuple[Encoder, FirstStart]:
+    """Enter the angle in the drive and verify it; return what the drive took, and what is left of the offset."""
+    before = bench.encoder()
+    encoder = before.corrected_by(start)
+    bench.set_encoder(encoder)
+    bench.configure_publisher(angle_offset=0.0)  # a second run shall not enter it again
+    if angle_known:
+        return encoder, replace(start, angle_offset=0.0)
+    say("Turning", f"The drive took {encoder.sentence()}; the vector turns again, to verify it.")
+    left = _turned(bench, f"{name}_verified")
+    if left.direction != 1 or left.turns_per_angle != 1 or abs(left.angle_offset) > _LARGEST_REST:
+        bench.set_encoder(before)
+        raise ExperimentError(
+            f"{bench.drive} took {encoder.sentence()}, but its angle is still {math.degrees(left.angle_offset):.1f} "
+            "degrees off, or turns otherwise: it must subtract the offset after direction and pole pairs, for its "
+            "control and for resolver; its former parameters are back."
+        )
+    return encoder, left
+
+
+def _turned(bench: Bench, name: str) -> FirstStart:
+    """Turn the current vector, and return what it tells of the angle."""
+    bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
+    return first_start(read_bag(bench.run_experiment(name).uri))
 
 
 def swing_up(bench: Bench, **changes: Any) -> None:
@@ -118,9 +189,9 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 
 def _shaken(
     bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
-) -> float:
-    """Shake the shaft, gently first; return its electrical acceleration by the full current, rad/s^2."""
-    acceleration, allowed = 0.0, 1.0
+) -> tuple[float, float]:
+    """Shake the shaft, gently first; return its acceleration by i_max and that without reluctance torque, rad/s^2."""
+    acceleration, by_magnets, allowed = 0.0, 0.0, 1.0
     for number, amplitude in enumerate(_SHAKES, 1):
         share = min(amplitude, allowed)
         say("Shaking", f"The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
@@ -134,10 +205,11 @@ def _shaken(
             duration=_SHAKE_TIME,
         )
         samples = read_bag(bench.run_experiment(f"{name}_shake_{number}").uri)
-        acceleration = i_max * shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
+        found = shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
+        acceleration, by_magnets = i_max * found[0], i_max * found[1]
         # Where the torque rises with the square of the current, the swing does as well.
         allowed = share * math.sqrt(limit * 2 * math.pi * _SHAKE_FREQUENCY / (share * acceleration))
-    return acceleration
+    return acceleration, by_magnets
 
 
 def _require_plain(start: FirstStart) -> None:
@@ -152,11 +224,19 @@ def _require_plain(start: FirstStart) -> None:
             "The drive's angle falls where its phases turn forwards: exchange two phases, or reverse the angle in the "
             "drive, and start again."
         )
+    if abs(start.angle_offset) > _LARGEST_TURN:
+        raise ExperimentError(
+            f"The drive's angle is {start.angle_offset:.4f} rad ahead of the magnet axis, and its current controller "
+            f"works in axes {math.degrees(start.angle_offset):.1f} degrees off: subtract this in the drive, set "
+            "angle_offset of trajectory_publisher to 0, and start again with --angle-known; or name the node of the "
+            "drive, if it takes it by parameters (--drive)."
+        )
 
 
 def signals_of(start: FirstStart) -> dict[str, Any]:
     """Return the signals file for recordings of a drive with this angle: angle and references are turned."""
     c, s = math.cos(start.angle_offset), math.sin(start.angle_offset)
+    fields = [{"d": c, "q": -s}, {"d": s, "q": c}] if s else ["d", "q"]
     block = {"sample_period": "sample_period", "first_sample": "first_sample"}
     return {
         "currents": {"topic": "phase_currents", "fields": ["a", "b", "c"], **block},
@@ -164,7 +244,7 @@ def signals_of(start: FirstStart) -> dict[str, Any]:
         "resolver": {
             "topic": "resolver", "angle": "angle", "speed": "speed", "angle_offset": -start.angle_offset, **block,
         },
-        "reference": {"topic": "current_reference", "fields": [{"d": c, "q": -s}, {"d": s, "q": c}], **block},
+        "reference": {"topic": "current_reference", "fields": fields, **block},
     }  # fmt: skip
 
 

@@ -14,6 +14,8 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import logged_scalars
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment.encoder import Encoder
+from drive_id.errors import ConfigurationError
 from drive_id.health import Level
 from drive_id.types import SCALARS
 
@@ -322,6 +324,21 @@ def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
     assert bench.advance(T0 + 40 * MS)[0].first_sample == 0
     assert bench.references.dry
     assert bench.status().count == 0
+
+
+def test_a_drive_takes_the_angle_of_its_encoder_only_at_zero_current(map_of_ipm):
+    raw = dataclasses.replace(DRIVE, resolver_offset=0.7, angle_reversed=True)
+    wrong, right, plain = (Bench(map_of_ipm, drive, BenchSettings()) for drive in (raw, raw, DRIVE))
+    right.set_encoder(Encoder(encoder_offset=-0.7, encoder_direction=-1))
+    angles = []
+    for bench in (wrong, right, plain):
+        bench.advance(T0)
+        angles.append(bench.advance(T0 + 10 * MS)[-1].resolver[0])
+    np.testing.assert_allclose(angles[1], angles[2], atol=1e-6)
+    assert np.abs(angles[0] - angles[2]).max() > 0.5
+    right.references.add(T0 + 10 * MS, T, *full(-20, 300), session=5)
+    with pytest.raises(ConfigurationError, match="stop it before"):
+        right.set_encoder(Encoder())
 
 
 @pytest.mark.parametrize("freeze", ["stamps", "samples"])

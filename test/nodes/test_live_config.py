@@ -13,12 +13,13 @@ from ros_bench import ros_bench
 
 from drive_id.bench.faults import FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.settings import ExperimentSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 FILES = {
     "trajectory_publisher": (PUBLISHER, (ExperimentSettings,)),
-    "bench_simulator": (BENCH, (BenchSettings, SimulationSettings, FaultSettings)),
+    "bench_simulator": (BENCH, (BenchSettings, SimulationSettings, Encoder, FaultSettings)),
 }
 
 

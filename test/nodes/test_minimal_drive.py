@@ -105,6 +105,25 @@ def statuses_of(drive):
     return statuses
 
 
+def test_the_angle_of_the_encoder_is_taken_only_at_rest(ready):
+    """Its machine needs none: an offset turns the angle on resolver by as much."""
+    from rcl_interfaces.srv import SetParametersAtomically
+    from rclpy.parameter import Parameter
+
+    def set_offset(value):
+        parameters = [Parameter("encoder_offset", value=value).to_parameter_msg()]
+        return ready.ros.call(
+            SetParametersAtomically, "/minimal_drive/set_parameters_atomically", parameters=parameters
+        )
+
+    assert set_offset(0.5).result.successful
+    assert set_offset(0.0).result.successful
+    ready.run_without_end(10.0)
+    assert "stop it first" in set_offset(0.5).result.reason
+    ready.trigger("stop")
+    ready.ros.wait(ready.is_at_zero, "zero current", ON_RECEIPT)
+
+
 def test_references_in_the_stator_frame(ready):
     """As in the first start of a drive whose angle is not known: the phases stand still while the angle turns."""
     publisher, block = rival_of(ready, session=4712 << 16, sample_period=1e-3, stator_frame=True)

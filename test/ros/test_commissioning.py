@@ -40,14 +40,18 @@ def test_a_new_drive_is_characterized_by_one_command(ros):
     ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER)
     ros.start(NODES + "bench_simulator", parameters=DRIVE | {"truth_file": str(truth)})
     command = [sys.executable, "-m", "drive_id.ros.characterize", "--first-start", "--free-shaft"]
+    command += ["--drive", "bench_simulator"]
     done = subprocess.run(
         [*command, "--recording", "bag", "--output", str(output)],
         env=ros.environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     found = yaml.safe_load((output / "trajectory_publisher.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert found["angle_offset"] == pytest.approx(OFFSET, abs=0.006)
-    for name in ("bag_first_start", "bag_shake_1", "bag_shake_2", "bag"):
+    drive = yaml.safe_load((output / "drive.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    assert found["angle_offset"] + drive["encoder_offset"] == pytest.approx(OFFSET, abs=0.006)
+    assert (drive["encoder_direction"], drive["encoder_pole_pairs"]) == (1, 1)
+    assert abs(found["angle_offset"]) < 0.02  # what is left
+    for name in ("bag_first_start", "bag_verified", "bag_shake_1", "bag_shake_2", "bag"):
         samples = read_bag(ros.folder / name)
         assert np.abs(samples.i_abc).max() < 1.2 * I_MAX
         assert np.abs(samples.speed).max() < 1.2 * SPEED_MAX
@@ -77,15 +81,18 @@ def test_a_first_start_is_a_service_and_an_action_that_can_be_cancelled(ros):
     ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER | {"angle_offset": OFFSET})
     ros.start(NODES + "bench_simulator", parameters=DRIVE)
     folder = ros.folder / "first_starts"
-    ros.start("drive_id.ros.commissioning", parameters={"output_directory": str(folder), "timeout": DEADLINE})
+    settings = {"output_directory": str(folder), "timeout": DEADLINE, "drive": "bench_simulator"}
+    ros.start("drive_id.ros.commissioning", parameters=settings)
 
     reply = ros.call(FirstStart, "/commissioning/first_start", name="shaken", angle_known=True)
     assert (reply.success, reply.code) == (True, "ok"), reply.message
     assert np.isnan(reply.sigma_angle_offset)
     found = yaml.safe_load((folder / "shaken" / "trajectory_publisher.yaml").read_text())["/**"]["ros__parameters"]
-    assert found["angle_offset"] == OFFSET
+    assert found["angle_offset"] == 0.0, "the drive took it"
+    drive = yaml.safe_load((folder / "shaken" / "drive.yaml").read_text())["/**"]["ros__parameters"]
+    assert drive["encoder_offset"] == OFFSET
     # SPM of 3 pole pairs: 4000 rad/s^2 by the largest torque, and what little reluctance adds
-    assert found["shaft_acceleration"] == pytest.approx(reply.shaft_acceleration) == pytest.approx(12_000, rel=0.05)
+    assert found["shaft_acceleration"] == pytest.approx(reply.shaft_acceleration) == pytest.approx(12_000, rel=0.15)
     assert set(yaml.safe_load((folder / "shaken" / "signals.yaml").read_text())) >= {"currents", "resolver"}
     assert ros.call(FirstStart, "/commissioning/first_start", name="shaken").code == "output"
 

@@ -36,6 +36,8 @@ _AGREEMENT = math.radians(2.0)
 _LARGEST_LOAD_ANGLE = math.radians(35.0)
 _MOST_PAIRS = 50
 _SHAKES = 2  # periods of a shake in a window
+_HIGHEST = 2.5
+"""Highest harmonic of i_q whose torque counts; halves count as well, between which the sweep of i_d leads."""
 _COHERENT = 0.7
 """Least cosine of the angle between torque and acceleration."""
 
@@ -94,10 +96,8 @@ def first_start(samples: Samples) -> FirstStart:
     runs = list(_runs(vector, largest))
     if not runs:
         raise ExperimentError("No current vector that turns evenly is in the recording: record trajectory first_start.")
-    ratios = [
-        (angle[run][-1] - angle[run][0]) / (phase[-1] - phase[0])
-        for run, phase in ((r, _phase(vector[r])) for r in runs)
-    ]
+    # slopes, not ends: a heavy rotor swings about the vector by half a radian
+    ratios = [float(np.polyfit(_phase(vector[run]), angle[run], 1)[0]) for run in runs]
     ratio = float(np.median(ratios))
     if abs(ratio) * _MOST_PAIRS < _LEAST_MOTION:
         raise ExperimentError(
@@ -199,11 +199,11 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.mod(angle + math.pi, 2 * math.pi) - math.pi
 
 
-def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float = 0.0) -> float:
-    """Return the electrical acceleration per measured i_q of a shake, T p / (J i_q), rad/s^2/A.
+def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float = 0.0) -> tuple[float, float]:
+    """Return the electrical acceleration per amplitude of i_q of a shake, T p / (J i_q), rad/s^2/A.
 
-    The angle swings at the frequency of i_q by ``alpha i_q / (2 pi f)^2``; where i_d sweeps as well, the
-    largest counts.
+    First the largest one, of all harmonics of the swing: where i_d sweeps, reluctance torque swings at about twice the
+    frequency of i_q. Then that at the frequency of i_q alone.
 
     Parameters
     ----------
@@ -221,26 +221,23 @@ def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float =
     """
     width = max(1, round(_SHAKES / frequency / samples.sample_period))
     count = len(samples.stamp) // width
-    phase: FloatArray = 2 * np.pi * frequency * samples.sample_period * np.arange(count * width, dtype=np.float64)
-    i_q = (space_vector(samples.i_abc) * np.exp(-1j * (samples.angle - angle_offset))).imag[: count * width]
-    current = _amplitudes(i_q, phase, width)
-    swing = _amplitudes(np.unwrap(samples.angle)[: count * width], phase, width)
+    phase: FloatArray = 2 * np.pi * frequency * samples.sample_period * np.arange(width, dtype=np.float64)
+    orders = np.arange(1, 1 + _SHAKES * _HIGHEST) / _SHAKES
+    waves = np.exp(1j * np.outer(phase, orders))
+    basis = np.column_stack((waves.real, waves.imag, np.ones(width), np.linspace(-1, 1, width)))
+    i_q = (space_vector(samples.i_abc) * np.exp(-1j * (samples.angle - angle_offset))).imag
+    windows = np.stack((i_q, np.unwrap(samples.angle)), axis=-1)[: count * width].reshape(count, width, 2)
+    both = np.linalg.lstsq(basis, np.moveaxis(windows, 0, 1).reshape(width, -1), rcond=None)[0].reshape(-1, count, 2)
+    own = int(np.argmin(np.abs(orders - 1)))
+    current, swing = (both[own] - 1j * both[own + len(orders)]).T
     full = np.abs(current) > 0.9 * np.abs(current).max()
-    alpha = -((2 * np.pi * frequency) ** 2) * swing[full] / current[full]
+    alpha = -swing[full] / current[full]
     coherent = float(np.median(alpha.real / np.abs(alpha)))
     if coherent < -_COHERENT:
         raise ExperimentError("The shaft swings against its torque: the angle's offset is wrong by half a turn.")
     if coherent < _COHERENT:
         raise ExperimentError("The shaft does not swing with the torque: it is locked, loose, or the offset is wrong.")
-    return float(np.abs(alpha).max())
-
-
-def _amplitudes(values: FloatArray, phase: FloatArray, width: int) -> ComplexArray:
-    """Return the complex amplitude of the carrier in each window of ``width`` samples, besides a mean and a drift."""
-    out = []
-    for k in range(0, len(values), width):
-        x = phase[k : k + width]
-        basis = np.column_stack((np.cos(x), -np.sin(x), np.ones(width), np.linspace(-1, 1, width)))
-        c, s = np.linalg.lstsq(basis, values[k : k + width], rcond=None)[0][:2]
-        out.append(complex(c, s))
-    return np.array(out)
+    rates = np.tile((2 * np.pi * frequency * orders) ** 2, 2)[:, None]
+    acceleration = basis[:, : 2 * len(orders)] @ (rates * both[: 2 * len(orders), :, 1])
+    largest = float((np.abs(acceleration).max(axis=0) / np.abs(current))[full].max())
+    return largest, float((2 * np.pi * frequency) ** 2 * np.abs(alpha).max())

@@ -19,8 +19,9 @@ TRIP_FACTOR = 1.2
 """Speed and current at which a free shaft trips, relative to the largest ones planned."""
 _SWING_SHARE = 0.85
 """Part of the speed band that the swing is planned to take."""
-_RATIO = 0.2 / ((1 + math.sqrt(5)) / 2)
-"""f_d / f_q, about 0.12; irrational, so that the figure never closes."""
+_RATIO = (3 - math.sqrt(5)) / 2
+"""f_d / f_q, 0.382, the golden angle: the figure never closes, and i_d changes its sign each or every other period.
+Where i_d and i_q lag differently, reluctance torque has a mean of that sign: slower figures swing the mean speed."""
 _LARGEST_SKEW = 0.8
 """Largest modulation of the phase of i_q, rad: mean of 0.37 of the amplitude."""
 _RAMP_TIME = 0.2  # s, at least, in whole periods of f_q

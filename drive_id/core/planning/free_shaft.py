@@ -31,8 +31,8 @@ _LEAST_HELD = 0.03
 """The same, below which friction exceeds it, so that no mean speed can be held."""
 _LEAST_PART = 0.2
 """Smallest part of the highest speed that is left for the sake of the voltage of fast swings."""
-_STEPS, _PERIODS = 100, 9
-"""Instants in a period of the swing, and periods, in which i_d sweeps once: 1 / 0.12."""
+_STEPS, _PERIODS = 100, 13
+"""Instants in a period of the swing, and periods, in which i_d sweeps five times."""
 _RPM = 30 / math.pi
 
 _CREEP = 60.0 / _RPM

@@ -1,4 +1,4 @@
-"""Linear regression on products per block of time, whose scatter gives the standard errors."""
+"""Linear regression in time whose residuals are correlated, with standard errors that know it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,18 @@ def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:
     return [np.sum(blocks[k : k + group], axis=0) for k in range(0, len(blocks), group)]
 
 
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the pseudo-inverse of products of columns of any scale."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
+    return np.asarray(np.linalg.pinv(matrix / scale / scale[:, None], hermitian=True) / scale / scale[:, None])
+
+
 @dataclass(frozen=True, eq=False)
 class BlockRegression:
     """Coefficients (K,) of some columns, their covariance (K, K), and the products over all blocks.
 
-    Neighbouring residuals are correlated, so the covariance comes from the scatter of the scores between blocks.
+    Neighbouring residuals are correlated, so the covariance comes from the scatter of the scores between blocks, or
+    from their spectrum at the lowest frequencies.
     """
 
     response: int
@@ -33,13 +40,41 @@ class BlockRegression:
         """Solve for the columns, of products (B, C, C)."""
         total = blocks.sum(axis=0)
         matrix = total[np.ix_(columns, columns)]
-        scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-        inverse = np.linalg.pinv(matrix / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
+        inverse = _inverse(matrix)
         coefficients = inverse @ total[columns, response]
         scores = blocks[:, columns, response] - blocks[:, columns][:, :, columns] @ coefficients
         count = len(blocks)
         covariance = count / max(count - 1, 1) * inverse @ (scores.T @ scores) @ inverse
         return cls(response, columns, coefficients, covariance, total)
+
+    @classmethod
+    def of_series(
+        cls, data: FloatArray, response: int, columns: list[int], cosines: int, more: FloatArray | None = None
+    ) -> BlockRegression:
+        """Solve for the columns of equidistant rows (N, C).
+
+        The covariance is the equally weighted cosine estimate: the mean periodogram of the scores at the ``cosines``
+        lowest frequencies k / 2 N. What repeats faster than these is no scatter of the mean.
+
+        Parameters
+        ----------
+        data : (N, C) float
+        response, columns
+            Indices of C.
+        cosines : int
+            At least 1, below N.
+        more : (M, K) float, optional
+            Products of the columns chosen with independent errors of the response, one standard error each.
+        """
+        total, count = data.T @ data, len(data)
+        inverse = _inverse(total[np.ix_(columns, columns)])
+        coefficients = inverse @ total[columns, response]
+        scores = data[:, columns] * (data[:, response] - data[:, columns] @ coefficients)[:, None]
+        waves = np.cos(np.pi * np.arange(1, cosines + 1)[:, None] * (np.arange(count) + 0.5) / count)
+        amplitudes = np.sqrt(2 / cosines) * waves @ scores
+        if more is not None:
+            amplitudes = np.concatenate([amplitudes, more])
+        return cls(response, columns, coefficients, inverse @ (amplitudes.T @ amplitudes) @ inverse, total)
 
     def estimate(self, column: int) -> tuple[float, float]:
         """Return a coefficient and its standard error."""
@@ -53,6 +88,11 @@ class BlockRegression:
         amplitude = float(np.hypot(*both))
         direction = both / max(amplitude, np.finfo(np.float64).tiny)
         return amplitude, float(np.sqrt(direction @ self.covariance[k : k + 2, k : k + 2] @ direction))
+
+    def scatter(self, column: int) -> float:
+        """Return the standard error of a cosine and the sine behind it, in the direction that is known least."""
+        k = self.columns.index(column)
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[k : k + 2, k : k + 2])[-1]))
 
     def wald(self, column: int) -> float:
         """Return the Wald statistic of a cosine and the sine behind it."""

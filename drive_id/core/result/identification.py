@@ -150,12 +150,33 @@ class FluxMap:
 
     def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
-        d, q = (np.interp(x, axis, np.arange(len(axis))) for x, axis in ((i_d, self.i_d), (i_q, self.i_q)))
-        m, n = (np.minimum(x.astype(np.int64), len(axis) - 2) for x, axis in ((d, self.i_d), (q, self.i_q)))
-        t, s = d - m, q - n
+        (m, t), (n, s) = self._between(i_d, i_q)
         low = (1 - s) * values[m, n] + s * values[m, n + 1]
         high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
         return np.asarray((1 - t) * low + t * high)
+
+    def collected(self, weights: FloatArray, i_dq: FloatArray) -> FloatArray:
+        """Return weights (N, C) at currents (N, 2) collected on the grid, (D, Q, C): the transpose of :meth:`sampled`.
+
+        ``(collected(w, i) * values).sum() == w @ sampled(values, i)``, for any number of values at the cost of one.
+        """
+        (m, t), (n, s) = self._between(*i_dq.T)
+        columns, count = len(self.i_q), self.psi_d.size
+        out = np.zeros((count, weights.shape[1]))
+        for d, q, share in ((0, 0, (1 - t) * (1 - s)), (0, 1, (1 - t) * s), (1, 0, t * (1 - s)), (1, 1, t * s)):
+            place = (m + d) * columns + n + q
+            for c in range(weights.shape[1]):
+                out[:, c] += np.bincount(place, share * weights[:, c], count)
+        return out.reshape(*self.psi_d.shape, -1)
+
+    def _between(self, i_d: FloatArray, i_q: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+        """Return for each axis the grid line below currents and the part of the cell beyond it; held at the ends."""
+        places = []
+        for x, axis in ((i_d, self.i_d), (i_q, self.i_q)):
+            at = np.interp(x, axis, np.arange(len(axis)))
+            line = np.minimum(at.astype(np.int64), len(axis) - 2)
+            places.append((line, at - line))
+        return places
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
@@ -398,6 +419,8 @@ class Mechanics:
         T_0, against positive rotation, N m.
     cogging : tuple of Cogging
         The significant harmonics of T_c.
+    cogging_visible : float or None
+        Amplitude below which a harmonic would not have been reported, N m; None where none was looked for.
     gain, sigma_gain : float or None
         g: true torque over that of the map; None where no inertia is known.
     explained : float
@@ -415,6 +438,7 @@ class Mechanics:
     load: float | None
     sigma_load: float | None
     cogging: tuple[Cogging, ...]
+    cogging_visible: float | None
     gain: float | None
     sigma_gain: float | None
     explained: float

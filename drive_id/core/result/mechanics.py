@@ -12,16 +12,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.block_regression import BlockRegression, grouped
-from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, Mechanics
+from drive_id.core.result.block_regression import BlockRegression
+from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
-_Flux = Callable[[FloatArray], FloatArray]
+_Flux = Callable[[FloatArray, FloatArray], FloatArray]
+"""Flux psi_dq (N, 2), Wb, over currents (N, 2), A, and angles (N,), rad."""
 
 ORDERS = (6, 12, 18, 24)
 """Electrical orders of cogging that are looked for."""
@@ -29,7 +32,11 @@ _SHORTEST, _LONGEST = 4e-3, 0.1
 """Bounds of the width of the bell, s."""
 _BELLS = 8
 """Bells per width: neighbours overlap."""
-_BLOCKS, _FEWEST_BLOCKS = 40, 8
+_SWEEP = 0.06
+"""Half the frequency at which i_d sweeps the disc, relative to that of the torque: what errors of the map leave repeats
+with the sweep, and is no scatter."""
+_FEWEST, _MOST = 8, 40
+"""Cosines below that frequency by which the scatter is estimated."""
 _OUTSIDE = 0.05
 """Share of a bell in which the current may lie beyond the data of the map, where its continuation is taken."""
 _RESTING = 0.02
@@ -40,12 +47,14 @@ _SIGNIFICANT = 30.0
 """Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
 _TOLD = 5.0
 """Standard errors of friction, viscous friction or load from which on the motion tells it."""
-_UNMODELLED = 1 / 3
-"""Part of the rms torque that the model leaves, such as a ripple, that may resemble an acceleration."""
 _SAME_GAIN = 2e-3
+_COMMON = 1e-4
+"""What method full leaves in the size common to all fluxes of simulated drives, and no standard error holds."""
 _LEAST_WAVE = 0.05
 """Rms of a harmonic under the bells below which it has averaged out."""
 _SAME_SPEED = 1.2
+_LEAST_VARIATION = 0.05
+"""Variation of the squared flux from which on the drag of iron loss is told from viscous friction."""
 _LEAST_TURN = 2 * math.pi
 """Range of the angle below which no harmonic is looked for, rad."""
 
@@ -74,15 +83,20 @@ def with_mechanics(
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
 
         pieces = [corrected(piece, drive.calibrations) for piece in pieces]
-    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), settings.inertia)
+    discs = discs or (0.0,) * len(pieces)
+    known = settings.inertia, drive.error_modes, drive.harmonics
+    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, *known)
     if found is None:
         return drive
     return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
 
 
-_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _HARMONICS = range(8)
+_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _IRON, _HARMONICS = range(9)
 """Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
-speed, direction, 1, and from the last one on cosines and sines of the harmonics; all under a bell."""
+speed, direction, 1, speed times the variation of the squared flux, and then the harmonics; all under a bell."""
+_PER_ORDER = 12
+"""Columns of each order: cosine and sine, of cogging, and the same times i_d, i_q, i_d^2, i_d i_q and i_q^2, for the
+ripple of the flux harmonics."""
 
 
 @one_blas_thread()
@@ -92,6 +106,8 @@ def fit_mechanics(
     pole_pairs: int,
     discs: Sequence[float] = (),
     inertia: float | None = None,
+    modes: ErrorModes | None = None,
+    harmonics: Sequence[HarmonicMap] = (),
 ) -> Mechanics | None:
     """Fit inertia, friction, load and cogging to the motion.
 
@@ -104,16 +120,31 @@ def fit_mechanics(
         Inertia added in each piece, kg m^2. Default: none.
     inertia : float, optional
         Known inertia without discs, kg m^2.
+    modes : ErrorModes, optional
+        Of the map. Without them, its errors count for each term as if they all fell on it.
+    harmonics : sequence of HarmonicMap, optional
+        Of the rotor position.
 
     Returns
     -------
     Mechanics or None
         None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
     """
-    known = flux_map, pieces, pole_pairs, discs, inertia
-    if _fitted(*known, flux_map.bilinear) is None:  # most shafts are held: they need not wait until scipy is loaded
+    known = flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), inertia
+    # most shafts are held: no need to wait until scipy is loaded
+    if _fitted(*known, lambda i_dq, _: flux_map.bilinear(i_dq), None) is None:
         return None
-    return _fitted(*known, flux_map.continued)
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        psi = flux_map.continued(i_dq)
+        for wave in harmonics:
+            parts = ((wave.psi_d_cos, wave.psi_d_sin), (wave.psi_q_cos, wave.psi_q_sin))
+            for axis, (cosine, sine) in enumerate(parts):
+                c, s = (flux_map.sampled(np.nan_to_num(values), *i_dq.T) for values in (cosine, sine))
+                psi[:, axis] += c * np.cos(wave.order * angle) + s * np.sin(wave.order * angle)
+        return psi
+
+    return _fitted(*known, flux, modes)
 
 
 def _fitted(
@@ -123,44 +154,46 @@ def _fitted(
     discs: Sequence[float],
     inertia: float | None,
     flux: _Flux,
+    modes: ErrorModes | None,
 ) -> Mechanics | None:
-    """Fit the motion, with the flux psi_dq (N, 2), Wb, over currents (N, 2), A."""
+    """Fit the motion, with a function for the flux."""
     width = _bell_width(flux_map, flux, pieces)
-    rows = [
-        _rows(flux_map, flux, run, pole_pairs, disc, width)
-        for piece, disc in zip(pieces, discs or (0.0,) * len(pieces), strict=True)
+    motions = [
+        _Motion.of(flux_map, flux, run, pole_pairs, disc, width)
+        for piece, disc in zip(pieces, discs, strict=True)
         for run in map(piece.part, *_edges(piece))
     ]
-    count = sum(len(run) for run in rows)
-    size = max(count // _BLOCKS, 1)
-    blocks = [part.T @ part for run in rows for part in np.split(run, range(size, len(run), size)) if len(part)]
-    blocks = grouped(blocks, _BLOCKS)
-    if len(blocks) < _FEWEST_BLOCKS:
+    data = np.concatenate([motion.rows[motion.kept] for motion in motions])
+    if len(data) < _BELLS * _FEWEST:
         return None
-    products, data = np.array(blocks), np.concatenate(rows)
     two_discs = len(set(discs)) > 1
     known = inertia is not None or two_discs
-    if inertia is not None:
-        products, data = _with_known(products, data, inertia)
+    whole = _with_known(data.shape[1], inertia)
+    data = data @ whole
     base = [_INERTIA, *([_DISC] if two_discs and inertia is None else []), *_of_speeds(data[:, _VISCOUS])]
+    if _VISCOUS in base and np.std(data[:, _IRON]) > _LEAST_VARIATION * np.std(data[:, _VISCOUS]):
+        base.append(_IRON)
     turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
-    waves = [
+    looked = [
         column
-        for column in range(_HARMONICS, data.shape[1], 2)
+        for column in range(_HARMONICS, data.shape[1], _PER_ORDER)
         if turned > _LEAST_TURN and np.sqrt(np.mean(data[:, column : column + 2] ** 2)) > _LEAST_WAVE
     ]
-    every = [*base, *(column + part for column in waves for part in (0, 1))]
-    solution = BlockRegression.of(products, _TORQUE, every)
-    waves = [column for column in waves if solution.wald(column) > _SIGNIFICANT]
-    columns = [*base, *(column + part for column in waves for part in (0, 1))]
-    solution = BlockRegression.of(products, _TORQUE, columns)
+    columns = [*base, *(column + part for column in looked for part in range(_PER_ORDER))]
+    if modes is not None:
+        of_map = np.sum([motion.products(modes, flux_map, pole_pairs, whole[:, columns]) for motion in motions], axis=0)
+    else:
+        squares = (data[:, columns] ** 2).sum(axis=0)
+        of_map = np.diag(np.sqrt((data[:, _MAP] ** 2).sum() * squares))
+    of_map = np.vstack([of_map, _COMMON * data[:, _TORQUE] @ data[:, columns]])
+    cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
+    solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map)
     energy = solution.total[_TORQUE, _TORQUE]
     explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
     coefficient, sigma = solution.estimate(_INERTIA)
     if explained < _EXPLAINED or coefficient < _TOLD * sigma:
         return None
-    of_map = math.sqrt(solution.total[_MAP, _MAP] / energy)  # common to all currents, relative
-    found = _Found(solution, math.hypot(of_map, _UNMODELLED * math.sqrt(max(1 - explained, 0.0))))
+    found = _Found(solution)
     gain = found.gain(_INERTIA if inertia is not None else _DISC) if known else None
     by = 1.0 if gain is None else gain[0]
     own, sigma_own = (inertia, 0.0) if inertia is not None else found.inertia(by, known=known)
@@ -175,33 +208,34 @@ def _fitted(
         load=load[0],
         sigma_load=load[1],
         cogging=tuple(
-            Cogging(ORDERS[(column - _HARMONICS) // 2], *(by * x for x in solution.amplitude(column)))
-            for column in waves
+            Cogging(ORDERS[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
+            for column in looked
+            if solution.wald(column) > _SIGNIFICANT
         ),
+        cogging_visible=by * math.sqrt(_SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
         gain=None if gain is None else gain[0],
         sigma_gain=None if gain is None else gain[1],
         explained=float(explained),
-        seconds=count * width / _BELLS,
+        seconds=len(data) * width / _BELLS,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The solution, and the relative standard error by the torque of the map and by what the model leaves."""
+    """The solution."""
 
     solution: BlockRegression
-    common: float
 
     def gain(self, column: int) -> tuple[float, float]:
         """Return the common gain, whose inverse is the coefficient of a known inertia, and its standard error."""
         inverse, sigma = self.solution.estimate(column)
-        return 1 / inverse, math.hypot(sigma / inverse, self.common) / abs(inverse)
+        return 1 / inverse, sigma / inverse**2
 
     def inertia(self, by: float, *, known: bool) -> tuple[float, float]:
         """Return the inertia without discs and its standard error; ``known``: by two of them."""
         value, sigma = self.solution.estimate(_INERTIA)
         if not known:
-            return value, math.hypot(sigma, self.common * value)
+            return value, sigma
         at = [self.solution.columns.index(column) for column in (_INERTIA, _DISC)]  # J = g (J / g), g = 1 / coefficient
         slope = np.array([by, -(by**2) * value])
         variance = float(slope @ self.solution.covariance[np.ix_(at, at)] @ slope)
@@ -210,23 +244,21 @@ class _Found:
     def term(self, column: int, by: float) -> tuple[float | None, float | None]:
         """Return a term and its standard error, None if the motion does not tell it.
 
-        Errors of the map count as common to all currents, as if they all fell on this term. Negative friction is none:
-        then the torque is in error with the speed, as by a latency of the angle.
+        Negative friction is none: then the torque is in error with the speed, as by a latency of the angle.
         """
         if column not in self.solution.columns:
             return None, None
-        total = self.solution.total
-        value, scatter = self.solution.estimate(column)
-        sigma = math.hypot(scatter, math.sqrt(total[_MAP, _MAP] / total[column, column]))
+        value, sigma = self.solution.estimate(column)
         told = (abs(value) if column == _LOAD else value) > _TOLD * sigma > 0
         return (by * value, by * sigma) if told else (None, None)
 
 
-def _with_known(products: FloatArray, data: FloatArray, inertia: float) -> tuple[FloatArray, FloatArray]:
-    """Return products and data whose column of the inertia is the torque of the whole known inertia."""
-    change = np.eye(data.shape[1])
-    change[_INERTIA, _INERTIA], change[_DISC, _INERTIA] = inertia, 1.0
-    return change.T @ products @ change, data @ change
+def _with_known(count: int, inertia: float | None) -> FloatArray:
+    """Return what makes the column of the inertia the torque of the whole known one, as a matrix behind rows."""
+    change = np.eye(count)
+    if inertia is not None:
+        change[_INERTIA, _INERTIA], change[_DISC, _INERTIA] = inertia, 1.0
+    return change
 
 
 def _of_speeds(speed: FloatArray) -> list[int]:
@@ -246,7 +278,7 @@ def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> fl
     """Return half the mean period of the torque, s, by its changes of sign."""
     changes, seconds = 0, 0.0
     for piece in pieces:
-        torque, _, _ = _torque(flux_map, flux, piece, 1)
+        torque = _torque(flux_map, flux, piece, 1)[0]
         step = max(1, round(1e-3 / piece.sample_period))
         smooth = torque[: len(torque) // step * step].reshape(-1, step).mean(axis=1)
         active = np.abs(smooth) > 0.1 * np.abs(smooth).max(initial=0.0)  # noise about zero torque is no swing
@@ -257,50 +289,92 @@ def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> fl
 
 def _torque(
     flux_map: FluxMap, flux: _Flux, samples: Samples, pole_pairs: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the torque of the map and its standard error (N,), Nm, and 1.0 where the current is beyond the data."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return torque and its standard error, Nm; 1.0 where the current is beyond the data; |psi|^2; (N,) each."""
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     i_d, i_q = i_dq.T
-    psi = flux(i_dq)
+    psi = flux(i_dq, samples.angle)
     sigma_d, sigma_q = flux_map.sigma(i_d, i_q)
     sigma = np.hypot(sigma_d * i_q, sigma_q * i_d)
     scale = 1.5 * pole_pairs
     inside = np.isfinite(sigma)
     torque = scale * (psi[:, 0] * i_q - psi[:, 1] * i_d)
-    return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0)
+    return torque, scale * np.where(inside, sigma, 0.0), np.where(inside, 0.0, 1.0), (psi**2).sum(axis=1)
 
 
-def _rows(flux_map: FluxMap, flux: _Flux, run: Samples, pole_pairs: int, disc: float, width: float) -> FloatArray:
-    """Return the rows (W, 7 + 2 H) of a gap-free run; see the columns above."""
-    period = run.sample_period
-    half = max(round(0.5 * width / period), 4)
-    stride = max(2 * half // _BELLS, 1)
-    if len(run) < 2 * half + 3:
-        return np.zeros((0, _HARMONICS + 2 * len(ORDERS)))
-    bell = (1 - (np.arange(-half, half + 1) / (half + 0.5)) ** 2) ** 4
-    bell /= bell.sum()
-    padded = np.concatenate([[0.0, 0.0], bell, [0.0, 0.0]])
-    slope, bend = (padded[2:] - padded[:-2]) / (2 * period), np.diff(padded, 2) / period**2
-    wide = np.concatenate([[0.0], bell, [0.0]])
-    angle = np.unwrap(run.angle)
-    speed = np.gradient(angle, period) / pole_pairs
-    steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
-    torque, sigma, outside = _torque(flux_map, flux, run, pole_pairs)
-    waves = [wave(order * angle) for order in ORDERS for wave in (np.cos, np.sin)]
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """A gap-free run under bells.
 
-    def under(kernel: FloatArray, x: FloatArray) -> FloatArray:
-        places = np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::stride]
-        return np.asarray(places @ kernel)
+    Parameters
+    ----------
+    samples : Samples
+    bell : (2 H + 3,) float
+    stride : int
+        Samples from one bell to the next.
+    rows : (W, C) float
+        See the columns above.
+    kept : (W,) bool
+        The rows that enter.
+    """
 
-    acceleration = under(bend, angle) / pole_pairs
-    columns = [
-        under(wide, torque), under(wide, sigma), acceleration, disc * acceleration, -under(slope, angle) / pole_pairs,
-        under(wide, np.sign(steady)),
-    ]  # fmt: skip
-    columns += [np.ones(len(acceleration), np.float64), *(under(wide, wave) for wave in waves)]
-    size = under(wide, np.abs(steady))
-    kept = (under(wide, outside) < _OUTSIDE) & (size > _RESTING * size.max())
-    return np.asarray(np.column_stack(columns)[kept], np.float64)
+    samples: Samples
+    bell: FloatArray
+    stride: int
+    rows: FloatArray
+    kept: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, flux_map: FluxMap, flux: _Flux, run: Samples, pole_pairs: int, disc: float, width: float) -> _Motion:
+        """Put the run under bells of a width, s."""
+        period = run.sample_period
+        half = max(round(0.5 * width / period), 4)
+        stride = max(2 * half // _BELLS, 1)
+        bell = (1 - (np.arange(-half, half + 1) / (half + 0.5)) ** 2) ** 4
+        bell /= bell.sum()
+        padded = np.concatenate([[0.0, 0.0], bell, [0.0, 0.0]])
+        slope, bend = (padded[2:] - padded[:-2]) / (2 * period), np.diff(padded, 2) / period**2
+        wide = padded[1:-1]
+        if len(run) < len(wide):
+            return cls(run, wide, stride, np.zeros((0, _HARMONICS + _PER_ORDER * len(ORDERS))), np.zeros(0, np.bool_))
+        angle = np.unwrap(run.angle)
+        speed = np.gradient(angle, period) / pole_pairs
+        steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
+        torque, sigma, outside, squares = _torque(flux_map, flux, run, pole_pairs)
+        usual = np.mean((flux_map.psi_d**2 + flux_map.psi_q**2)[flux_map.inside])
+        i_d, i_q = frames.to_dq(run.i_abc, run.angle).T
+        factors = (np.ones(len(run)), i_d, i_q, i_d**2, i_d * i_q, i_q**2)
+        waves = [by * wave(order * angle) for order in ORDERS for by in factors for wave in (np.cos, np.sin)]
+
+        def under(kernel: FloatArray, x: FloatArray) -> FloatArray:
+            places = np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::stride]
+            return np.asarray(places @ kernel)
+
+        acceleration = under(bend, angle) / pole_pairs
+        columns = [
+            under(wide, torque), under(wide, sigma), acceleration, disc * acceleration,
+            -under(slope, angle) / pole_pairs, under(wide, np.sign(steady)),
+        ]  # fmt: skip
+        columns += [
+            np.ones(len(acceleration), np.float64),
+            under(wide, speed * (squares / usual - 1)),
+            *(under(wide, wave) for wave in waves),
+        ]
+        size = under(wide, np.abs(steady))
+        kept = (under(wide, outside) < _OUTSIDE) & (size > _RESTING * size.max())
+        return cls(run, wide, stride, np.column_stack(columns), kept)
+
+    def products(self, modes: ErrorModes, flux_map: FluxMap, pole_pairs: int, chosen: FloatArray) -> FloatArray:
+        """Return the products (M, K) of combinations ``chosen`` (C, K) of the columns with the torque of each mode."""
+        rows, count = np.where(self.kept[:, None], self.rows @ chosen, 0.0), len(self.rows)
+        weights = np.zeros((len(self.samples), rows.shape[1]))
+        for k, height in enumerate(self.bell):
+            weights[k : k + self.stride * count : self.stride][:count] += height * rows
+        i_dq = frames.to_dq(self.samples.i_abc, self.samples.angle)
+        weights *= 1.5 * pole_pairs
+        by_d = flux_map.collected(weights * i_dq[:, 1:], i_dq).reshape(-1, rows.shape[1])
+        by_q = flux_map.collected(weights * -i_dq[:, :1], i_dq).reshape(-1, rows.shape[1])
+        return modes.psi_d.reshape(len(modes), -1) @ by_d + modes.psi_q.reshape(len(modes), -1) @ by_q
 
 
 def _statements(found: Mechanics) -> Iterator[Message]:
@@ -310,5 +384,7 @@ def _statements(found: Mechanics) -> Iterator[Message]:
     else:
         confirmed = abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN)
         yield Message("motion.confirmed" if confirmed else "motion.gain", off=abs(found.gain - 1), **values)
+    if not found.cogging and found.cogging_visible is not None:
+        yield Message("cogging_unseen", visible=found.cogging_visible)
     if found.friction is None or found.viscous_friction is None:
         yield Message("friction_open")

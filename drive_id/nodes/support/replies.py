@@ -21,6 +21,7 @@ _OF_MECHANICS = {
     name: name
     for name in (
         "inertia", "sigma_inertia", "friction", "sigma_friction", "viscous_friction", "sigma_viscous_friction",
+        "load", "sigma_load", "cogging_visible",
     )
 } | {"torque_gain": "gain", "sigma_torque_gain": "sigma_gain"}  # fmt: skip
 """Fields of the message, and of :class:`~drive_id.core.result.identification.Mechanics`."""
@@ -65,6 +66,10 @@ def fit_report_message(reply: Reply) -> FitReport:
     for field, name in _OF_MECHANICS.items():
         value = getattr(mechanics, name, None)  # without mechanics, nothing is known
         setattr(message, field, math.nan if value is None else value)
+    if mechanics is not None:
+        message.cogging_orders = array.array("I", [found.order for found in mechanics.cogging])
+        message.cogging_amplitudes = _doubles([found.amplitude for found in mechanics.cogging])
+        message.cogging_sigmas = _doubles([found.sigma for found in mechanics.cogging])
     if reply.identification is not None:
         report = reply.identification.report
         for name in message.get_fields_and_field_types():

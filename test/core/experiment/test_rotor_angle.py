@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drive_id.bench.drive import Drive, build_machine
+from drive_id.bench.effects import DEFAULT_ACCELERATION
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.first_start import first_start, shaft_acceleration
@@ -76,12 +77,24 @@ def test_a_locked_rotor_is_refused():
 
 def test_the_acceleration_is_that_of_the_torque():
     """SPM: T = 1.5 p psi i_q, whatever i_d."""
-    own = drive("spm")
-    machine = own.machine
-    inertia = float(own.truth().details["inertia"])
+    simulated = drive("spm")
+    machine = simulated.machine
+    inertia = float(simulated.truth().details["inertia"])
     psi = float(machine.mean_flux(0.0, 0.0)[0])
     expected = 1.5 * machine.pole_pairs**2 * psi / inertia
-    assert shaft_acceleration(shaken("spm", 0.4, 0.4), 40.0, 0.4) == pytest.approx(expected, rel=0.05)
+    largest, own = shaft_acceleration(shaken("spm", 0.4, 0.4), 40.0, 0.4)
+    assert own == pytest.approx(expected, rel=0.05)
+    assert own < largest < 1.25 * expected
+
+
+def test_the_acceleration_holds_reluctance_torque():
+    """Most of the largest torque is from saliency, which the swing at the frequency of i_q misses."""
+    own = drive("pmsyrm")
+    samples = own.step_block(FreeShaft(0.8 * own.machine.i_max, 25.0, 1.0)(np.arange(10_000) * 1e-4)).samples
+    largest = DEFAULT_ACCELERATION * own.machine.pole_pairs
+    found, by_magnets = shaft_acceleration(samples, 25.0)
+    assert own.machine.i_max * found == pytest.approx(largest, rel=0.15)
+    assert by_magnets < 0.5 * found
 
 
 def test_an_offset_that_is_wrong_by_half_a_turn_is_refused():

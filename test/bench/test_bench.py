@@ -328,7 +328,7 @@ def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
 
 def test_a_drive_takes_the_angle_of_its_encoder_only_at_zero_current(map_of_ipm):
     raw = dataclasses.replace(DRIVE, resolver_offset=0.7, angle_reversed=True)
-    wrong, right, plain = (Bench(map_of_ipm, drive, BenchSettings()) for drive in (raw, raw, DRIVE))
+    wrong, right, plain = (SimulatedBench(map_of_ipm, drive, BenchSettings()) for drive in (raw, raw, DRIVE))
     right.set_encoder(Encoder(encoder_offset=-0.7, encoder_direction=-1))
     angles = []
     for bench in (wrong, right, plain):

@@ -64,11 +64,7 @@ def import_file(
     from drive_id.files.results.identification import results_tree, write_results
     from drive_id.pictures.plots import rendered
 
-    given = {"pole_pairs": pole_pairs, "resistance": resistance, "i_max": i_max, "u_dc": u_dc}
-    scalars = {name: float(value) for name, value in given.items() if value is not None}
-    for name, value in scalars.items():
-        if not 0 < value < float("inf"):
-            raise ConfigurationError(f"--{name.replace('_', '-')} is {value}: it must be positive.")
+    scalars = _positive(pole_pairs=pole_pairs, resistance=resistance, i_max=i_max, u_dc=u_dc)
     source = Source(
         file, columns=_columns(columns), psi_q_file=psi_q_file, angle=angle, angle_offset=angle_offset, scalars=scalars
     )
@@ -88,6 +84,15 @@ def import_file(
     elif not quiet:
         show_result(result)
         say(f"Results in {output}")
+
+
+def _positive(**given: float | None) -> dict[str, float]:
+    """Return the numbers that are given; refuse what is not positive."""
+    scalars = {name: float(value) for name, value in given.items() if value is not None}
+    for name, value in scalars.items():
+        if not 0 < value < float("inf"):
+            raise ConfigurationError(f"--{name.replace('_', '-')} is {value}: it must be positive.")
+    return scalars
 
 
 def _columns(text: str | None) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """The command ``drive-id plan``."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -83,11 +84,14 @@ def plan_experiment(
     if as_json:
         typer.echo(json.dumps(tree, allow_nan=False))
     elif not quiet:
-        for table in tables:
-            show(table)
-        for sentence in sentences:
-            say(sentence)
-        for warning in warnings:
-            warn(warning)
-        shown = f"Written to {output}" if output is not None else "\n" + text.rstrip()
-        say(shown)
+        _print(tables, sentences, warnings)
+        say(f"Written to {output}" if output is not None else f"\n{text.rstrip()}")
+
+
+def _print(tables: Iterable[Any], sentences: Iterable[str], warnings: Iterable[str]) -> None:
+    for table in tables:
+        show(table)
+    for sentence in sentences:
+        say(sentence)
+    for warning in warnings:
+        warn(warning)

@@ -55,3 +55,9 @@ def publisher_findings(topic: str, type_name: str, publishers: Sequence[Publishe
         names = " and ".join(publisher.node for publisher in right)
         findings.append((Level.WARN, f"{names} both publish {topic}: stop one, their sample counts mix."))
     return findings
+
+
+def uncounted(topic: str) -> Observation:
+    """Return what to say of a topic whose publisher does not count its samples."""
+    sentence = f"first_sample of {topic} is always 0, so that losses do not show: have its publisher count the samples."
+    return Level.WARN, sentence

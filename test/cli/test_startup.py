@@ -48,8 +48,8 @@ def test_a_fit_does_not_load_what_it_has_no_use_for(simulation, tmp_path, method
     modules = loaded("fit", tmp_path / "bag", "--method", method, "--output", tmp_path / "fit", "--quiet")
     assert "drive_id.core.paper.regression" in modules
     unused = {f"scipy.{name}" for name in ("interpolate", "ndimage", "io", "special", "signal", "optimize", "stats")}
-    unused |= {"asyncio"} | ({"scipy.sparse"} if method == "joint" else set())
-    assert modules & (unused | {"matplotlib.pyplot", "distributed", "drive_id.bench.drive", "rosbags"}) == set()
+    unused |= {"asyncio", "matplotlib.pyplot", "distributed", "drive_id.bench.drive", "rosbags"}
+    assert modules & unused == set()
 
 
 def test_recovering_a_bag_needs_no_numerics(bag, tmp_path):

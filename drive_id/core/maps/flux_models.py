@@ -7,10 +7,11 @@ The regression needs only the rows of B, see the :class:`FluxModel` protocol. Ro
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.bspline import Axis
@@ -18,9 +19,6 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 ColumnArray = NDArray[np.int32]
 
@@ -48,8 +46,6 @@ class BasisRows:
 
     def sparse(self, parameters: int) -> sparse.csr_array:
         """Return B as one sparse matrix (2 N, parameters), both rows of a current adjacent."""
-        from scipy import sparse  # noqa: PLC0415  # methods psm and joint do without scipy
-
         ends = np.arange(0, self.column.size + 1, self.column.shape[2])
         shape = (len(ends) - 1, parameters)
         return sparse.csr_array((self.value.ravel(), self.column.ravel(), ends), shape=shape)

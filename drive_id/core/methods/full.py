@@ -92,8 +92,7 @@ class FullMethod:
             earlier,
             angle_variance=evidence.angle_variance,
         )
-        if fit.jump is not None:
-            jump = fit.jump
+        if (jump := fit.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
@@ -112,6 +111,7 @@ class FullMethod:
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
         outlying = fit.outlying > _OUTLYING_BATCH and fit.outlying_share > _LEAST_OUTLYING
         unknowns = fit.solution.basis.shape[1]
+        share = information.windows / (information.windows + information.outside)
         return Estimate(
             resistance=fit.solution.resistance,
             sigma_resistance=fit.sigma_resistance,
@@ -125,9 +125,7 @@ class FullMethod:
             sigma=sigma,
             simulation=simulation,
             positive_definite=fit.passive,
-            samples_used=round(
-                (evidence.samples - evidence.idle) * information.windows / (information.windows + information.outside)
-            ),
+            samples_used=round((evidence.samples - evidence.idle) * share),
             rows=2 * information.windows,
             parameters=unknowns,
             rank=unknowns,

@@ -24,7 +24,7 @@ def method_named(name: str) -> Method:
             "--method static, or drive_id.fit."
         )
     if name == FULL.name:
-        from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # scipy takes longer than the other methods
+        from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # takes 0.1 s
 
         return FullMethod()
     return PAPER_METHODS[name]

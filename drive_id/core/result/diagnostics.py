@@ -158,7 +158,7 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     drop = drive.phase_voltages
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
     if drive.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
 
         excerpts = [corrected(part, drive.calibrations) for part in excerpts]
     found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0

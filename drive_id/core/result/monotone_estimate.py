@@ -15,7 +15,7 @@ from drive_id.errors import DataError, UnexplainedError
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:  # scipy takes longer to load than a fit without it
+if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.maps.monotone import MonotoneMap
 
 _FINE = 48
@@ -34,7 +34,7 @@ def made_monotone(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> 
 
     Raises UnexplainedError when no monotone map is anywhere near, because a flux falls with its current on the whole.
     """
-    from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # scipy takes longer than joint's fit
+    from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # takes 0.1 s
 
     grid = evidence.visits.grid()
     i, psi, sigma = grid[inside], estimate.psi[inside], estimate.sigma[inside]

@@ -41,7 +41,7 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
     if pole_pairs is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.pole_pairs")))
     if drive.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
 
         pieces = [corrected(piece, drive.calibrations) for piece in pieces]
     found = fit_torque(drive.flux_map, pieces, pole_pairs)

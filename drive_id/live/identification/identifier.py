@@ -30,7 +30,7 @@ from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
 from drive_id.live.identification.operating_points import PointDecimator
 from drive_id.live.identification.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.live.identification.result_folders import LastMap, ResultFolders, new_folder
-from drive_id.live.publishers import Publisher, publisher_findings
+from drive_id.live.publishers import Publisher, publisher_findings, uncounted
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.messages import Message
@@ -239,13 +239,8 @@ class Identifier:
             **self.refits.values(),
         }
         findings = [*further, *self.folders.findings()]
-        for stream in (*self._streams, *self._scalar_streams.values()):
-            if stream.count.counts_nothing:
-                sentence = (
-                    f"first_sample of {stream.topic} is always 0, so that losses do not show: have its publisher count "
-                    "the samples."
-                )
-                findings.append((Level.WARN, sentence))
+        streams = (*self._streams, *self._scalar_streams.values())
+        findings += [uncounted(stream.topic) for stream in streams if stream.count.counts_nothing]
         for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
             values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
             if signal.not_finite:

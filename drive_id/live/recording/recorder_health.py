@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drive_id.health import Health, Level, Observation
-from drive_id.live.publishers import Publisher, of_type, publisher_findings
+from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 
 
@@ -93,11 +93,7 @@ def _sample_findings(state: TopicState, report: TopicReport, longest_silence: fl
     if report.lost:
         findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))
     if report.uncounted:
-        sentence = (
-            f"first_sample of {state.topic} is always 0, so that losses do not show: have its publisher count the "
-            "samples."
-        )
-        findings.append((Level.WARN, sentence))
+        findings.append(uncounted(state.topic))
     if report.unreadable:
         findings.append((Level.WARN, f"{report.unreadable} messages on {state.topic} are no blocks of samples."))
     if state.optional:

@@ -255,9 +255,7 @@ class IdentificationNode(ManagedNode):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._forget()
-        response.success, response.code = True, response.CODE_OK
-        response.message = "The live samples were discarded."
-        return response
+        return self.answer("reset", response, response.CODE_OK, "The live samples were discarded.")
 
     def _forget(self) -> None:
         self._inbox.reset()

@@ -43,6 +43,10 @@ _LAST_PATIENCE = 30.0  # s, at the end of the process
 _SCARCE = 10.0
 """Multiple of least_free_space below which diagnostics warn of the disk."""
 _NOTHING = "Nothing is being recorded: start a recording first."
+_NO_CLOCK = (
+    "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set use_sim_time "
+    "to false."
+)
 
 
 class Recorder(ManagedNode):
@@ -185,25 +189,27 @@ class Recorder(ManagedNode):
         return recorder_health(report, states, self._settings.silence, self._settings.queue_size, further, scarce)
 
     def _on_start(self, request: Any, response: Any) -> Any:
-        before = ""
+        code, message = self._start(request.name)
+        if code == response.CODE_OK and self._session is not None:
+            response.uri = str(self._session.path)
+        return self.answer("start", response, code, message)
+
+    def _start(self, name: str) -> tuple[str, str]:
+        """Begin a recording; return code and sentence of the reply."""
+        codes, before = StartRecording.Response, ""
         if not self.active:
-            return self._refused(response, response.CODE_INACTIVE, self.inactive())
+            return codes.CODE_INACTIVE, self.inactive()
         if self._now() <= 0:
-            return self._refused(
-                response,
-                response.CODE_NO_CLOCK,
-                "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set "
-                "use_sim_time to false.",
-            )
+            return codes.CODE_NO_CLOCK, _NO_CLOCK
         if self._session is not None and self._session.error:
             before = f" The recording before it was cut short: {self._session.error}"
         elif self._session is not None:
             verb = "is being completed" if self._stopping else "is being recorded"
-            return self._refused(response, response.CODE_BUSY, f"{self._session.path} {verb}: stop it first.")
+            return codes.CODE_BUSY, f"{self._session.path} {verb}: stop it first."
         try:
-            path = new_recording(Path(self._settings.data_directory), request.name, datetime.now().astimezone())
+            path = new_recording(Path(self._settings.data_directory), name, datetime.now().astimezone())
             if short := shortage(free_space(path), self._settings, path):
-                return self._refused(response, response.CODE_OUTPUT, short)
+                return codes.CODE_OUTPUT, short
             for topic in self._topics:
                 topic.match()
             self._drain()
@@ -216,25 +222,16 @@ class Recorder(ManagedNode):
             self._session = RecordingSession(
                 path, [*recorded, *self._extra.recorded()], self._settings, ros_distro=distro
             )
-            for name, data in self._extra.latched():
-                self._session.receive(name, data, self._now())
+            for topic_name, data in self._extra.latched():
+                self._session.receive(topic_name, data, self._now())
         except DriveIdError as error:
-            return self._refused(response, error.code, str(error))
+            return error.code, str(error)
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._note.begin(path)
         self._told_error = self._stopping = False
         self._last.clear()
         self._clock_watch.begin(time.monotonic())
-        response.success, response.code, response.uri = True, response.CODE_OK, str(path)
-        response.message = f"Recording {path}.{before}"
-        self.get_logger().info(response.message)
-        return response
-
-    def _refused(self, response: Any, code: str, message: str) -> Any:
-        """Refuse a start, and log why: a calling script may ignore the response."""
-        response.code, response.message = code, message
-        self.get_logger().warning(f"start: {message}")
-        return response
+        return codes.CODE_OK, f"Recording {path}.{before}"
 
     def _on_pause(self, _: Any, response: Any) -> Any:
         message = "Paused: what comes until ~/resume is not recorded."
@@ -250,37 +247,28 @@ class Recorder(ManagedNode):
         """Give the recording under way a command at this place among its messages, or say that there is none."""
         session = self._session
         if session is None or session.error or self._stopping:
-            response.code, response.message = response.CODE_NOT_RECORDING, _NOTHING
-            return response
+            return self.answer(command.__name__, response, response.CODE_NOT_RECORDING, _NOTHING)
         self._drain()
         command(session)
-        response.success, response.code, response.message = True, response.CODE_OK, message.format(path=session.path)
-        return response
+        return self.answer(command.__name__, response, response.CODE_OK, message.format(path=session.path))
 
     def _on_stop(self, _request: Any, response: Any) -> Any:
         session = self._session
         if session is None:
-            response.code, response.message = response.CODE_NOT_RECORDING, self._note.left or _NOTHING
-            return response
+            return self.answer("stop", response, response.CODE_NOT_RECORDING, self._note.left or _NOTHING)
         response.uri = str(session.path)
         if not self._complete(session, _PATIENCE):
-            response.code = response.CODE_BUSY
-            response.message = f"The disk is slow, {response.uri} is still being completed: call stop again."
-            return response
+            slow = f"The disk is slow, {response.uri} is still being completed: call stop again."
+            return self.answer("stop", response, response.CODE_BUSY, slow)
         report = session.report()
         response.samples, response.dropped, response.duration = report.samples, report.dropped, report.duration
-        response.message = report.outcome()
+        code, message = response.CODE_OK, report.outcome()
         if report.error:
-            response.code = response.CODE_OUTPUT
+            code = response.CODE_OUTPUT
         elif not report.messages:
-            response.code = response.CODE_NO_MESSAGE
-            response.message = f"Nothing was recorded: {response.message} Check the drive and the topics."
-        else:
-            response.success, response.code = True, response.CODE_OK
-            self.get_logger().info(response.message)
-            return response
-        self.get_logger().warning(f"stop: {response.message}")
-        return response
+            code = response.CODE_NO_MESSAGE
+            message = f"Nothing was recorded: {message} Check the drive and the topics."
+        return self.answer("stop", response, code, message)
 
 
 def main() -> None:

@@ -61,7 +61,7 @@ class TrajectoryPublisher(ManagedNode):
             (Trigger, "~/start", self._on_start),  # the plain door, for whatever knows only std_srvs
             (Trigger, "~/stop", self._on_stop),
             (StartExperiment, "~/start_experiment", self._on_start_experiment),
-            (Command, "~/stop_experiment", self._on_stop_experiment),
+            (Command, "~/stop_experiment", self._on_stop),
             (Command, "~/clear_fault", self._on_clear_fault),
         ):
             self.paced.create(kind, name, handle)
@@ -195,49 +195,31 @@ class TrajectoryPublisher(ManagedNode):
 
     # Requests
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._plain(self._start(), response)
+    def _on_start(self, _: Any, response: Any) -> Any:
+        return self._replied("start", response, self._start())
 
     def _on_start_experiment(self, request: Any, response: Any) -> Any:
         answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease)
         response.session = self._experiment.session if answer.success else 0
-        return self._coded(answer, response)
+        return self._replied("start", response, answer)
 
     def _start(self, **options: bool) -> Answer:
         if not self.active:
-            return self._said("start", Answer("inactive", f"Not started. {self.inactive()}"))
+            return Answer("inactive", f"Not started. {self.inactive()}")
         publishers = self.count_publishers(_REFERENCES)
-        return self._said("start", self._experiment.start(self._now(), time.monotonic(), publishers, **options))
+        return self._experiment.start(self._now(), time.monotonic(), publishers, **options)
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._plain(self._stop(), response)
-
-    def _on_stop_experiment(self, _: Any, response: Any) -> Any:
-        return self._coded(self._stop(), response)
-
-    def _stop(self) -> Answer:
-        return self._said("stop", self._experiment.stop(self._now()))  # inactive: nothing is running
+    def _on_stop(self, _: Any, response: Any) -> Any:
+        return self._replied("stop", response, self._experiment.stop(self._now()))  # inactive: nothing is running
 
     def _on_clear_fault(self, _: Any, response: Any) -> Any:
         cleared = self._experiment.clear_fault(self._now(), time.monotonic())
-        return self._coded(self._said("clear_fault", cleared), response)
+        return self._replied("clear_fault", response, cleared)
 
-    def _said(self, request: str, answer: Answer) -> Answer:
-        """Act on a request at once, and log the answer: a calling script may ignore it."""
+    def _replied(self, request: str, response: Any, answer: Answer) -> Any:
+        """Act on a request at once, and answer it."""
         self._on_timer()
-        if answer.success:  # rclpy permits only one severity per call site
-            self.get_logger().info(f"{request}: {answer.message}")
-        else:
-            self.get_logger().warning(f"{request}: {answer.message}")
-        return answer
-
-    def _plain(self, answer: Answer, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = answer.success, answer.message
-        return response
-
-    def _coded(self, answer: Answer, response: Any) -> Any:
-        response.success, response.code, response.message = answer.success, answer.code, answer.message
-        return response
+        return self.answer(request, response, answer.code, answer.message)
 
     def _publish(self, blocks: Iterable[ReferenceBlock]) -> None:
         for block in blocks:

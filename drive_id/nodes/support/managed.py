@@ -65,6 +65,17 @@ class ManagedNode(LifecycleNode):
         """End what is under way; return whether it has ended."""
         return True
 
+    def answer(self, request: str, response: Any, code: str, message: str) -> Any:
+        """Fill the response of a service and return it; log what it says, too: a calling script may ignore it."""
+        response.success, response.message = code == "ok", message
+        if hasattr(response, "code"):  # std_srvs/Trigger has none
+            response.code = code
+        if response.success:  # rclpy permits only one severity per call site
+            self.get_logger().info(f"{request}: {message}")
+        else:
+            self.get_logger().warning(f"{request}: {message}")
+        return response
+
     def inactive(self) -> str:
         """Return a sentence on how to activate the node."""
         if self._finalized:

@@ -41,23 +41,24 @@ def started(folder: Path, name: str, parameters: dict[str, Any]) -> NodeProcess:
     return NodeProcess(command, folder / f"{name}.log")
 
 
-def row(machine_name: str, heavier: float, folder: Path) -> str:
+def row(machine_name: str, heavier: float, folder: Path, time_scale: float) -> str:
     """Run one drive, and return a row of the table."""
+    slow = {"use_sim_time": True} if time_scale != 1.0 else {}
     machine_map = load_machine(machine_name)
     machine = build_machine(machine_map, SimulationSettings(free_shaft=True))
     inertia, truth = heavier * largest_torque(machine) / DEFAULT_ACCELERATION, folder / "truth.npz"
     limit = SPEED_MAX * _RPM * machine.pole_pairs
-    known, data = machine_name == "pmsyrm", {"data_directory": str(folder)}
+    known, data = machine_name == "pmsyrm", {"data_directory": str(folder), **slow}
     drive = {
         "machine": machine_name, "free_shaft": True, "inertia": inertia, "inverter": "tanh",
         "inverter_voltage": 0.02 * machine.u_dc, "current_noise": 1e-3, "current_bandwidth": 120.0,
         "controller_inductance": 0.7, "controller_flux": 0.9, "speed_observer": 100.0, "resolver_offset": OFFSET,
-        "truth_file": str(truth),
+        "truth_file": str(truth), "time_scale": time_scale,
     }  # fmt: skip
     publisher = {
         "i_max": machine.i_max, "shaft_speed_max": limit, "duration": 20.0, "lead_time": 1.0, "watch_timeout": 3.0,
         "mean_speed": FLYWHEEL * _RPM * machine.pole_pairs if heavier >= 10 else 0.0,
-        "angle_offset": OFFSET if known else 0.0,
+        "angle_offset": OFFSET if known else 0.0, **slow,
     }  # fmt: skip
     fit = data | {"output_directory": str(folder), "i_max": machine.i_max, "pole_pairs": machine.pole_pairs}
     nodes = [
@@ -65,6 +66,7 @@ def row(machine_name: str, heavier: float, folder: Path) -> str:
         started(folder, "identification", fit), started(folder, "trajectory_publisher", publisher),
     ]  # fmt: skip
     options = ["--first-start", "--free-shaft", "--drive", "bench_simulator", "--recording", "bag"]
+    options += ["--timeout", str(60.0 / min(time_scale, 1.0))]
     options += ["--angle-known"] if known else []
     command = [sys.executable, "-m", "drive_id.ros.characterize", *options, "--output", str(folder / "out")]
     try:
@@ -106,12 +108,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--machines", nargs="*", default=["ipm", "spm", "pmsyrm"])
     parser.add_argument("--inertias", nargs="*", type=float, default=[0.3, 1.0, 10.0])
+    parser.add_argument("--time-scale", type=float, default=1.0, help="below 1 on a computer that is busy otherwise")
     options = parser.parse_args()
     print(HEAD, "|---|---|---|---|---|---|---|", sep="\n", flush=True)
     for machine in options.machines:
         for heavier in options.inertias:
             with tempfile.TemporaryDirectory() as folder:
-                print(row(machine, heavier, Path(folder)), flush=True)
+                print(row(machine, heavier, Path(folder), options.time_scale), flush=True)
 
 
 if __name__ == "__main__":

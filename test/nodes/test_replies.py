@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from drive_id.core.result.identification import Cogging, Mechanics
 from drive_id.live.identification.identifier import Reply
-from drive_id.nodes.support.replies import flux_map_message
+from drive_id.nodes.support.replies import fit_report_message, flux_map_message
 from drive_id.origins import ORIGINS
 
 
@@ -21,3 +23,15 @@ def test_a_flux_map_holds_a_curve_where_its_method_has_one_provisional_or_not(fi
     points = len(drive.inverter_current) if name != "psm" else 0
     assert len(message.inverter_current) == len(message.inverter_voltage) == points
     assert len(message.psi_d) == drive.flux_map.psi_d.size
+
+
+def test_a_report_holds_all_of_the_mechanics(fitted):
+    shaft = Mechanics(0.03, 1e-5, 1.2, 0.1, None, None, 0.5, 0.1, (Cogging(6, 2.0, 0.05),), None, None, 0.99, 6.0, 0.3)
+    message = fit_report_message(Reply("ok", "", replace(fitted.drive, mechanics=shaft)))
+    assert (message.inertia, message.load, message.sigma_load, message.cogging_visible) == (0.03, 0.5, 0.1, 0.3)
+    assert np.isnan([message.viscous_friction, message.torque_gain]).all()
+    cogging = message.cogging_orders, message.cogging_amplitudes, message.cogging_sigmas
+    assert [list(values) for values in cogging] == [[6], [2.0], [0.05]]
+    without = fit_report_message(Reply("ok", "", replace(fitted.drive, mechanics=None)))
+    assert np.isnan([without.inertia, without.load, without.cogging_visible]).all()
+    assert len(without.cogging_orders) == 0

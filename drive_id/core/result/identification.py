@@ -419,14 +419,15 @@ class Mechanics:
         T_0, against positive rotation, N m.
     cogging : tuple of Cogging
         The significant harmonics of T_c.
-    cogging_visible : float or None
-        Amplitude below which a harmonic would not have been reported, N m; None where none was looked for.
     gain, sigma_gain : float or None
         g: true torque over that of the map; None where no inertia is known.
     explained : float
         Share of the energy of the torque that the motion explains, 0 to 1.
     seconds : float
         Of data in the regression.
+    cogging_visible : float or None
+        Amplitude below which a harmonic would not have been reported, N m; None where none was looked for, and in
+        results of earlier versions.
     """
 
     inertia: float
@@ -438,11 +439,11 @@ class Mechanics:
     load: float | None
     sigma_load: float | None
     cogging: tuple[Cogging, ...]
-    cogging_visible: float | None
     gain: float | None
     sigma_gain: float | None
     explained: float
     seconds: float
+    cogging_visible: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

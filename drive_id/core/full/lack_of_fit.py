@@ -180,7 +180,7 @@ def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> t
     The voltages are reduced by the fraction ``r cos(2 pi f t - phi)``, with a separate phase in each run. Their mean in
     the rotor frame is assumed constant over a window.
     """
-    windows = Windows.joined(list(kept)).thinned(_MOST_WINDOWS)
+    windows = Windows.joined(list(kept)).scattered(_MOST_WINDOWS)
     left, weights = model.residuals(windows, estimate), np.sqrt(windows.weights)
     error, duration = left[:, 0] + 1j * left[:, 1], windows.duration
     u_dq = weights * np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)

@@ -491,7 +491,7 @@ def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Wind
     -------
     (highest,) float
     """
-    windows = Windows.joined(list(kept)).thinned(_MOST_WINDOWS)
+    windows = Windows.joined(list(kept)).scattered(_MOST_WINDOWS)
     left = model.residuals(windows, estimate)
     error = left[:, 0] + 1j * left[:, 1]
     currents = np.concatenate([np.ones((len(windows), 2, 1)), windows.i_dq / model.i_max], axis=2)

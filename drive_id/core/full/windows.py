@@ -185,6 +185,15 @@ class Windows:
         """Return every k-th of the windows, at most ``most``."""
         return self.part(slice(None, None, -(-len(self) // most)))
 
+    def scattered(self, most: int) -> Windows:
+        """Return at most ``most`` of the windows, by a lot that is always the same.
+
+        At even distances, all of one harmonic of the rotor position can look like another one.
+        """
+        if len(self) <= most:
+            return self
+        return self.part(np.sort(np.random.default_rng(0).choice(len(self), most, replace=False)))
+
     @property
     def whole(self) -> Windows:
         """Those that are not short."""

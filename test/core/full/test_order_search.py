@@ -10,6 +10,7 @@ import pytest
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full import selection
 from drive_id.core.full.selection import explained_shares, unexpected_orders
 from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
@@ -45,6 +46,14 @@ def test_a_share_is_that_of_the_residual(windows):
     assert np.delete(shares, 11).max() < 0.1
     assert unexpected_orders(windows.model, residual, windows.kept(), (), 24) == (12,)
     assert unexpected_orders(windows.model, residual, windows.kept(), (6, 12), 24) == ()
+
+
+def test_no_order_shows_as_another_because_windows_are_left_out(windows, monkeypatch):
+    """At even distances, some numbers of windows show most of the sixth harmonic as another one."""
+    residual = with_harmonic(windows.model, [6], 0.01)
+    for most in range(500, 1500, 100):
+        monkeypatch.setattr(selection, "_MOST_WINDOWS", most)
+        assert np.delete(explained_shares(windows.model, residual, windows.kept(), 48), 5).max() < 0.15
 
 
 def test_the_strongest_comes_first(windows):

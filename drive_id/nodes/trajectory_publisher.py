@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -31,6 +32,7 @@ from drive_id.nodes.support.runtime import run
 _DELIVERY = Duration(seconds=2)
 """Time for the last blocks to be acknowledged before the publisher is gone."""
 _REFERENCES = "current_reference"
+_FIGURE = re.compile(r"[-+.\de]*\d")  # that grows while the reason stays the same
 _STATE_PERIOD = 0.1
 """Time between messages of the state of a running experiment, s."""
 _READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling", "emergency_stops")
@@ -161,7 +163,7 @@ class TrajectoryPublisher(ManagedNode):
         now, steady = self._now(), time.monotonic()
         report = self._experiment.report(now, steady)
         reason = report.reason if self.active else self.inactive()
-        shown = (report.state, reason.partition(":")[0], report.dry_run, self.active)  # not for each figure that grows
+        shown = (report.state, _FIGURE.sub("", reason), report.dry_run, self.active)
         runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
         if shown == self._published_state and not (runs and steady >= self._state_due):
             return

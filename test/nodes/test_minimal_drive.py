@@ -110,11 +110,15 @@ def test_the_angle_of_the_encoder_is_taken_only_at_rest(ready):
     from rcl_interfaces.srv import SetParametersAtomically
     from rclpy.parameter import Parameter
 
+    client = ready.ros.node.create_client(SetParametersAtomically, "/minimal_drive/set_parameters_atomically")
+    known = time.monotonic() + 1.0  # it logs nothing by which it could be seen that it knows this client
+    ready.ros.wait(lambda: client.service_is_ready() and time.monotonic() > known, "the service")
+
     def set_offset(value):
         parameters = [Parameter("encoder_offset", value=value).to_parameter_msg()]
-        return ready.ros.call(
-            SetParametersAtomically, "/minimal_drive/set_parameters_atomically", parameters=parameters
-        )
+        future = client.call_async(SetParametersAtomically.Request(parameters=parameters))
+        ready.ros.wait(future.done, "a reply")
+        return future.result()
 
     assert set_offset(0.5).result.successful
     assert set_offset(0.0).result.successful

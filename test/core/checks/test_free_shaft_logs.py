@@ -33,12 +33,12 @@ def checked(samples: Samples) -> list[str]:
 
 @pytest.fixture(scope="module")
 def lagging() -> Samples:
-    return swung("ipm", observer=100.0, frequency=20.0)
+    return swung("ipm", observer=100.0, frequency=20.0, mean_speed=60.0)
 
 
 @pytest.fixture(scope="module")
 def exact() -> Samples:
-    return swung("ipm", frequency=20.0)
+    return swung("ipm", frequency=20.0, mean_speed=60.0)
 
 
 def test_a_speed_that_lags_is_accepted(lagging):

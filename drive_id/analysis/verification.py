@@ -224,12 +224,8 @@ def _stator_flux(result: Result, windows: Windows) -> tuple[ComplexArray, BoolAr
         i_dq = i_dq - iron.current(e_dq, windows.speed)
     d, q = np.moveaxis(i_dq, -1, 0)
     psi_d, psi_q = found.psi_dq(d, q)
-    psi = psi_d + 1j * psi_q
-    for h in result.harmonics:
-        waves = np.cos(h.order * windows.angle), np.sin(h.order * windows.angle)
-        parts = ((h.psi_d_cos, h.psi_d_sin), (h.psi_q_cos, h.psi_q_sin))
-        d_part, q_part = (sum(found.sampled(x, d, q) * w for x, w in zip(p, waves, strict=True)) for p in parts)
-        psi = psi + d_part + 1j * q_part
+    ripple = found.ripple(result.harmonics, i_dq, windows.angle)
+    psi = psi_d + ripple[..., 0] + 1j * (psi_q + ripple[..., 1])
     return psi * np.exp(1j * windows.angle), np.asarray(np.isfinite(psi).all(axis=1))
 
 

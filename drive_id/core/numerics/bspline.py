@@ -47,11 +47,10 @@ class Axis:
 
     def collocation(self, points: FloatArray) -> FloatArray:
         """Return the dense matrix (len(points), count) of all functions at points within the range."""
-        position = np.clip((points - self.low) / self.width, 0.0, self.count - 3)
-        cell = np.minimum(position.astype(np.int64), self.count - 4)
-        t, s = position - cell, 1.0 - (position - cell)
+        knots = self.low + self.width * np.arange(-3, self.count + 1, dtype=np.float64)
+        cell, values = np.empty(len(points), np.int64), np.empty((len(points), 4))
+        spline_values(points, knots, 3, cell, values)
         found = np.zeros((len(points), self.count))
-        values = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=1) / 6
         found[np.arange(len(points))[:, None], cell[:, None] + np.arange(4)] = values
         return found
 
@@ -97,7 +96,7 @@ def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray,
     x : (N,) float
         Points; those beyond the ends are moved to them.
     knots : (C + 1 + 2 degree,) float
-        Clamped.
+        Increasing, ``degree`` of them before and behind the edges of the cells; clamped or not.
     cell : (N,) int
         Output: first non-zero function.
     w : (N, degree + 1) float

@@ -20,7 +20,7 @@ from numba.core import event, sigutils
 _CONSTANT = re.compile(r"const (\w+)\[([^]]*)\]")
 
 
-def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
+def dispatcher(function: Callable[..., object], signature: str | None, args: tuple[Any, ...]) -> Any:
     """Return numba's version of a function, see :class:`~drive_id.core.numerics.compiled.Kernel`."""
     made = numba.njit(nogil=True, error_model="numpy")(function)
     try:
@@ -30,6 +30,8 @@ def dispatcher(function: Callable[..., object], signature: str | None) -> Any:
     if signature is not None:
         made.compile(argument_types(signature))
         made.disable_compile()
+    elif args:
+        made.compile(tuple(made.typeof_pyval(value) for value in args))
     return made
 
 

@@ -35,21 +35,15 @@ class Kernel:
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
+        return (self._dispatcher or self.dispatcher(args))(*args)
+
+    def dispatcher(self, args: tuple[Any, ...] = ()) -> Any:
+        """Return numba's function, compiled if the signature is given; else for these arguments, if there are any."""
         if self._dispatcher is None:
-            from drive_id.core.numerics.compilation import interrupts_held  # noqa: PLC0415  # numba takes 0.3 s
+            from drive_id.core.numerics import compilation  # noqa: PLC0415  # numba takes 0.3 s
 
-            with interrupts_held():
-                made = self.dispatcher()
-                if self.signature is None:
-                    made.compile(tuple(made.typeof_pyval(value) for value in args))
-        return self._dispatcher(*args)
-
-    def dispatcher(self) -> Any:
-        """Return numba's function, compiled if the signature is given."""
-        if self._dispatcher is None:
-            from drive_id.core.numerics.compilation import dispatcher  # noqa: PLC0415  # numba takes 0.3 s
-
-            self._dispatcher = dispatcher(self.function, self.signature)
+            with compilation.interrupts_held():
+                self._dispatcher = compilation.dispatcher(self.function, self.signature, args)
         return self._dispatcher
 
     @property

@@ -15,10 +15,12 @@ def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:
     return [np.sum(blocks[k : k + group], axis=0) for k in range(0, len(blocks), group)]
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the pseudo-inverse of products of columns of any scale."""
+def _solved(total: FloatArray, response: int, columns: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients (K,) of columns of any scale, of products (C, C), and the pseudo-inverse (K, K)."""
+    matrix = total[np.ix_(columns, columns)]
     scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-    return np.asarray(np.linalg.pinv(matrix / scale / scale[:, None], hermitian=True) / scale / scale[:, None])
+    inverse = np.linalg.pinv(matrix / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
+    return inverse @ total[columns, response], np.asarray(inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +41,7 @@ class BlockRegression:
     def of(cls, blocks: FloatArray, response: int, columns: list[int]) -> BlockRegression:
         """Solve for the columns, of products (B, C, C)."""
         total = blocks.sum(axis=0)
-        matrix = total[np.ix_(columns, columns)]
-        inverse = _inverse(matrix)
-        coefficients = inverse @ total[columns, response]
+        coefficients, inverse = _solved(total, response, columns)
         scores = blocks[:, columns, response] - blocks[:, columns][:, :, columns] @ coefficients
         count = len(blocks)
         covariance = count / max(count - 1, 1) * inverse @ (scores.T @ scores) @ inverse
@@ -67,8 +67,7 @@ class BlockRegression:
             Products of the columns chosen with independent errors of the response, one standard error each.
         """
         total, count = data.T @ data, len(data)
-        inverse = _inverse(total[np.ix_(columns, columns)])
-        coefficients = inverse @ total[columns, response]
+        coefficients, inverse = _solved(total, response, columns)
         scores = data[:, columns] * (data[:, response] - data[:, columns] @ coefficients)[:, None]
         waves = np.cos(np.pi * np.arange(1, cosines + 1)[:, None] * (np.arange(count) + 0.5) / count)
         amplitudes = np.sqrt(2 / cosines) * waves @ scores

@@ -16,6 +16,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
+from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
 from drive_id.core.validation.residuals import (
@@ -157,12 +158,8 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     """Return the residual voltage of samples, corrected for the sensor faults that were found."""
     drop = drive.phase_voltages
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
-    if drive.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
-
-        excerpts = [corrected(part, drive.calibrations) for part in excerpts]
     found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0
-    for part in excerpts:
+    for part in corrected_pieces(excerpts, drive.calibrations):
         residual = residual_voltage(part, _flux(drive), drive.resistance, curve)
         found.append(residual._replace(time=start + residual.time))
         start += part.duration
@@ -175,20 +172,7 @@ def _rms(residual: Residual) -> float:
 
 def _flux(drive: IdentifiedDrive) -> Flux:
     """Return the identified flux over current and angle, rotor-position harmonics included."""
-    amplitudes = [
-        (harmonic.order, wave, axis, getattr(harmonic, f"psi_{component}_{part}"))
-        for harmonic in drive.harmonics
-        for wave, part in ((np.cos, "cos"), (np.sin, "sin"))
-        for axis, component in enumerate("dq")
-    ]
-
-    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        psi = drive.flux(i_dq)
-        for order, wave, axis, values in amplitudes:
-            psi[:, axis] += drive.flux_map.sampled(values, *i_dq.T) * wave(order * angle)
-        return psi
-
-    return flux
+    return lambda i_dq, angle: drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
 
 
 def _comparisons(

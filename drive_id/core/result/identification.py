@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -154,6 +155,15 @@ class FluxMap:
         low = (1 - s) * values[m, n] + s * values[m, n + 1]
         high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
         return np.asarray((1 - t) * low + t * high)
+
+    def ripple(self, harmonics: Sequence[HarmonicMap], i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        """Return the flux (..., 2), Wb, of harmonics on this grid at currents (..., 2), A, and angles (...), rad."""
+        psi, (d, q) = np.zeros(i_dq.shape), np.moveaxis(i_dq, -1, 0)
+        for h in harmonics:
+            cosine, sine = np.cos(h.order * angle), np.sin(h.order * angle)
+            psi[..., 0] += self.sampled(h.psi_d_cos, d, q) * cosine + self.sampled(h.psi_d_sin, d, q) * sine
+            psi[..., 1] += self.sampled(h.psi_q_cos, d, q) * cosine + self.sampled(h.psi_q_sin, d, q) * sine
+        return psi
 
     def collected(self, weights: FloatArray, i_dq: FloatArray) -> FloatArray:
         """Return weights (N, C) at currents (N, 2) collected on the grid, (D, Q, C): the transpose of :meth:`sampled`.

@@ -19,6 +19,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression
+from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -78,12 +79,7 @@ def with_mechanics(
     discs = settings.added_inertia
     if discs and len(discs) != len(excerpts):
         drive, discs = replace(drive, statements=(*drive.statements, Message("disc_unused"))), ()
-    pieces = list(excerpts)
-    if drive.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # scipy takes longer than joint's fit
-
-        pieces = [corrected(piece, drive.calibrations) for piece in pieces]
-    discs = discs or (0.0,) * len(pieces)
+    pieces = corrected_pieces(excerpts, drive.calibrations)
     known = settings.inertia, drive.error_modes, drive.harmonics
     found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, *known)
     if found is None:
@@ -136,13 +132,7 @@ def fit_mechanics(
         return None
 
     def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        psi = flux_map.continued(i_dq)
-        for wave in harmonics:
-            parts = ((wave.psi_d_cos, wave.psi_d_sin), (wave.psi_q_cos, wave.psi_q_sin))
-            for axis, (cosine, sine) in enumerate(parts):
-                c, s = (flux_map.sampled(np.nan_to_num(values), *i_dq.T) for values in (cosine, sine))
-                psi[:, axis] += c * np.cos(wave.order * angle) + s * np.sin(wave.order * angle)
-        return psi
+        return flux_map.continued(i_dq) + flux_map.ripple(harmonics, i_dq, angle)
 
     return _fitted(*known, flux, modes)
 

@@ -10,6 +10,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression, grouped
+from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -40,11 +41,7 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
         return drive
     if pole_pairs is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.pole_pairs")))
-    if drive.calibrations:
-        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
-
-        pieces = [corrected(piece, drive.calibrations) for piece in pieces]
-    found = fit_torque(drive.flux_map, pieces, pole_pairs)
+    found = fit_torque(drive.flux_map, corrected_pieces(pieces, drive.calibrations), pole_pairs)
     if found is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.few")))
     warnings = (*drive.report.warnings, *_warnings(found))

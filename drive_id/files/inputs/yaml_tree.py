@@ -13,6 +13,9 @@ import yaml
 MOST_ENTRIES = 300_000
 """Scalars, lists and mappings in one file, aliases counted with what they stand for."""
 _DEEPEST = 100
+_TOO_DEEP = "it is nested too deeply"
+_LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
+"""What libyaml says from 0.2.6 on."""
 _LONGEST_SEXAGESIMAL = 64
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _SHORT = 1 << 14
@@ -58,9 +61,11 @@ def check_text(text: str, most: int = MOST_ENTRIES) -> None:
     """
     try:
         _check_events(text, most, _FASTEST)
-    except yaml.YAMLError:
+    except yaml.YAMLError as error:
         if len(text) < _SHORT:
             _check_events(text, most, yaml.SafeLoader)  # tells the line better than libyaml
+        if getattr(error, "problem", None) == _LIBYAML_TOO_DEEP:  # by its scanner, before it tells of any depth
+            raise ValueError(_TOO_DEEP) from error
         raise
 
 
@@ -74,7 +79,7 @@ def _check_events(text: str, most: int, loader: type) -> None:
             continue
         count += 1
         if depth > _DEEPEST:
-            raise ValueError("it is nested too deeply")
+            raise ValueError(_TOO_DEEP)
         if count > most:
             raise ValueError("it has too many entries")
 

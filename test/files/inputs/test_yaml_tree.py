@@ -30,7 +30,7 @@ def test_what_pyyaml_writes(tree):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[" * 100_000, "nest"),  # libyaml 0.2.6 refuses it by itself
+        ("[" * 100_000, "nested too deeply"),
         ("\n".join(" " * k + "a:" for k in range(200)), "nested too deeply"),
         (LAUGHS, "aliases"),
         (MERGES, "aliases"),
@@ -41,7 +41,7 @@ def test_what_pyyaml_writes(tree):
 )
 def test_what_is_refused_at_once(text, said):
     start = time.process_time()
-    with pytest.raises((ValueError, yaml.YAMLError), match=said):
+    with pytest.raises(ValueError, match=said):
         load_yaml(text, 1000)
     assert time.process_time() - start < 2.0
 

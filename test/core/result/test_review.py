@@ -13,7 +13,9 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result import conclusion
 from drive_id.core.result.identify import identify, score
+from drive_id.core.result.warnings import condemned
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
 from drive_id.messages import Message
 from drive_id.types import GroundTruth
@@ -190,6 +192,23 @@ def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(good, mon
     with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(\N{MINUS SIGN}.*second speed"):
         identify([reversed_currents], FitSettings("full"))
     assert "resistance is negative" in told(reversed_currents)
+
+
+@pytest.mark.parametrize(
+    ("share", "diverges", "refused"), [(0.3, False, True), (0.2, False, False), (0.2, True, True), (0.05, True, False)]
+)
+def test_a_map_without_valid_inductances_over_much_of_the_disc_is_refused(good, monkeypatch, share, diverges, refused):
+    def with_share(evidence, estimate, flux_map, mad, limits):
+        of_share = replace(estimate, positive_definite=lambda i_dq: np.arange(len(i_dq)) >= share * len(i_dq))
+        return condemned(evidence, of_share, flux_map, (np.nan, np.nan) if diverges else mad, limits)
+
+    monkeypatch.setattr(conclusion, "condemned", with_share)
+    if not refused:
+        identify([good], FitSettings("full"))
+        return
+    with pytest.raises(UnexplainedError, match=r"not positive definite at \d+ %") as error:
+        identify([good], FitSettings("full"))
+    assert ("diverges" in str(error.value)) == diverges
 
 
 def test_an_angle_far_off_is_refused_where_symmetry_shows_it(good):

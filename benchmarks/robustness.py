@@ -44,7 +44,7 @@ GOOD = SimulationSettings(current_noise=NOISE)
 BAND = 1.96
 WRONG_FLUX, WRONG_RESISTANCE, BEYOND = 3e-3, 1e-2, 3.0
 """Errors of the flux, and of R with its distance in standard errors, that need a warning."""
-_SENSORS = ("resolver_offset", "current_offset", "current_gain")
+_SENSORS = ("resolver_offset", "current_offset")
 _SHORT = 90
 _SATURATED = 0.9
 """Share of samples below the inscribed circle of the hexagon."""
@@ -101,6 +101,12 @@ def as_duty_cycles(samples: Samples, machine: MachineMap) -> Samples:
     return replace(samples, u_abc=samples.u_abc / machine.u_dc)
 
 
+def cross_talk(samples: Samples, _: MachineMap) -> Samples:
+    """Add 2 % of the current of phase a to b, and of b to c."""
+    matrix = np.array([[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.02, 1.0]])
+    return replace(samples, i_abc=samples.i_abc @ matrix.T)
+
+
 def switching(dead_time: float, capacitance: float = 0.0) -> Callable[[MachineMap], Changes]:
     """Return the settings of an inverter whose legs switch; 2 nF belong to 300 A and 400 V."""
 
@@ -147,6 +153,12 @@ EFFECTS = {
         of(u_dc_drift=0.005, u_dc_drift_frequency=2.3, log_scalars=("dc_link_voltage",)),
     ),
     "phases": Effect("phase resistances +2, 0, −2 %", of(resistance_factor=(1.02, 1.0, 0.98))),
+    "two_sensors": Effect(
+        "two current sensors, one reads 1 % too much",
+        of(two_current_sensors=True, current_gain=(1.005, 0.995, 1.0)),
+        short=True,
+    ),
+    "cross_talk": Effect("current sensors act on each other, 2 %", spoil=cross_talk, short=True),
     "rotor": Effect("flux modulated by 0.5 % once per turn", of(eccentricity=(0.005,))),
     "sensors": Effect(
         "current sensors: cubic gain 0.2 %, skew 2 µs, dead band 0.1 %",

@@ -310,6 +310,7 @@ def _kernel_parameters(
         current_gain=np.array(settings.current_gain),
         current_offset=np.array(settings.current_offset),
         current_quantum=settings.current_quantization,
+        two=settings.two_current_sensors,
         angle_offset=settings.resolver_offset,
         log_lead=lead,
         held_fraction=settings.voltage_delay - lead,

@@ -62,6 +62,7 @@ class Sensors(NamedTuple):
     current_gain: FloatArray  # (3,)
     current_offset: FloatArray  # (3,) A
     current_quantum: float  # A, 0 for none
+    two: bool  # the third current follows from the other two
     angle_offset: float  # rad
     log_lead: int  # the log at k shows the command of k + log_lead
     held_fraction: float  # of a period, during which the previous command is still held

@@ -325,6 +325,8 @@ def _measure(
         if sensors.current_quantum > 0.0:
             i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
         out.i_abc[k, j] = i
+    if sensors.two:
+        out.i_abc[k, 2] = -out.i_abc[k, 0] - out.i_abc[k, 1]
     mean, late = state.mean_angle[0], effects.latency
     theta = with_ripple(plant, mean)
     seen = with_ripple(plant, mean - late * (speed - 0.5 * more.motion[3] * late))

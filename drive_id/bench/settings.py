@@ -59,6 +59,7 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
         0.0, "Standard deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
     )
     current_gain: tuple[float, float, float] = setting((1.0, 1.0, 1.0), "Gain of each current sensor")
+    two_current_sensors: bool = setting(False, "Measure two currents only: that of phase c follows from them")
     current_offset: tuple[float, float, float] = setting((0.0, 0.0, 0.0), "Offset of each current sensor", unit="A")
     current_quantization: float = setting(0.0, "Quantization step of the currents", unit="A", minimum=0.0)
     resolver_offset: float = setting(0.0, "Measured minus true electrical angle", unit="rad")

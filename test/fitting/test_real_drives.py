@@ -30,7 +30,7 @@ DEVIATION = 1.3
 """MAD of the simulated current, effects included, over that of the noise of the measured one."""
 NAMES = {
     "iron_loss_conductance", "iron_loss_hysteresis", "iron_loss_current",
-    "current_latency", "angle_latency", "resistance_rise",
+    "current_latency", "angle_latency", "current_rotation", "resistance_rise",
     "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
     "resolver_eccentricity", "rotor_eccentricity", "resolver_first", "resolver_second",
     "resistance_a", "resistance_b", "resistance_c",
@@ -128,6 +128,46 @@ def test_an_effect_is_found_and_corrected(name):
     assert found.report.warnings == ()
     noise = np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * truths[0].i_max
     assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * noise
+
+
+def sensors(found):
+    """Return rotation of the currents and complex gain mismatch."""
+    values = {entry.name: entry.value for entry in found.calibrations if entry.applied}
+    mismatch = complex(values["current_gain_mismatch_alpha"], values["current_gain_mismatch_beta"])
+    return values["current_rotation"], mismatch
+
+
+@pytest.mark.parametrize("speeds", [(500.0,), (500.0, -900.0)])
+def test_two_current_sensors_of_unequal_gain_turn_the_currents(speeds):
+    """i_a (1 + e), i_b (1 - e) and -i_a - i_b are i (1 + j e / sqrt 3) + (2 e / 3) (1 - e^{4 pi j / 3}) conj(i)."""
+    settings = replace(GOOD, speeds=speeds, two_current_sensors=True, current_gain=(1.005, 0.995, 1.0))
+    simulation = run_experiment(IPM, settings, seconds=SECONDS)
+    found = identify([simulation.samples])
+    rotation, mismatch = sensors(found)
+    assert rotation == pytest.approx(0.005 / np.sqrt(3), rel=0.15)
+    assert abs(mismatch - 0.01 / 3 * (1 - np.exp(4j * np.pi / 3))) < 2e-4
+    assert 100 * max(score(found, simulation.truth)) < 2 * FLUX, (
+        "the drop near the shifted zero crossings is known to first order"
+    )
+    assert found.resistance == pytest.approx(IPM.resistance, abs=2 * found.sigma_resistance)
+    assert found.report.warnings == ()
+    assert not any(entry.name.startswith(("resistance_", "voltage_gain")) for entry in found.calibrations)
+    of_two = np.sqrt(2.0) * np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * simulation.truth.i_max
+    assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * of_two, "the simulation's currents are corrected"
+
+
+@pytest.mark.parametrize("name", ["ipm", "spm"])
+def test_current_sensors_that_act_on_each_other_are_told(name):
+    machine = machine_map(name)
+    simulation = run_experiment(machine, GOOD, seconds=SECONDS)
+    on_each_other = np.array([[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.02, 1.0]])
+    samples = replace(simulation.samples, i_abc=simulation.samples.i_abc @ on_each_other.T)
+    found = identify([samples])
+    rotation, mismatch = sensors(found)
+    assert rotation == pytest.approx(0.04 / 3 * np.sqrt(0.75), rel=0.1)
+    assert abs(mismatch - 0.02 / 3 * -np.exp(4j * np.pi / 3)) < 5e-4
+    assert [warning.code for warning in found.report.warnings] == ["current_rotation"]
+    assert found.resistance == pytest.approx(machine.resistance, abs=2 * found.sigma_resistance)
 
 
 def test_a_ripple_of_the_dc_link_is_named():

@@ -31,9 +31,7 @@ _SHAPING = (
     "harmonic_orders", "grid_points",
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
-_NEW_IN_FORMAT = ("_angle_square", "reached")
-"""Sums that older files of the same format lack: 0 there."""
-_SUMS = ("_time", "_zero_sequence_square", "_difference_square", "_turn_square", "_angle_square")
+_SUMS = ("_time", "_difference_square", "_turn_square", "_angle_square")
 
 
 class Evidence:
@@ -66,7 +64,6 @@ class Evidence:
         self.idle = 0
         self._quiet = 0  # samples since the current was last away from zero
         self._time = 0.0
-        self._zero_sequence_square = 0.0
         self._difference_square = 0.0  # of fourth differences of i_dq, per component
         self._differences = 0
         self._turn_square = 0.0
@@ -108,8 +105,6 @@ class Evidence:
         self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
         self.samples += len(samples) - continues
         self._time += (len(samples) - continues) * samples.sample_period
-        a, b, c = samples.i_abc[new].T
-        self._zero_sequence_square += float(np.sum((a + b + c) ** 2))
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
         self._angle_square += (len(samples) - continues) * samples.angle_error**2
         for run in samples.runs():
@@ -221,8 +216,7 @@ class Evidence:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
-            saved = state.get(name, np.array(0.0)) if name in _NEW_IN_FORMAT else state[name]
-            setattr(self, name, exactly(saved, np.array(getattr(self, name))).item())
+            setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
         self.findings = tuple(map(_finding, json.loads(str(state.get("findings", "[]")))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
@@ -241,11 +235,6 @@ class Evidence:
     def sample_period(self) -> float:
         """Mean sample period, s."""
         return self._time / max(self.samples, 1)
-
-    @property
-    def zero_sequence(self) -> float:
-        """Root mean square of the sum of the phase currents, A."""
-        return float(np.sqrt(self._zero_sequence_square / max(self.samples, 1)))
 
     @property
     def turn(self) -> float:

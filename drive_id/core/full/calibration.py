@@ -42,7 +42,7 @@ _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
-VOLTAGE_MISMATCH = "voltage_gain_mismatch"
+CURRENT_ROTATION, VOLTAGE_MISMATCH = "current_rotation", "voltage_gain_mismatch"
 _FEWEST_MIRRORED = 16
 """Fewest pairs of mirrored currents that tell an angle."""
 _MOST_MIRRORED = 1500
@@ -104,6 +104,8 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
         Real and imaginary part of offset and mismatch; zero sequence and common gain cannot be observed.
     """
     out = _offsets(fit, i_dq, i_max)
+    if "current_sensors" in fit.spec.effects:
+        return out
     traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
     if traced is None:
         return out + _entries("current_gain_mismatch", "1", (np.zeros(2), np.full(2, np.nan)), 1.0, applied=False)
@@ -326,18 +328,19 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
     """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
 
     A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be
-    seen, so where a sensor is faulty, the latter is as uncertain as the former is large.
+    seen, so where a sensor is faulty, the latter is as uncertain as the former is large. Sensors that act on each other
+    turn the currents as well.
 
     Parameters
     ----------
     i_dq : (N, 2) float
         Currents with data, A.
     faulty : float
-        Mismatch of the current gains from which on.
+        Mismatch of the current gains, or rotation of the currents, from which on.
     """
     values = {entry.name: entry.value for entry in found if entry.applied}
     alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
-    of_currents = float(np.hypot(alpha, beta))
+    of_currents = max(float(np.hypot(alpha, beta)), abs(values.get(CURRENT_ROTATION, 0.0)))
     model, estimate = fit.model, fit.solution.estimate
     of_voltage, of_current = np.zeros((2, model.size))
     if VOLTAGE_MISMATCH in values:
@@ -358,7 +361,7 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
     u_s = u_s - complex(found.get("voltage_offset_alpha", 0.0), found.get("voltage_offset_beta", 0.0))
     i_s = i_s - complex(found.get("current_offset_alpha", 0.0), found.get("current_offset_beta", 0.0))
     mismatch = complex(found.get("current_gain_mismatch_alpha", 0.0), found.get("current_gain_mismatch_beta", 0.0))
-    i_s = i_s - mismatch * i_s.conj()
+    i_s = i_s * (1 - 1j * found.get(CURRENT_ROTATION, 0.0)) - mismatch * i_s.conj()
     delay = found.get("voltage_delay", 0.0)
     if delay:
         u_s = np.concatenate([_delayed(u_s[run], delay) for run in samples.runs()])

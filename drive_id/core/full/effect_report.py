@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.full.calibration import VOLTAGE_MISMATCH, Calibration
+from drive_id.core.full.calibration import CURRENT_ROTATION, VOLTAGE_MISMATCH, Calibration
 from drive_id.core.full.effect_search import Taken
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.fit import sigma as fitted_sigma
@@ -192,6 +192,15 @@ def _phases(found: _Evaluated) -> Iterator[_Shown]:
         yield _Shown.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
 
 
+def _sensors(found: _Evaluated) -> Iterator[_Shown]:
+    """Report the rotation of the currents and the mismatch of their gains."""
+    (a, *g), (sigma, *sigmas) = found.value, found.sigma
+    yield _Shown.of(CURRENT_ROTATION, a, sigma, "rad")
+    for axis, x, dx in zip(("alpha", "beta"), g, sigmas, strict=True):
+        key = "current_gain_mismatch.fit"
+        yield _Shown.of(f"current_gain_mismatch_{axis}", x, dx, "1", key, axis=axis, share=abs(x))
+
+
 def _gains(found: _Evaluated) -> Iterator[_Shown]:
     """Report the mismatch g: the voltage is u + g conj(u). A phase k with the gain 1 + e has g = -e/3 e^{2j phi_k}."""
     g = complex(*found.value)
@@ -218,4 +227,5 @@ _REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
     "resolver_second": _of_turn,
     "dc_link": _link,
     "phase_resistance": _phases,
+    "current_sensors": _sensors,
 }

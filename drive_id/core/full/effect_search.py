@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
-from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
+from drive_id.core.full.model import EFFECTS, PENALTIES, SENSOR_ORDERS, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
@@ -49,8 +49,9 @@ _LONGEST_LATENCY = 0.8
 """Of angle or currents, sample periods: the columns hold below 1."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
-_TIMING = {DELAY, "current_latency", "angle_latency"}
-"""All of them rotate the flux by the speed: at one speed, the data hold one."""
+SENSORS = "current_sensors"
+_TIMING = {DELAY, "current_latency", "angle_latency", SENSORS}
+"""All of them rotate the flux against the currents, but for the last by the speed: at one speed, the data hold one."""
 _SPEEDS_APART = 0.1
 """Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
 _POSITIVE = ("iron_loss", "flux")
@@ -126,14 +127,7 @@ def search_effects(
         Default: the number at which an eccentric resolver explains most of the residuals.
     """
     columns = _columns(sums.model, solution, sums.kept(), pole_pairs)
-    extended, solver = _linearized(sums, columns)
-    solution = solver.solve(solution.spec)
-    for _ in range(_SETTLING if _remains(solver) else 0):
-        before, columns = solution.residual_rms, replace(columns, estimate=solution.estimate)
-        extended, solver = _linearized(sums, columns)
-        solution = solver.solve(solution.spec)
-        if abs(solution.residual_rms - before) < _SETTLED * before:
-            break
+    extended, solver, solution, columns = _settled(sums, solution.spec, columns)
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
     period = noise.period
     taken: list[Taken] = []
@@ -164,7 +158,7 @@ def search_effects(
         if best == DELAY:
             solution = delayed
             continue
-        spec = replace(solution.spec, effects=(*solution.spec.effects, best))
+        spec = with_effect(solution.spec, best)
         if not _predicts(solver, solution.spec, spec):
             taken.pop()
             break
@@ -176,6 +170,27 @@ def search_effects(
         extended = sums
     taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
     return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
+
+
+def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
+    """Return the variant with another effect; that of the currents' sensors replaces the harmonic that they cause."""
+    orders = tuple(order for order in spec.orders if name != SENSORS or order != SENSOR_ORDERS[1])
+    return replace(spec, effects=(*spec.effects, name), orders=orders)
+
+
+def _settled(
+    sums: WindowSums, spec: ModelSpec, columns: EffectColumns
+) -> tuple[WindowSums, Solver, FullSolution, EffectColumns]:
+    """Solve without effects, again and again where the current does much between samples."""
+    extended, solver = _linearized(sums, columns)
+    solution = solver.solve(spec)
+    for _ in range(_SETTLING if _remains(solver) else 0):
+        before, columns = solution.residual_rms, replace(columns, estimate=solution.estimate)
+        extended, solver = _linearized(sums, columns)
+        solution = solver.solve(spec)
+        if abs(solution.residual_rms - before) < _SETTLED * before:
+            break
+    return extended, solver, solution, columns
 
 
 def several_speeds(speeds: FloatArray) -> bool:
@@ -211,6 +226,9 @@ def effect_savings(solver: Solver, solution: FullSolution, names: Sequence[str],
     for name in names:
         saving, value = solver.saving(solution, solver.model.effect(name))
         savings[name] = saving if _plausible(name, float(value[0]), period) else 0.0
+    if savings.get(SENSORS, 0.0) > _LEAST_SAVING:  # in place of the harmonic that they cause, less is saved
+        with_sensors = solver.solve(with_effect(solution.spec, SENSORS))
+        savings[SENSORS] = 1.0 - with_sensors.sum_of_squares / solution.sum_of_squares
     return savings
 
 
@@ -244,11 +262,14 @@ def _best(savings: dict[str, float], *, physical: bool) -> str | None:
 
     A physical delay (half or whole samples) is preferred to an effect that saves little more, because columns that
     resemble it also fit the controller's response to noise. Any other delay loses to an effect that is nearly as good.
+    So do all to the currents' sensors, which with three unknowns explain a harmonic as well.
     """
     if not savings:
         return None
     others = {name: saving for name, saving in savings.items() if name != DELAY}
     best = max(others, key=lambda name: others[name], default=DELAY)
+    if best != DELAY and others.get(SENSORS, 0.0) > (1 - _CLOSE) * others[best]:
+        best = SENSORS
     if DELAY in savings:
         margin = _RESEMBLANCE if physical else -_CLOSE * savings[DELAY]
         if best == DELAY or savings[DELAY] + margin > others[best]:

@@ -26,6 +26,9 @@ resolver_second     error of the angle, cosine and sine of 2 theta              
 dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
 phase_resistance    R of phases a and b above the mean, c below                 of int i_a, int i_b, int i_c
 voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
+current_sensors     rotation a of the currents read, and gain mismatch g of     -j R int i_s - [e^{j theta} f'(i) j i],
+                    their sensors, complex: i (1 + j a) + g conj(i)             -R conj(int i_s)
+                                                                                - [e^{j theta} f'(i) i*], i* its image
 remainder           none: what the columns above, linear in the effects, leave  [e^{j (theta + eps)} f((i + di)
                     of the flux at the estimated effects, and what the current  e^{-j eps}) - e^{j theta} (f + ...)]
                     does between samples, see ``between_samples.py``             + int (R i_s + drop) - its quadrature
@@ -43,7 +46,7 @@ no unknown of its own and makes the repeated linearization converge to the nonli
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +71,8 @@ OF_RECORDINGS = (
 _SLOWEST = 1.0
 """Speed below which hysteresis cannot be distinguished from noise, rad/s."""
 
+_CURVE_POINTS = 101
+"""Currents, dense near zero, at which shapes of the drop are compared."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -111,6 +116,9 @@ class EffectColumns:
         own = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
         i_a, i_b, i_c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
         columns = {name: [between(turn * through(shift)) for shift in shifts] for name, shifts in currents.items()}
+        read = np.stack([1j * windows.current, windows.current.conj(), 1j * windows.current.conj()])
+        dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self._coarse_drop())
+        columns["current_sensors"] = [*(columns["current_sensors"] - self.estimate[RESISTANCE] * read - dropped)]
         columns |= {
             "current_latency": [between(windows.held - windows.speed * tilt)],  # with the ripple of a held voltage
             "angle_latency": [between(windows.speed * tilt)],
@@ -181,7 +189,13 @@ class EffectColumns:
         i_s = i_dq * turn
         e = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))
-        return {"iron_loss": [-e], "hysteresis": [-e / speed], "coercivity": [-e / np.maximum(np.abs(e), _TINY)]}
+        mirrored = i_s.conj() / turn
+        return {
+            "iron_loss": [-e],
+            "hysteresis": [-e / speed],
+            "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
+            "current_sensors": [-1j * i_dq, -mirrored, -1j * mirrored],
+        }
 
     def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
         """Return the angle errors (N, 2) of the resolver, per unit of each effect."""
@@ -194,21 +208,23 @@ class EffectColumns:
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) caused by the effects at the measured currents, V.
+        """Return the phase voltages (N, 3) caused by the effects of the drive at its currents, V.
 
         Parameters
         ----------
         recordings : sequence of Samples
-            The whole ones, unless the estimate has none of the effects ``OF_RECORDINGS``.
+            Corrected for their sensors; the whole ones, unless the estimate has none of the effects ``OF_RECORDINGS``.
         length : int
             Samples over which the voltage is averaged.
         """
-        cutter, out = WindowCutter(self.model.shapes), []
+        cutter, out, estimate = WindowCutter(self.model.shapes), [], self.estimate.copy()
+        estimate[self.model.effect("current_sensors")] = 0.0
+        of_drive = replace(self, estimate=estimate)
         for number, samples in enumerate(recordings):
             cutter.restart(0.0, number)
             voltage = np.zeros(len(samples), np.complex128)
             for start, windows in cutter.adjacent(samples, length):
-                taken = self(windows) @ self.estimate[self.model.effects] / windows.duration
+                taken = of_drive(windows) @ estimate[self.model.effects] / windows.duration
                 voltage[start : start + length * len(taken)] = np.repeat(taken, length)
             out.append(frames.phases(voltage))
         return out
@@ -231,6 +247,12 @@ class EffectColumns:
         """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""
         psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
         return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
+
+    def _coarse_drop(self) -> FloatArray:
+        """Return the coefficients (L,) of the coarse shapes whose sum is the mean drop of the phases, V."""
+        current = self.model.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2
+        drop = (self.model.shapes(current) @ self.estimate[self.model.phase_columns()]).mean(axis=1)
+        return np.asarray(np.linalg.lstsq(self.model.shapes.coarse(current), drop)[0])
 
     def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
         """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""

@@ -74,6 +74,7 @@ EFFECTS = _layout(
         "dc_link": 1,
         "phase_resistance": 2,
         "voltage_gains": 2,
+        "current_sensors": 3,
         "remainder": 1,
     }
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import EffectSearch, plausible_effects, refined, search_effects
+from drive_id.core.full.effect_search import SENSORS, EffectSearch, plausible_effects, refined, search_effects
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import (
@@ -270,7 +270,8 @@ def _select(
             if search.sums.effects is None:
                 freed = freed.with_effects(search.columns)
             search = replace(search, sums=freed, solver=Solver.over(freed))
-            everything = search.solver.solve(replace(free, orders=orders))
+            beside = SENSOR_ORDERS[1] if SENSORS in spec.effects else None
+            everything = search.solver.solve(replace(free, orders=tuple(each for each in orders if each != beside)))
             significant = _significant_orders(freed.model, everything, i_dq)
             spec = search.solver.best_penalty(replace(free, orders=significant))[0]
             solution = search.solver.solve(spec)
@@ -291,6 +292,8 @@ def _first_candidate(
 ) -> _Candidate:
     """Detect effects or a delay, then the harmonics, then the penalty."""
     allowed = effects_to_try(sums, settings) if start.spec.reciprocal else ()
+    if SENSOR_ORDERS[1] not in _significant_orders(sums.model, start, noise.windows.i_dq[:, 0]):
+        allowed = tuple(name for name in allowed if name != SENSORS)
     calibrated = settings.calibrate_delay and start.spec.reciprocal
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     while True:
@@ -381,6 +384,7 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         # a flux that varies over θ/p looks like a map where the trajectory repeats at the same rate: p must be known
         "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
         "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
+        SENSORS: settings.calibrate_currents,
     }
     return tuple(name for name in EFFECTS if name != "remainder" and known.get(name, True))
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
-from drive_id.core.maps.inverter_curve import CapacitiveShapes
+from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
 from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
@@ -97,6 +97,9 @@ class Windows:
         a drive compensates the drop, s.
     crossing : (N,) complex
         Sum over the zero crossings of the phase currents, see :func:`_integrate`, s.
+    sensed : (N, L, 3) complex
+        int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s) and j conj(i_s): by how much the
+        effects of the current sensors change their integrals, s.
     heating, magnet_heating : (N,) float
         Temperature of winding and magnet above the reference temperature of resistance and flux map, K. The winding:
         as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
@@ -142,6 +145,7 @@ class Windows:
     shape: FloatArray
     lag: ComplexArray
     crossing: ComplexArray
+    sensed: ComplexArray
     heating: FloatArray
     magnet_heating: FloatArray
     drop_scale: FloatArray
@@ -312,7 +316,7 @@ class WindowCutter:
             stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
             begin = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
             if len(begin):
-                sums, short = _Sums.over(stretch, self._period), np.zeros(len(begin), np.bool_)
+                sums, short = _Sums.over(stretch, self._period, self._shapes.coarse), np.zeros(len(begin), np.bool_)
                 yield run.start + int(begin[0]), self._windows(stretch, sums, begin, begin + length, short)
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
@@ -335,8 +339,8 @@ class WindowCutter:
             np.full(new.stop - new.start, np.nan) if values is None else values[new]
             for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
         )
-        return _Stretch(
-            i_abc=i_abc[later],
+        return _Stretch(  # currents without their sum: they shift the zero crossings as those of two sensors do
+            i_abc=np.ascontiguousarray(frames.phases(_complex(i_s)[later])),
             i_s=_complex(i_s)[later],
             u_s=_complex(u_s)[later],
             i_dq=_complex(i_dq)[later],
@@ -368,7 +372,7 @@ class WindowCutter:
         moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
         if moving.any():
             begin_used, end_used = begin_used[moving], end_used[moving]
-            whole, sums = len(begin_used), _Sums.over(stretch, self._period)
+            whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
             if self._short:
                 begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
@@ -437,6 +441,7 @@ class WindowCutter:
             shape=shape[end // grain] - shape[begin // grain],
             lag=self._lag(stretch, begin // grain, end // grain),
             crossing=sums.crossing[end] - sums.crossing[begin],
+            sensed=sums.sensed[end] - sums.sensed[begin],
             heating=heating,
             magnet_heating=np.where(np.isnan(magnet), heating, magnet),
             drop_scale=np.full(len(begin), self._drop_scale),
@@ -476,16 +481,19 @@ class _Sums:
     voltage: ComplexArray
     current: ComplexArray
     crossing: ComplexArray
+    sensed: ComplexArray
     least: FloatArray
     until: FloatArray
 
     @classmethod
-    def over(cls, stretch: _Stretch, period: float) -> _Sums:
+    def over(cls, stretch: _Stretch, period: float, shapes: CapacitiveShapes) -> _Sums:
         voltage, current, crossing = np.zeros((3, len(stretch), 2))
+        scales = np.ascontiguousarray(shapes.scales)
+        sensed = np.zeros((len(stretch), len(scales), 3, 2))
         least, until = np.empty(len(stretch)), np.empty(len(stretch))
         i_s, u_s, axes = (x.view(np.float64).reshape(-1, 2) for x in (stretch.i_s, stretch.u_s, _AXES))
-        _integrate(stretch.i_abc, i_s, u_s, period, axes, voltage, current, crossing, least, until)
-        return cls(_complex(voltage), _complex(current), _complex(crossing), least, until)
+        _integrate(stretch.i_abc, i_s, u_s, period, scales, axes, voltage, current, crossing, sensed, least, until)
+        return cls(_complex(voltage), _complex(current), _complex(crossing), _complex(sensed), least, until)
 
     def clearance(self, begin: IntArray, end: IntArray) -> FloatArray:
         """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses."""
@@ -555,18 +563,20 @@ def _follow(
 
 
 @compiled(
-    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], "
-    "f8[::1], f8[::1]"
+    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, ::1], "
+    "f8[:, ::1], f8[:, ::1], f8[:, :, :, ::1], f8[::1], f8[::1]"
 )
 def _integrate(
     i_abc: FloatArray,
     i_s: FloatArray,
     u_s: FloatArray,
     period: float,
+    scales: FloatArray,
     axes: FloatArray,
     voltage: FloatArray,
     current: FloatArray,
     crossing: FloatArray,
+    sensed: FloatArray,
     least: FloatArray,
     until: FloatArray,
 ) -> None:
@@ -576,6 +586,9 @@ def _integrate(
     predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
     so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase (``axes``, (3, 2)),
     positive for a rising current, times 2/3 of the sample period.
+
+    A change x of the measured currents changes the integral of a shape h(i) by that of h'(i) x, where h' is its
+    difference quotient between two samples.
     """
     for k in range(len(i_abc)):
         least[k] = min(abs(i_abc[k, 0]), abs(i_abc[k, 1]), abs(i_abc[k, 2]))
@@ -586,6 +599,10 @@ def _integrate(
             voltage[k, axis] = voltage[k - 1, axis] + period * u_s[k - 1, axis]
             current[k, axis] = current[k - 1, axis] + 0.5 * period * (i_s[k - 1, axis] + i_s[k, axis])
             crossing[k, axis] = crossing[k - 1, axis]
+            for number in range(len(scales)):
+                for effect in range(3):
+                    sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
+        alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
         for phase in range(3):
             before, now = i_abc[k - 1, phase], i_abc[k, phase]
             if (before < 0.0) != (now < 0.0):
@@ -594,6 +611,16 @@ def _integrate(
                 share = math.copysign(2.0 * _THIRD * period, now)
                 crossing[k, 0] += share * axes[phase, 0]
                 crossing[k, 1] += share * axes[phase, 1]
+            if before == now:
+                continue
+            cosine, sine = axes[phase, 0], axes[phase, 1]
+            moved = (alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine)
+            for number in range(len(scales)):
+                rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
+                share = 2.0 * _THIRD * period * rise / (now - before)
+                for effect in range(3):
+                    sensed[k, number, effect, 0] += share * moved[effect] * cosine
+                    sensed[k, number, effect, 1] += share * moved[effect] * sine
 
 
 def _complex(pairs: FloatArray) -> ComplexArray:

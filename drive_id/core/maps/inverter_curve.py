@@ -130,10 +130,16 @@ def _integrate(i_abc: FloatArray, scales: FloatArray, period: float, out: FloatA
                     mean = sign * (1.0 - 0.5 * scale * falling)
                 elif abs(step) < _FLAT * scale:  # where the difference quotient cancels
                     x = 0.5 * (a + b) * inverse[number]
-                    mean = 0.5 * x if abs(x) < 1.0 else math.copysign(1.0 - 0.5 / abs(x), x)
+                    mean = drop_shape(x)
                 else:
                     mean = scale * (_primitive(end * inverse[number]) - _primitive(start * inverse[number])) / step
                 out[k, number, phase] = out[k - 1, number, phase] + period * mean
+
+
+@compiled("f8")
+def drop_shape(x: float) -> float:
+    """Return the curve of scale 1 at x."""
+    return 0.5 * x if abs(x) < 1.0 else math.copysign(1.0 - 0.5 / abs(x), x)
 
 
 @compiled("f8")

@@ -21,7 +21,7 @@ _IMPOSSIBLE = 3.0
 _FAR_OFF = np.deg2rad(19.0)
 """Correction of the angle at the end of the range that is searched."""
 _INDEFINITE, _INDEFINITE_IN_ITSELF = 0.1, 0.25
-"""Shares of the map without positive definite inductances at which it is condemned: with a simulation that diverges, and
+"""Shares of the map without positive definite inductances at which it is condemned, with a simulation that diverges and
 without. Of 288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
 _DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
 """Delays of the voltages, samples, of a log with every n-th sample, -(n - 1)/(2 n), and the least turn per sample."""

@@ -50,7 +50,7 @@ def test_a_window_holds_the_sums_between_its_ends(samples):
     begin = np.rint(windows.time / samples.sample_period).astype(int)
     end = begin + np.rint(windows.duration / samples.sample_period).astype(int)
     i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
-    period = samples.sample_period
+    period, balanced = samples.sample_period, frames.phases(i_s)
     for n in (0, 17, len(windows) - 1):
         a, b = begin[n], end[n]
         np.testing.assert_allclose(windows.voltage[n], period * u_s[a:b].sum(), rtol=1e-9, atol=1e-12)
@@ -62,9 +62,16 @@ def test_a_window_holds_the_sums_between_its_ends(samples):
         for column, shift in enumerate(SHIFTS):
             np.testing.assert_allclose(windows.shifted[n, column], period * (u_s[b + shift] - u_s[a + shift]))
         fine = np.linspace(0.0, 1.0, 401)[:, None, None]
-        lines = samples.i_abc[a:b] + fine * np.diff(samples.i_abc[a : b + 1], axis=0)
+        lines = balanced[a:b] + fine * np.diff(balanced[a : b + 1], axis=0)
         expected = period * np.trapezoid(SHAPES(lines), dx=1 / 400, axis=0).sum(axis=0).T
         np.testing.assert_allclose(windows.shape[n], expected, rtol=1e-3, atol=1e-7)
+        for effect, x in enumerate((1j * i_s, i_s.conj(), 1j * i_s.conj())):
+            step = 1e-4
+            moved = [
+                SHAPES.coarse.integrals(frames.phases(i_s + sign * step * x)[a : b + 1], period) for sign in (1, -1)
+            ]
+            slope = [frames.space_vector(y[None])[0] for y in (moved[0][-1] - moved[1][-1]) / (2 * step)]
+            np.testing.assert_allclose(windows.sensed[n, :, effect], slope, atol=0.03 * np.abs(slope).max())
         if a:
             angle = samples.angle[a : b + 1]
             i_dq = frames.to_dq(samples.i_abc, samples.angle)

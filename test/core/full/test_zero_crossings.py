@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from synthetic import record
 
+from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import selection
 from drive_id.core.full.fit import fit_full
@@ -57,9 +58,10 @@ def test_short_windows_share_the_beginning_and_keep_clear_of_zero(good):
     turned = np.abs(np.diff(short.turned, axis=1))
     np.testing.assert_allclose(turned, SHORT_ANGLE, atol=0.03)
     np.testing.assert_allclose(np.abs(np.diff(long.turned, axis=1)), WINDOW_ANGLE, atol=0.03)
+    balanced = frames.phases(frames.space_vector(good.i_abc))
     for n in range(0, len(short), 37):
         begin = round(short.time[n] / good.sample_period)
-        i = good.i_abc[begin : begin + round(short.duration[n] / good.sample_period) + 1]
+        i = balanced[begin : begin + round(short.duration[n] / good.sample_period) + 1]
         crosses = (np.sign(i[1:]) != np.sign(i[:-1])).any()
         assert short.clearance[n] == (0.0 if crosses else pytest.approx(np.abs(i).min(), abs=1e-12))
     crossing = short.clearance == 0

@@ -45,6 +45,18 @@ def test_named_files_exist(page):
     assert missing == []
 
 
+def test_named_tests_exist():
+    named = {name for page in OF_TODAY for name in re.findall(r"`(test_\w+)`", page.read_text(encoding="utf-8"))}
+    files = (ROOT / "test").rglob("test_*.py")
+    defined = {
+        name
+        for file in files
+        for name in re.findall(r"^def (test_\w+)", file.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert named
+    assert named <= defined
+
+
 CATALOGUE = yaml.safe_load((ROOT / "drive_id" / "messages.yaml").read_text(encoding="utf-8"))
 WARNINGS = [
     line.removeprefix("| ").split(" | ")[:2]

@@ -8,7 +8,10 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from drive_id.bench.settings import SimulationSettings
+from drive_id.bench.faults import FaultSettings
+from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.core.experiment.encoder import Encoder
+from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
 from drive_id.live.bridge_settings import BridgeSettings
@@ -173,7 +176,13 @@ def test_every_setting_of_ours_is_described_and_its_default_within_bounds(settin
     assert from_mapping(settings, plain, "defaults") == settings()
 
 
-@pytest.mark.parametrize("cls", [RecordingSettings, IdentificationSettings, BridgeSettings, FitSettings])
+OF_NODES = [
+    RecordingSettings, IdentificationSettings, BridgeSettings, FitSettings, ExperimentSettings, BenchSettings,
+    SimulationSettings, FaultSettings, Encoder,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cls", OF_NODES)
 def test_every_number_that_is_a_parameter_of_a_node_has_a_range(cls):
     hints = get_type_hints(cls)
     numbers = [each for each in fields(cls) if {int, float} & {hints[each.name], *get_args(hints[each.name])}]

@@ -20,13 +20,21 @@ class MachineEffects:
     """Iron loss, magnet eddy currents, heating, eccentricity and unequal phases of the machine."""
 
     iron_conductance: float = setting(
-        0.0, "Eddy-current conductance across the voltage induced in the stator, one phase", unit="S", minimum=0.0
+        0.0,
+        "Eddy-current conductance across the voltage induced in the stator, one phase",
+        unit="S",
+        minimum=0.0,
+        maximum=1e3,
     )
     iron_hysteresis: float = setting(
-        0.0, "Amplitude of a hysteresis-like iron current along the induced voltage", unit="A", minimum=0.0
+        0.0, "Amplitude of a hysteresis-like iron current along the induced voltage", unit="A", minimum=0.0, maximum=1e6
     )
     iron_hysteresis_voltage: float | None = setting(
-        None, "Induced voltage below which iron_hysteresis fades; default: 0.5 % of the DC link", unit="V", minimum=1e-9
+        None,
+        "Induced voltage below which iron_hysteresis fades; default: 0.5 % of the DC link",
+        unit="V",
+        minimum=1e-9,
+        maximum=1e6,
     )
     iron_time_constant: float = setting(
         5e-5, "Lag of the iron current behind the induced voltage", unit="s", minimum=5e-6, maximum=1e-2
@@ -45,9 +53,15 @@ class MachineEffects:
         REFERENCE_TEMPERATURE, "Winding temperature at the start", unit="degC", minimum=-60.0, maximum=300.0
     )
     copper_heat_capacity: float = setting(
-        0.0, "Copper loss per rate of winding temperature; 0: constant temperature", unit="J/K", minimum=0.0
+        0.0,
+        "Copper loss per rate of winding temperature; 0: constant temperature",
+        unit="J/K",
+        minimum=0.0,
+        maximum=1e9,
     )
-    copper_time_constant: float = setting(60.0, "Cooling of the winding to ambient_temperature", unit="s", minimum=1e-3)
+    copper_time_constant: float = setting(
+        60.0, "Cooling of the winding to ambient_temperature", unit="s", minimum=1e-3, maximum=1e9
+    )
     copper_coefficient: float = setting(
         COPPER, "Change of resistance with winding temperature", unit="1/K", minimum=0.0, maximum=0.1
     )
@@ -59,9 +73,10 @@ class MachineEffects:
         "Copper, iron and eddy-current loss per rate of magnet temperature; 0: constant temperature",
         unit="J/K",
         minimum=0.0,
+        maximum=1e9,
     )
     magnet_time_constant: float = setting(
-        600.0, "Cooling of the magnets to ambient_temperature", unit="s", minimum=1e-3
+        600.0, "Cooling of the magnets to ambient_temperature", unit="s", minimum=1e-3, maximum=1e9
     )
     magnet_coefficient: float = setting(
         1e-3, "Loss of magnet flux with magnet temperature", unit="1/K", minimum=0.0, maximum=0.02
@@ -83,7 +98,11 @@ class InverterEffects:
         1e-6, "Dead time of the legs of a switching inverter", unit="s", minimum=0.0, maximum=1e-3
     )
     output_capacitance: float = setting(
-        0.0, "Capacitance of each leg's output that the current charges within the dead time", unit="F", minimum=0.0
+        0.0,
+        "Capacitance of each leg's output that the current charges within the dead time",
+        unit="F",
+        minimum=0.0,
+        maximum=1e-3,
     )
     current_clamping: bool = setting(
         True, "Let a phase current that reaches zero within the dead time stay zero until its end"
@@ -107,11 +126,11 @@ class InverterEffects:
     u_dc_ripple: float = setting(
         0.0, "Amplitude of a DC-link ripple unknown to the log, fraction of u_dc", minimum=0.0, maximum=0.5
     )
-    u_dc_ripple_frequency: float = setting(300.0, "Frequency of u_dc_ripple", unit="Hz", minimum=0.0)
+    u_dc_ripple_frequency: float = setting(300.0, "Frequency of u_dc_ripple", unit="Hz", minimum=0.0, maximum=1e6)
     u_dc_drift: float = setting(
         0.0, "Amplitude of a slow DC-link drift unknown to the log, fraction of u_dc", minimum=0.0, maximum=0.5
     )
-    u_dc_drift_frequency: float = setting(1.0, "Frequency of u_dc_drift", unit="Hz", minimum=0.0)
+    u_dc_drift_frequency: float = setting(1.0, "Frequency of u_dc_drift", unit="Hz", minimum=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True)
@@ -119,16 +138,24 @@ class SensorEffects:
     """Errors of current sensors, of the resolver, and of the log."""
 
     current_filter: float = setting(
-        0.0, "Cut-off frequency of a low-pass in the measured currents; 0: none", unit="Hz", minimum=0.0
+        0.0, "Cut-off frequency of a low-pass in the measured currents; 0: none", unit="Hz", minimum=0.0, maximum=1e6
     )
     current_filter_order: int = setting(
         1, "Order of current_filter: 1, or 2 for a Butterworth filter", minimum=1, maximum=2
     )
     current_skew: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), "Delay of each phase current's sample, less than one period", unit="s", minimum=0.0
+        (0.0, 0.0, 0.0),
+        "Delay of each phase current's sample, less than one period",
+        unit="s",
+        minimum=0.0,
+        maximum=1e-2,
     )
     current_dead_band: float = setting(
-        0.0, "Current below which the sensors read zero; above, they read too little by it", unit="A", minimum=0.0
+        0.0,
+        "Current below which the sensors read zero; above, they read too little by it",
+        unit="A",
+        minimum=0.0,
+        maximum=1e6,
     )
     current_cubic: float = setting(
         0.0,
@@ -141,7 +168,11 @@ class SensorEffects:
         (), "Amplitudes of the angle error at the electrical orders 1, 2, ...", unit="rad", minimum=-0.5, maximum=0.5
     )
     resolver_electrical_phases: tuple[float, ...] = setting(
-        (), "Phases of resolver_electrical_errors, a cos(n theta - phase); missing ones are 0", unit="rad"
+        (),
+        "Phases of resolver_electrical_errors, a cos(n theta - phase); missing ones are 0",
+        unit="rad",
+        minimum=-1e3,
+        maximum=1e3,
     )
     resolver_mechanical_errors: tuple[float, ...] = setting(
         (),
@@ -151,13 +182,19 @@ class SensorEffects:
         maximum=0.5,
     )
     resolver_mechanical_phases: tuple[float, ...] = setting(
-        (), "Phases of resolver_mechanical_errors, a cos(n theta / p - phase); missing ones are 0", unit="rad"
+        (),
+        "Phases of resolver_mechanical_errors, a cos(n theta / p - phase); missing ones are 0",
+        unit="rad",
+        minimum=-1e3,
+        maximum=1e3,
     )
     resolver_quantization: float = setting(
         0.0, "Quantization step of the electrical angle", unit="rad", minimum=0.0, maximum=1.0
     )
     log_zero_sequence: bool = setting(False, "Log the voltages with their min-max zero sequence")
-    stamp_jitter: float = setting(0.0, "Random delay of the stamps, uniform up to this", unit="s", minimum=0.0)
+    stamp_jitter: float = setting(
+        0.0, "Random delay of the stamps, uniform up to this", unit="s", minimum=0.0, maximum=10.0
+    )
     log_decimation: int = setting(1, "Log only every n-th sample; the control runs on", minimum=1, maximum=1000)
 
 
@@ -173,26 +210,43 @@ class ShaftEffects:
         "Of the free shaft; default: the largest torque accelerates it by 4000 rad/s^2",
         unit="kg m^2",
         minimum=1e-9,
+        maximum=1e6,
     )
     viscous_friction: float | None = setting(
         None,
         "Friction torque per mechanical speed; default: 1 % of the largest torque at 100 rad/s",
         unit="N m s",
         minimum=0.0,
+        maximum=1e6,
     )
     coulomb_friction: float | None = setting(
-        None, "Friction torque against any motion; default: 1 % of the largest torque", unit="N m", minimum=0.0
+        None,
+        "Friction torque against any motion; default: 1 % of the largest torque",
+        unit="N m",
+        minimum=0.0,
+        maximum=1e6,
     )
-    cogging_torque: float = setting(0.0, "Amplitude of the cogging torque", unit="N m", minimum=0.0)
-    cogging_order: int = setting(0, "Periods of the cogging torque per revolution; 0: six per pole pair", minimum=0)
-    load_torque: float = setting(0.0, "Constant torque that pulls the free shaft backwards", unit="N m")
-    start_angle: float = setting(0.0, "True electrical angle at the start", unit="rad")
+    cogging_torque: float = setting(0.0, "Amplitude of the cogging torque", unit="N m", minimum=0.0, maximum=1e6)
+    cogging_order: int = setting(
+        0, "Periods of the cogging torque per revolution; 0: six per pole pair", minimum=0, maximum=10_000
+    )
+    load_torque: float = setting(
+        0.0, "Constant torque that pulls the free shaft backwards", unit="N m", minimum=-1e6, maximum=1e6
+    )
+    start_angle: float = setting(0.0, "True electrical angle at the start", unit="rad", minimum=-1e3, maximum=1e3)
     angle_reversed: bool = setting(False, "The angle falls where the phases say that it rises: two are exchanged")
     angle_factor: float = setting(
-        1.0, "Measured electrical angle per true one, where the drive assumes other pole pairs", minimum=0.01
+        1.0,
+        "Measured electrical angle per true one, where the drive assumes other pole pairs",
+        minimum=0.01,
+        maximum=100.0,
     )
     speed_observer: float = setting(
-        0.0, "Bandwidth of a tracking observer that the speed comes from; 0: exact speed", unit="Hz", minimum=0.0
+        0.0,
+        "Bandwidth of a tracking observer that the speed comes from; 0: exact speed",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1e6,
     )
 
 

@@ -30,7 +30,9 @@ class FaultSettings:
         maximum=10.0,
     )
     ignore_references: bool = setting(False, "Do not listen to references, not even to safe ones")
-    restarts: int = setting(0, "Each change restarts the drive: counts begin with 0, the session ends", minimum=0)
+    restarts: int = setting(
+        0, "Each change restarts the drive: counts begin with 0, the session ends", minimum=0, maximum=1_000_000
+    )
     freeze: str = setting(
         "none", "Repeat the last stamps, or the last samples with new stamps", choices=("none", "stamps", "samples")
     )

@@ -17,59 +17,79 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
-        None, "Largest current amplitude; default: the machine's, as far as its map reaches", unit="A", minimum=0.0
+        None,
+        "Largest current amplitude; default: the machine's, as far as its map reaches",
+        unit="A",
+        minimum=0.0,
+        maximum=1e6,
     )
     sample_period: float = setting(1e-4, "Period of sampling and control", unit="s", minimum=1e-6, maximum=1e-2)
-    seed: int = setting(0, "Seed of all noise", minimum=0)
+    seed: int = setting(0, "Seed of all noise", minimum=0, maximum=2**63 - 1)
     substeps: int = setting(2, "Integration steps of the machine per sample", minimum=1, maximum=1000)
     harmonics: float = setting(1.0, "Factor on the machine's rotor-position harmonics", minimum=0.0, maximum=1.0)
     sixth_harmonic: float = setting(
         0.0, "Sixth harmonic to add to the flux, as a fraction of it", minimum=0.0, maximum=0.2
     )
     speeds: tuple[float, ...] = setting(
-        (500.0,), "Mechanical speeds, one after the other; negative: backwards", unit="rpm"
+        (500.0,), "Mechanical speeds, one after the other; negative: backwards", unit="rpm", minimum=-1e6, maximum=1e6
     )
     segment_durations: tuple[float, ...] = setting(
-        (), "Duration at each speed; default: equal shares", unit="s", minimum=0.0
+        (), "Duration at each speed; default: equal shares", unit="s", minimum=0.0, maximum=1e6
     )
-    ramp_time: float = setting(0.1, "Duration of the ramp that begins each further speed", unit="s", minimum=0.0)
+    ramp_time: float = setting(
+        0.1, "Duration of the ramp that begins each further speed", unit="s", minimum=0.0, maximum=1e6
+    )
     speed_ripple: float = setting(0.0, "Amplitude of the speed ripple as a fraction of speed", minimum=0.0, maximum=0.5)
-    ripple_order: int = setting(1, "Periods of the speed ripple per mechanical revolution", minimum=1)
+    ripple_order: int = setting(1, "Periods of the speed ripple per mechanical revolution", minimum=1, maximum=1000)
     inverter: str = setting("dead_time", "Model of the inverter's voltage error", choices=INVERTERS)
     inverter_voltage: float | None = setting(
-        None, "Voltage error at large current; default: 1 % of the DC link", unit="V", minimum=0.0
+        None, "Voltage error at large current; default: 1 % of the DC link", unit="V", minimum=0.0, maximum=1e6
     )
     inverter_current: float | None = setting(
-        None, "Current scale of the voltage error; default: 1 % of i_max", unit="A", minimum=1e-9
+        None, "Current scale of the voltage error; default: 1 % of i_max", unit="A", minimum=1e-9, maximum=1e6
     )
     device_voltage: float | None = setting(
         None,
         "Threshold of the devices in two_stage and switching; default: 0.25 % of the DC link",
         unit="V",
         minimum=0.0,
+        maximum=1e6,
     )
     device_resistance: float | None = setting(
         None,
         "Slope of the devices in two_stage and switching; default: 0.2 % of the DC link at i_max",
         unit="ohm",
         minimum=0.0,
+        maximum=1e3,
     )
     inverter_compensation: bool = setting(False, "Compensate the voltage error in the commands")
     current_noise: float = setting(
         0.0, "Standard deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
     )
-    current_gain: tuple[float, float, float] = setting((1.0, 1.0, 1.0), "Gain of each current sensor")
+    current_gain: tuple[float, float, float] = setting(
+        (1.0, 1.0, 1.0), "Gain of each current sensor", minimum=-1e3, maximum=1e3
+    )
     two_current_sensors: bool = setting(False, "Measure two currents only: that of phase c follows from them")
-    current_offset: tuple[float, float, float] = setting((0.0, 0.0, 0.0), "Offset of each current sensor", unit="A")
-    current_quantization: float = setting(0.0, "Quantization step of the currents", unit="A", minimum=0.0)
-    resolver_offset: float = setting(0.0, "Measured minus true electrical angle", unit="rad")
-    resolver_noise: float = setting(0.0, "Standard deviation of the electrical angle's noise", unit="rad", minimum=0.0)
-    speed_noise: float = setting(0.0, "Standard deviation of the electrical speed's noise", unit="rad/s", minimum=0.0)
+    current_offset: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), "Offset of each current sensor", unit="A", minimum=-1e6, maximum=1e6
+    )
+    current_quantization: float = setting(0.0, "Quantization step of the currents", unit="A", minimum=0.0, maximum=1e6)
+    resolver_offset: float = setting(0.0, "Measured minus true electrical angle", unit="rad", minimum=-1e3, maximum=1e3)
+    resolver_noise: float = setting(
+        0.0, "Standard deviation of the electrical angle's noise", unit="rad", minimum=0.0, maximum=10.0
+    )
+    speed_noise: float = setting(
+        0.0, "Standard deviation of the electrical speed's noise", unit="rad/s", minimum=0.0, maximum=1e6
+    )
     voltage_delay: float = setting(
         0.0, "Delay of the voltages relative to the log", unit="samples", minimum=-4.0, maximum=1.99
     )
     current_bandwidth: float = setting(
-        200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency", unit="Hz", minimum=1.0
+        200.0,
+        "Bandwidth of the current controller, at most 3 % of the sampling frequency",
+        unit="Hz",
+        minimum=1.0,
+        maximum=1e5,
     )
     controller_inductance: float = setting(
         1.0, "Factor on the inductances that the current controller assumes", minimum=0.1, maximum=10.0
@@ -79,10 +99,14 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
     )
     log_scalars: tuple[str, ...] = setting((), "Optional signals to log", choices=SCALARS)
     scalar_rate: float = setting(
-        0.0, "Rate of dc_link_voltage and shaft_torque in bags and topics; 0: every sample", unit="Hz", minimum=0.0
+        0.0,
+        "Rate of dc_link_voltage and shaft_torque in bags and topics; 0: every sample",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1e6,
     )
     temperature_rate: float = setting(
-        10.0, "Rate of temperatures in bags and topics; 0: every sample", unit="Hz", minimum=0.0
+        10.0, "Rate of temperatures in bags and topics; 0: every sample", unit="Hz", minimum=0.0, maximum=1e6
     )
 
     def __post_init__(self) -> None:
@@ -151,7 +175,11 @@ class BenchSettings:
         10000.0, "|di/dt| to zero current when references run out", unit="A/s", minimum=1.0, maximum=1e9
     )
     speed_limit: float = setting(
-        10000.0, "Mechanical speed in both directions above which the drive switches off", unit="rpm", minimum=1.0
+        10000.0,
+        "Mechanical speed in both directions above which the drive switches off",
+        unit="rpm",
+        minimum=1.0,
+        maximum=1e6,
     )
     frame_id: str = setting("drive", "Name of the drive in the message headers")
     truth_file: str = setting("", "File for the ground truth of the simulated machine (.npz); empty: none")

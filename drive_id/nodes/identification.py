@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.action import Identify as IdentifyGoal
-from drive_id_msgs.msg import FluxMap, OperatingPoint, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import FluxMap, OperatingPoint
 from drive_id_msgs.srv import Command, Identify
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -20,7 +18,6 @@ from sensor_msgs.msg import PointCloud2
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.errors import InactiveError
-from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
@@ -29,15 +26,13 @@ from drive_id.live.identification.refits import Refit
 from drive_id.live.identification.requests import Request, Requests
 from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.memory import return_free_memory, share_arenas
-from drive_id.live.translator import Translator
 from drive_id.live.worker import Worker
 from drive_id.messages import Message
 from drive_id.nodes.support.deferred_service import DeferredService, LaterResponse, in_executor
 from drive_id.nodes.support.diagnostics import HealthPublisher
 from drive_id.nodes.support.displays import flux_map_points, operating_point_message
-from drive_id.nodes.support.foreign_topics import ForeignTopics
+from drive_id.nodes.support.live_topics import TOPICS, LiveTopics
 from drive_id.nodes.support.managed import ManagedNode
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM
 from drive_id.nodes.support.replies import fill, flux_map_message
@@ -45,10 +40,6 @@ from drive_id.nodes.support.request_action import RequestAction
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS, Progress
 
-TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
-_MATCH_PERIOD = 0.25  # s between checks of who publishes
-_TRANSLATION_PERIOD = 0.02  # s between blocks of foreign messages
-_FOREIGN_DEPTH = 5000  # foreign messages that may wait while the node is busy
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
 _OPERATING_PERIOD = 0.05  # s between looks at the operating points that have arrived
 _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
@@ -77,13 +68,7 @@ class IdentificationNode(ManagedNode):
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
         on_change(self, FitSettings, self._check_settings, self._on_settings)
-        self._translator = self._translated(settings.signals) if settings.signals else None
-        self._foreign: ForeignTopics | None = None
-        self._topics: list[MatchedSubscription] = []
-        self._scalar_topics: list[MatchedSubscription] = []
-        self._timer = self.create_timer(
-            _MATCH_PERIOD, self._match_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
         self._service = DeferredService(self.paced, Identify, "~/identify", self._on_identify)
         self.paced.create(Command, "~/reset", self._on_reset)
         self._action = RequestAction(self, IdentifyGoal, "~/identify", self._requests, self._job, self._said)
@@ -99,24 +84,11 @@ class IdentificationNode(ManagedNode):
 
     def connect(self) -> None:
         """Subscribe to the topics of the drive."""
-        if self._translator is None:
-            self._topics = [
-                self._subscription(kind, name, partial(self._identifier.receive, section))
-                for section, (name, kind) in enumerate(TOPICS.items())
-            ]
-        else:
-            self._foreign = ForeignTopics(self, self._translator, _FOREIGN_DEPTH)
-        self._scalar_topics = [
-            self._subscription(ScalarSamples, name, partial(self._identifier.receive_scalar, name)) for name in SCALARS
-        ]
+        self._topics.open()
 
     def disconnect(self) -> None:
         """End the subscriptions and forget the live samples."""
-        for topic in (*self._topics, *self._scalar_topics):
-            topic.close()
-        if self._foreign is not None:
-            self._foreign.close()
-        self._topics, self._scalar_topics, self._foreign = [], [], None
+        self._topics.close()
         self._forget()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -135,32 +107,6 @@ class IdentificationNode(ManagedNode):
         self._refitter.cancel()
         self._requests.stop(_PATIENCE)
         self._refitter.stop(_PATIENCE)
-
-    def _subscription(self, kind: type, name: str, handle: Callable[[bytes], None]) -> MatchedSubscription:
-        def take(data: bytes) -> None:
-            if self.active:
-                self._inbox.take(handle, data)
-
-        return MatchedSubscription(self, kind, name, take, raw=True)
-
-    def _match_topics(self) -> None:
-        for topic in (*self._topics, *self._scalar_topics):
-            topic.match()
-        if self._foreign is not None:
-            self._foreign.match()
-
-    def _translated(self, signals: str) -> Translator:
-        """Return what translates the topics of a signals file to ours."""
-        translator = Translator(read_signals(Path(signals).expanduser()), sort=True)
-
-        def translate() -> None:
-            for block in translator.advance():
-                if self.active:
-                    self._identifier.receive_block(block)
-
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._translating = self.create_timer(_TRANSLATION_PERIOD, translate, clock=steady)
-        return translator
 
     def _look_after_requests(self) -> None:
         self._inbox.look()
@@ -265,10 +211,8 @@ class IdentificationNode(ManagedNode):
     def _health(self) -> Health:
         if not self.active:
             return self.inactive_health()
-        publishers = [topic.publishers for topic in self._topics] or [[] for _ in TOPICS]
-        findings = [*self._inbox.findings(), *self._requests.findings()]
-        findings += self._foreign.findings() if self._foreign is not None else []
-        return self._identifier.health(self._requests.doing, publishers, findings)
+        findings = [*self._inbox.findings(), *self._requests.findings(), *self._topics.findings()]
+        return self._identifier.health(self._requests.doing, self._topics.publishers(), findings)
 
 
 def main() -> None:

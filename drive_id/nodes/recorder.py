@@ -6,37 +6,26 @@ import os
 import time
 from collections.abc import Callable
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
 from drive_id_msgs.srv import Command, StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 
 from drive_id.errors import DriveIdError
-from drive_id.files.messages.messages import type_hash
 from drive_id.health import Health, Level
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recording.clock_watch import ClockWatch
-from drive_id.live.recording.recorder_health import TopicState, recorder_health
+from drive_id.live.recording.recorder_health import recorder_health
 from drive_id.live.recording.recording_note import RecordingNote
-from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession, free_space, shortage
+from drive_id.live.recording.recording_session import RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.nodes.support.diagnostics import HealthPublisher
-from drive_id.nodes.support.extra_topics import ExtraTopics
 from drive_id.nodes.support.managed import ManagedNode
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.recorded_topics import RecordedTopics
 from drive_id.nodes.support.runtime import run
-from drive_id.types import SCALARS
 
-TOPICS = {
-    "phase_currents": PhaseCurrents,
-    "phase_voltages": PhaseVoltages,
-    "resolver": Resolver,
-    "current_reference": CurrentReference,
-} | dict.fromkeys(SCALARS, ScalarSamples)
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _PATIENCE = 3.0  # s that ~/stop waits for a slow disk
 _LAST_PATIENCE = 30.0  # s, at the end of the process
@@ -58,16 +47,11 @@ class Recorder(ManagedNode):
         self._session: RecordingSession | None = None
         self._stopping = False
         self._told_error = False
-        self._last: dict[str, float] = {}
         self._clock_watch = ClockWatch()
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
-        self._topics: list[MatchedSubscription] = []
-        self._extra = ExtraTopics(
-            self, [self.resolve_topic_name(name) for name in TOPICS], self._on_message, self._settings.queue_depth
-        )
-        self._extra.want(self._settings.extra_topics)
+        self._topics = RecordedTopics(self, self._on_message, self._settings.queue_depth)
+        self._topics.extra.want(self._settings.extra_topics)
         on_change(self, RecordingSettings, self._check_settings, self._on_settings)
-        self._optional = {self.resolve_topic_name(name) for name in SCALARS}
         for kind, name, handle in (
             (StartRecording, "~/start", self._on_start),
             (StopRecording, "~/stop", self._on_stop),
@@ -86,22 +70,11 @@ class Recorder(ManagedNode):
 
     def connect(self) -> None:
         """Subscribe to the topics of the drive."""
-        self._topics = [
-            MatchedSubscription(
-                self, kind, name, partial(self._on_message, self.resolve_topic_name(name)),
-                depth=self._settings.queue_depth, raw=True,
-            )
-            for name, kind in TOPICS.items()
-        ]  # fmt: skip
-        for topic in self._topics:
-            type_hash(topic.type_name)  # kept for ~/start; the first one loads a parser
+        self._topics.open()
 
     def disconnect(self) -> None:
         """End the subscriptions."""
-        for topic in self._topics:
-            topic.close()
-        self._topics = []
-        self._extra.close()
+        self._topics.close()
 
     def rest(self) -> bool:
         """Complete the bag of a running recording, and tell whether it is complete."""
@@ -124,7 +97,7 @@ class Recorder(ManagedNode):
     def _complete(self, session: RecordingSession, patience: float) -> bool:
         """Take what has arrived, and complete the bag; return whether the disk was fast enough."""
         if not self._stopping:
-            self._drain()
+            self._topics.drain()
             self._clock_watch.look(self._now(), time.monotonic())
             session.remark = self._clock_watch.remark()
         self._stopping = True
@@ -135,22 +108,15 @@ class Recorder(ManagedNode):
         return True
 
     def _check_settings(self, settings: RecordingSettings) -> None:
-        self._extra.resolved(settings.extra_topics)
+        self._topics.extra.resolved(settings.extra_topics)
 
     def _on_settings(self, settings: RecordingSettings) -> None:
         self._settings = settings  # for the next recording
-        self._extra.want(settings.extra_topics)
+        self._topics.extra.want(settings.extra_topics)
 
     def _on_message(self, topic: str, data: bytes) -> None:
-        self._last[topic] = time.monotonic()
         if self._session is not None:
             self._session.receive(topic, data, self._now())
-
-    def _drain(self) -> None:
-        """Take all messages that have arrived before now."""
-        for topic in self._topics:
-            topic.drain()
-        self._extra.drain()
 
     def _now(self) -> int:
         clock = self.get_clock()
@@ -158,9 +124,7 @@ class Recorder(ManagedNode):
 
     def _check_topics(self) -> None:
         self._clock_watch.look(self._now(), time.monotonic())
-        for topic in self._topics:
-            topic.match()
-        for found in self._extra.match() if self._topics else ():
+        for found in self._topics.match():
             if self._session is not None:
                 self._session.add_topic(found)
         if self._session is not None and self._session.error and not self._told_error:
@@ -171,22 +135,17 @@ class Recorder(ManagedNode):
     def _health(self) -> Health:
         if not self.active:
             return self.inactive_health()
-        now = time.monotonic()
-        states = []
-        for topic in self._topics:
-            last = self._last.get(topic.topic)
-            silent_for = None if last is None else now - last
-            optional = topic.topic in self._optional
-            states.append(TopicState(topic.topic, topic.type_name, topic.publishers, silent_for, optional))
         report = None if self._session is None else self._session.report()
         further = [] if report is None else self._clock_watch.findings()
-        further += self._extra.findings()
+        further += self._topics.extra.findings()
         if self._session is not None and self._session.paused:
             further.append((Level.OK, "Paused: call ~/resume to go on."))
         if self._note.left:
             further.append((Level.ERROR, self._note.left))
         scarce = _SCARCE * self._settings.least_free_space
-        return recorder_health(report, states, self._settings.silence, self._settings.queue_size, further, scarce)
+        return recorder_health(
+            report, self._topics.states(), self._settings.silence, self._settings.queue_size, further, scarce
+        )
 
     def _on_start(self, request: Any, response: Any) -> Any:
         code, message = self._start(request.name)
@@ -210,26 +169,15 @@ class Recorder(ManagedNode):
             path = new_recording(Path(self._settings.data_directory), name, datetime.now().astimezone())
             if short := shortage(free_space(path), self._settings, path):
                 return codes.CODE_OUTPUT, short
-            for topic in self._topics:
-                topic.match()
-            self._drain()
-            recorded = [
-                RecordedTopic(topic.topic, topic.type_name, topic.offered(), topic.topic in self._optional)
-                for topic in self._topics
-            ]
             distro = os.environ.get("ROS_DISTRO", "jazzy")
-            self._extra.match()
-            self._session = RecordingSession(
-                path, [*recorded, *self._extra.recorded()], self._settings, ros_distro=distro
-            )
-            for topic_name, data in self._extra.latched():
+            self._session = RecordingSession(path, self._topics.begin(), self._settings, ros_distro=distro)
+            for topic_name, data in self._topics.extra.latched():
                 self._session.receive(topic_name, data, self._now())
         except DriveIdError as error:
             return error.code, str(error)
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._note.begin(path)
         self._told_error = self._stopping = False
-        self._last.clear()
         self._clock_watch.begin(time.monotonic())
         return codes.CODE_OK, f"Recording {path}.{before}"
 
@@ -248,7 +196,7 @@ class Recorder(ManagedNode):
         session = self._session
         if session is None or session.error or self._stopping:
             return self.answer(command.__name__, response, response.CODE_NOT_RECORDING, _NOTHING)
-        self._drain()
+        self._topics.drain()
         command(session)
         return self.answer(command.__name__, response, response.CODE_OK, message.format(path=session.path))
 

@@ -47,7 +47,8 @@ def test_a_fresh_publisher_runs_at_its_first_start(ros, statuses, attempt):
     publisher = ros.start(
         "drive_id.nodes.trajectory_publisher",
         files=[CONFIG / "trajectory_publisher.yaml"],
-        arguments=["-r", f"__node:={name}", "-p", "lead_time:=3.0", "-p", "watch_timeout:=5.0"],
+        parameters={"lead_time": 3.0, "watch_timeout": 10.0, "clock_offset": 10.0},
+        arguments=["-r", f"__node:={name}"],
     )
     ros.wait(lambda: "Ready" in publisher.output, "the publisher says that it is ready")
     time.sleep(_FREE)

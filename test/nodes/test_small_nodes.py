@@ -84,7 +84,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     process = ros.start(
         "timed_publisher",
         files=[CONFIG / "trajectory_publisher.yaml"],
-        parameters={"trajectory": trajectory, "lead_time": 2.0},  # other tests may hold the process up
+        parameters={"trajectory": trajectory, "lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0},  # patient
         namespace=namespace,
     )
     heard = {}

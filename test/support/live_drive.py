@@ -28,7 +28,8 @@ class LiveDrive:
 
     def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, **remaps):
         from diagnostic_msgs.msg import DiagnosticArray
-        from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver
+        from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, PublisherState, Resolver
+        from rclpy.qos import DurabilityPolicy, QoSProfile
 
         self.ros, self.clock = ros, clock
         self.namespace = namespace
@@ -50,7 +51,11 @@ class LiveDrive:
                 partial(self.last, "resolver"), partial(self.last, "current_reference"),
                 lambda: self.bench, lambda: self.publisher,
             )  # fmt: skip
-        self.statuses, self.times = {}, {}
+        self.states, self.statuses, self.times = [], {}, {}
+        every = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        ros.node.create_subscription(
+            PublisherState, f"{namespace}/trajectory_publisher/state", self.states.append, every
+        )
         ros.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message):
@@ -62,11 +67,16 @@ class LiveDrive:
         return self.statuses.get(f"{self.namespace}/{node}")
 
     def state(self):
-        status = self.status()
-        return {value.key: value.value for value in status.values}["state"] if status else None
+        return self.states[-1].state if self.states else None
 
-    def wait_for_state(self, state):
-        self.ros.wait(lambda: self.state() == state, f"{self.namespace} becomes {state}")
+    def wait_for_state(self, wanted):
+        """Wait for a state of the publisher, however short it was, and return it; earlier ones are forgotten."""
+
+        def passed():
+            return [number for number, each in enumerate(self.states) if each.state == wanted]
+
+        del self.states[: self.ros.wait(passed, f"{self.namespace} becomes {wanted}")[0]]
+        return self.states[0]
 
     def trigger(self, what):
         from drive_id_msgs.srv import Command
@@ -113,7 +123,8 @@ class LiveDrive:
 
     def clear(self):
         """Clear a fault as soon as its cause is gone."""
-        return self.ask("clear_fault", lambda reply: reply.success, "a cleared fault")
+        self.ask("clear_fault", lambda reply: reply.success, "a cleared fault")
+        self.ros.wait(lambda: self.state() == "idle", "rest")
 
     def rest(self):
         """Stop, and wait until nothing is running any more."""
@@ -147,6 +158,7 @@ class LiveDrive:
         self._before = {name: self.last(name) for name in self.messages}
         for messages in self.messages.values():
             messages.clear()
+        del self.states[:-1]
 
     def set_parameters(self, node="trajectory_publisher", **values):
         """Set parameters together and return what the node says to it."""

@@ -21,7 +21,7 @@ SOUND = {
     "dc_link_voltage_limit": 400.0, "winding_temperature": 60.0, "winding_temperature_limit": 120.0,
     "magnet_temperature": math.nan,
 }  # fmt: skip
-GIVEN = {"i_max": 50.0, "repeat": 0, "lead_time": 1.0, "watch_timeout": 2.0}
+GIVEN = {"i_max": 50.0, "repeat": 0, "lead_time": 2.0, "watch_timeout": 5.0}
 """Shipped parameters but for these: the test's own process, which is the drive, may be held up."""
 
 
@@ -58,6 +58,7 @@ class OddDrive:
 
     def put_right(self):
         self.offset, self.sense, self.uncommanded, self.status = 0.0, 1, 0.0, dict(SOUND)
+        self.spike, self.silent = None, False
 
     def _on_state(self, message):
         self.state = message
@@ -84,8 +85,11 @@ class OddDrive:
         angle = (SPEED * PERIOD * (self._count + np.arange(number)) + math.pi) % (2 * math.pi) - math.pi
         turned = vector * np.exp(1j * self.sense * angle)
         phases = [(turned * np.exp(-2j * math.pi * k / 3)).real.tolist() for k in range(3)]
+        if self.spike is not None:
+            phases[0][-1] = self.spike
         head = {"first_sample": self._count, "sample_period": PERIOD}
-        self._publish(self._next, PhaseCurrents(**head, **dict(zip("abc", phases, strict=True))))
+        if not self.silent:
+            self._publish(self._next, PhaseCurrents(**head, **dict(zip("abc", phases, strict=True))))
         self._publish(self._next, Resolver(**head, angle=angle.tolist(), speed=[SPEED] * number))
         self._count += number
         self._next += number * round(PERIOD * NANOSECONDS)

@@ -58,15 +58,21 @@ class ExperimentSettings:
         "swing_frequency, and nothing holds the mean speed",
         unit="rad/s^2",
         minimum=1e-3,
+        maximum=1e9,
     )
     shaft_speed_max: float | None = setting(
         None,
         "free_shaft: highest electrical speed planned; it trips at 1.2 times this",
         unit="rad/s",
         minimum=1e-3,
+        maximum=1e6,
     )
     mean_speed: float = setting(
-        0.0, "free_shaft: mean electrical speed, for heavy rotors about half of shaft_speed_max", unit="rad/s"
+        0.0,
+        "free_shaft: mean electrical speed, for heavy rotors about half of shaft_speed_max",
+        unit="rad/s",
+        minimum=-1e6,
+        maximum=1e6,
     )
     swing_frequency: float | None = setting(
         None,
@@ -118,35 +124,54 @@ class ExperimentSettings:
         "Largest distance of the drive's stamps from the clock of this node; default: half of lead_time",
         unit="s",
         minimum=1e-3,
+        maximum=60.0,
     )
     follow_band: float | None = setting(
         None,
         "Largest distance of measured currents from the references; default: 0.2 i_max, free_shaft 0.35 i_max",
         unit="A",
         minimum=0.0,
+        maximum=1e6,
     )
     follow_time: float = setting(
         0.1, "Time constant by which this distance is averaged", unit="s", minimum=1e-3, maximum=10.0
     )
-    speed_min: float | None = setting(None, "Lowest electrical speed allowed; default: -speed_max", unit="rad/s")
+    speed_min: float | None = setting(
+        None, "Lowest electrical speed allowed; default: -speed_max", unit="rad/s", minimum=-1e6, maximum=1e6
+    )
     speed_max: float | None = setting(
-        None, "Highest electrical speed allowed; default: the limit in drive_status, or no start", unit="rad/s"
+        None,
+        "Highest electrical speed allowed; default: the limit in drive_status, or no start",
+        unit="rad/s",
+        minimum=-1e6,
+        maximum=1e6,
     )
     current_limit: float | None = setting(
-        None, "Largest measured phase current allowed; default: 1.25 i_max, free_shaft 1.2 i_max", unit="A", minimum=0.0
+        None,
+        "Largest measured phase current allowed; default: 1.25 i_max, free_shaft 1.2 i_max",
+        unit="A",
+        minimum=0.0,
+        maximum=1e6,
     )
     current_ceiling: float | None = setting(
         None,
         "What neither i_max nor current_limit may exceed; fixed at start: what machine and inverter stand",
         unit="A",
         minimum=0.0,
+        maximum=1e6,
     )
     temperature_max: float | None = setting(
-        None, "Highest winding or magnet temperature allowed; default: the limit in drive_status", unit="degC"
+        None,
+        "Highest winding or magnet temperature allowed; default: the limit in drive_status",
+        unit="degC",
+        minimum=-60.0,
+        maximum=1000.0,
     )
-    dc_link_voltage_min: float | None = setting(None, "Lowest DC-link voltage allowed; default: any", unit="V")
+    dc_link_voltage_min: float | None = setting(
+        None, "Lowest DC-link voltage allowed; default: any", unit="V", minimum=0.0, maximum=1e6
+    )
     dc_link_voltage_max: float | None = setting(
-        None, "Highest DC-link voltage allowed; default: the limit in drive_status", unit="V"
+        None, "Highest DC-link voltage allowed; default: the limit in drive_status", unit="V", minimum=0.0, maximum=1e6
     )
     emergency_stops: tuple[str, ...] = setting(
         ("emergency_stop",), "Topics of the emergency stops, one for each button: any of them trips"

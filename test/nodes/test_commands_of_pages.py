@@ -1,0 +1,142 @@
+"""The commands of the pages for stock tools, executed with their words: ros2cli is on no Python package index."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from ros_bench import require_ros, ros_bench
+
+ROOT = Path(__file__).parent.parent.parent
+PATIENT = {"lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0}
+"""Other tests keep this machine busy."""
+STATE = "/trajectory_publisher/state"
+
+
+def commands(page, *kinds):
+    """Return the words of the indented commands of a page, without ``ros2``, those of these kinds only."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    lines = re.findall(r"^ {4}ros2 (.*)$", text, re.MULTILINE)
+    return [words for line in lines if (words := shlex.split(line, comments=True))[0] in kinds]
+
+
+def kind_of(name):
+    package, folder, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.{folder}"), kind)
+
+
+class Operator:
+    """Does what ros2cli does, and checks what it would print."""
+
+    def __init__(self, ros):
+        from drive_id_msgs.msg import PublisherState
+
+        from drive_id.nodes.support.qos import LATCHED
+
+        self.ros, self.state = ros, PublisherState()
+        ros.node.create_subscription(PublisherState, STATE, self._on_state, LATCHED)
+
+    def _on_state(self, message):
+        self.state = message
+
+    def do(self, kind, verb, *words):
+        given = [word for word in words if not word.startswith("--")]
+        getattr(self, f"{kind}_{verb}")(*given)
+
+    def topic_echo(self, name):
+        assert name == STATE
+        self.ros.wait(lambda: self.state.state, f"a message on {name}")
+
+    def topic_pub(self, name, kind, fields):
+        assert name == "/emergency_stop"
+        publisher = self.ros.node.create_publisher(kind_of(kind), name, 10)
+        self.ros.wait(lambda: publisher.get_subscription_count() >= 2, "the subscriptions")
+        message = kind_of(kind)(**yaml.safe_load(fields))
+        publisher.publish(message)
+        pressed = "is pressed" if message.data else "was pressed"
+        self.ros.wait(lambda: pressed in self.state.reason or self.state.state == "tripped", "the emergency stop")
+        until = time.monotonic() + 0.3
+        self.ros.wait(lambda: time.monotonic() > until, "a while, after which ros2 ends")
+        self.ros.node.destroy_publisher(publisher)
+
+    def service_call(self, name, kind, fields="{}"):
+        def answered():
+            reply = self.ros.call(kind_of(kind), name, **yaml.safe_load(fields))
+            assert reply.message
+            assert reply.success == (reply.code == reply.CODE_OK)
+            return reply.success or name == "/identification/identify"  # so short a recording makes no map
+
+        self.ros.wait(answered, f"success of {name}")
+
+    def action_send_goal(self, name, kind, fields):
+        from rclpy.action import ActionClient
+
+        client = ActionClient(self.ros.node, kind_of(kind), name)
+        self.ros.wait(client.server_is_ready, name)
+        sent = client.send_goal_async(kind_of(kind).Goal(**yaml.safe_load(fields)))
+        self.ros.wait(sent.done, "the acceptance of a goal")
+        assert sent.result().accepted
+        result = sent.result().get_result_async()
+        self.ros.wait(result.done, "the result of a goal")
+        assert result.result().result.message
+        client.destroy()
+
+    def param_set(self, node, name, value):
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        parameters = [Parameter(name, value=yaml.safe_load(value)).to_parameter_msg()]
+        reply = self.ros.call(SetParameters, f"{node}/set_parameters", parameters=parameters)
+        assert reply.results[0].successful, reply.results[0].reason
+
+    def lifecycle_set(self, node, label):
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        assert self.ros.call(ChangeState, f"{node}/change_state", transition=Transition(label=label)).success
+
+
+@pytest.fixture(scope="module")
+def operator():
+    require_ros()
+    with ros_bench() as ros:
+        folders = {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out")}
+        for name, parameters in (
+            ("bench_simulator", {}),
+            ("trajectory_publisher", PATIENT),
+            ("recorder", {"data_directory": str(ros.folder), "autostart": False}),
+            ("identification", folders),
+        ):
+            file = ROOT / "config" / f"{name}.yaml"
+            ros.start(f"drive_id.nodes.{name}", parameters=parameters, files=[file])
+        operator = Operator(ros)
+        for words in commands("nodes.md", "lifecycle"):
+            operator.do(*words)
+        yield operator
+
+
+@pytest.mark.parametrize("page", ["nodes.md", "safety.md"])
+def test_what_the_page_shows_works(operator, page):
+    shown = commands(page, "topic", "service", "action", "param")
+    assert {"topic", "service"} < {kind for kind, *_ in shown}
+    for words in shown:
+        operator.do(*words)
+
+
+def test_what_is_launched_and_run_is_there():
+    executables = re.findall(r'^    "(\w+) = ', (ROOT / "setup.py").read_text(encoding="utf-8"), re.MULTILINE)
+    launched, ran = commands("nodes.md", "launch"), commands("nodes.md", "run")
+    assert launched
+    assert ran
+    for _, package, file, *arguments in launched:
+        assert package == "drive_id"
+        text = (ROOT / "launch" / file).read_text(encoding="utf-8")
+        assert [each for each in arguments if f'"{each.partition(":=")[0]}"' not in text] == []
+    for _, package, executable, *_ in ran:
+        assert package == "drive_id"
+        assert executable in executables

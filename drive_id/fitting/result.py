@@ -124,6 +124,12 @@ class Identification(Result):
 
         return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
 
+    def _repr_png_(self) -> bytes:
+        """Return the picture of :meth:`plot`, for notebooks and exports of them."""
+        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+
+        return rendered(self.plot(), dpi=SCREEN_DPI)
+
 
 def load(directory: str | Path) -> Identification:
     """Load a result folder that ``drive-id fit``, :func:`drive_id.fit` or a node wrote.

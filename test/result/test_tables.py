@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -60,6 +62,15 @@ def test_an_analysis_is_a_table_and_a_picture(result):
     assert axes.get_legend_handles_labels()[1] == ["300 V", "400 V"]
     plt.close(figure)
     assert "<th>max torque</th>" in found._repr_html_()
+    assert found._repr_png_().startswith(b"\x89PNG")
+    without = drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)))
+    assert without._repr_png_() is None
+
+
+def test_a_notebook_gets_the_picture_of_a_result(result):
+    image = plt.imread(io.BytesIO(result._repr_png_()))
+    assert image.shape[:2] == (375, 720)
+    assert image[..., :3].std() > 0.1
 
 
 def test_samples_and_maps_show_their_ranges(samples, result):

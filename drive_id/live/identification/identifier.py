@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
@@ -192,7 +193,8 @@ class Identifier:
             When the request makes no sense, or the signals file cannot be read.
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
-        named = replace(fit, **{name: text for name, text in names.items() if text})
+        given: dict[str, Any] = {name: text for name, text in names.items() if text}
+        named = replace(fit, **given)
         if bags:
             own = read_signals(Path(signals).expanduser()) if signals else self._signals()
             work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings)

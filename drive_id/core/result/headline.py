@@ -47,7 +47,9 @@ def headline(
     found = [*_at_zero_current(drive), *(() if rated is None else rated.inductances(drive))]
     if math.isfinite(drive.resistance):
         at = "" if temperature is None else f" at {temperature:g} °C"
-        note = "With the linear part of the inverter's drop." if drive.origin.inverter else ""
+        warm = "At the temperature of the recording." if drive.origin.fitted and not at else ""
+        linear = "With the linear part of the inverter's drop." if drive.origin.inverter else ""
+        note = " ".join(filter(None, (warm, linear)))
         found.append(Quantity(f"R{at}", drive.resistance, drive.sigma_resistance, "Ω", note))
     if drive.origin.inverter:
         note = "Of one phase at large current, without its linear part, which is in R."

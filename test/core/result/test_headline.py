@@ -77,6 +77,8 @@ def test_values_and_standard_errors_are_those_of_the_formula(drive):
         assert found[name].value == pytest.approx(value, rel=2e-4 if "95" in name else 2e-5), name
         assert found[name].sigma == pytest.approx(sigma, rel=2e-3, abs=1e-10), name
     assert str(found["R at 20 °C"]) == "10.000 ± 0.011 mΩ"
+    assert "temperature" not in found["R at 20 °C"].note
+    assert named(drive)["R"].note.startswith("At the temperature of the recording. ")
 
 
 def test_what_the_data_do_not_cover_is_left_out(drive):

@@ -70,6 +70,11 @@ def test_the_commands_of_a_page_run(name, folder, fitted):
     assert all(path.exists() for path in written)
 
 
+def test_the_reference_holds_all_public_names():
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert set(re.findall(r":: drive_id\.(\w+)$", text, re.MULTILINE)) == set(drive_id.__all__)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding="utf-8")

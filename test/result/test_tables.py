@@ -89,6 +89,17 @@ def test_progress_is_shown_on_a_bar(samples):
     assert bar.total == 1.0
 
 
+def test_a_report_takes_what_a_folder_lacks(result, tmp_path):
+    replace(result, provenance=replace(result.provenance, u_dc=None)).save(tmp_path / "folder")
+    for name, known in (("without", {}), ("with", {"u_dc": 321.0})):
+        (path,) = drive_id.report(tmp_path / "folder", tmp_path / f"{name}.html", **known)
+        assert ("321 V" in path.read_text(encoding="utf-8")) == bool(known)
+    from drive_id.reporting import tables
+
+    assert tables
+    assert callable(drive_id.report)  # no room of the package has its name
+
+
 def test_wrong_types_are_told_in_a_sentence(samples, result):
     for currents in ("1 A", 1j, [[1.0], [2.0, 3.0]]):
         with pytest.raises(drive_id.DriveIdError, match="i_d and i_q are not real currents"):

@@ -70,6 +70,15 @@ def test_the_commands_of_a_page_run(name, folder, fitted):
     assert all(path.exists() for path in written)
 
 
+def test_the_times_of_the_readme_are_those_of_make_bench():
+    readme = (ROOT / "README.md").read_text("utf-8")
+    told = re.search(r"10\s+kHz take (\S+) s to fit and 10 minutes take (\S+) s", readme)
+    page = (ROOT / "docs" / "performance.md").read_text("utf-8")
+    ten = re.search(r"^\| 10 s, `full`: time \| [^|]*\| ([\d.]+) s \|", page, re.MULTILINE)
+    minutes = re.search(r"^\| `full`, 600 s at 10 kHz \| [^|]*\| ([\d.]+) s,", page, re.MULTILINE)
+    assert [f"{float(x):.2g}" for x in told.groups()] == [f"{float(found[1]):.2g}" for found in (ten, minutes)]
+
+
 def test_the_reference_holds_all_public_names():
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     assert set(re.findall(r":: drive_id\.(\w+)$", text, re.MULTILINE)) == set(drive_id.__all__)

@@ -64,10 +64,12 @@ fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--se
 endure: setup ## try power cuts, a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
 	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
-lint: setup ## check style, types and the direction of imports
+lint: setup ## check style, types (also of the pages' Python) and the direction of imports
 	@$(RUN) ruff check
 	@$(RUN) ruff format --check
 	@$(RUN) mypy
+	@$(RUN) python tools/snippets.py out/snippets
+	@$(RUN) mypy out/snippets
 	@$(RUN) python -m pytest -q test/test_imports.py
 
 ament: setup ## run the linters of ROS 2 from the Python package index

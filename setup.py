@@ -85,7 +85,7 @@ setup(
             "exchange/exports/writers/flux_map.h",
             "exchange/exports/writers/fmu/*",
             "files/messages/signals.schema.json",
-            "report/page/templates/*",
+            "reporting/page/templates/*",
             "web/templates/*",
         ]
     },

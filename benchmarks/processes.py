@@ -21,7 +21,7 @@ _CACHE = "NUMBA_CACHE_DIR"
 
 
 def drive_id_fit(bag: Path, *options: str) -> Cost:
-    """Run ``drive-id fit`` as a user does, result files and pictures included."""
+    """Run ``drive-id fit`` as a user does, its result files included; pictures are not made unless asked for."""
     with tempfile.TemporaryDirectory() as folder:
         return process([SCRIPT, "fit", bag, "--output", Path(folder) / "fit", "--quiet", *options])
 
@@ -49,7 +49,7 @@ def against_plain(folder: Path, repeats: int) -> Section:
             rows.append(faster(f"{duration:.0f} s, `{method}`: time", costs["plain"], costs[method], goal))
             memory = smaller(f"{duration:.0f} s, `{method}`: peak memory", costs["plain"], costs[method])
             rows.append(replace(memory, goal="≤ 350 MB" if method == "full" else ""))
-    text = "`drive-id fit`, files and pictures written, against `benchmarks/plain_script.py`: R, u_e and splines alone."
+    text = "`drive-id fit` with its result files, against `benchmarks/plain_script.py`: R, u_e and splines alone."
     return Section("Whole process", text, tuple(rows))
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from drive_id.exchange.imports.importing import import_map
     from drive_id.fitting.fit import fit
     from drive_id.fitting.progress import on_bar
-    from drive_id.fitting.result import Identification, load
+    from drive_id.fitting.result import Identification, load, report
     from drive_id.fitting.simulated import simulate
     from drive_id.fitting.sources import read_bag
     from drive_id.inspection.inspect import Inspection, check
@@ -39,7 +39,7 @@ __version__: str
 __all__ = [
     "Analysis", "AnalysisSettings", "Comparison", "DriveIdError", "FitSettings", "FluxMap", "Identification",
     "Inspection", "MachineMap", "MachineModel", "OperatingData", "PlanSettings", "Samples", "SimulationSettings",
-    "analyze", "check", "compare", "export", "fit", "import_map", "load", "on_bar", "plan", "read_bag",
+    "analyze", "check", "compare", "export", "fit", "import_map", "load", "on_bar", "plan", "read_bag", "report",
     "samples_frame", "simulate",
 ]  # fmt: skip
 
@@ -56,7 +56,7 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
         from drive_id.core import fit_settings as home
     elif name == "FluxMap":
         from drive_id.core.result import identification as home
-    elif name in ("Identification", "load"):
+    elif name in ("Identification", "load", "report"):
         from drive_id.fitting import result as home
     elif name in ("Inspection", "check"):
         from drive_id.inspection import inspect as home

@@ -32,6 +32,8 @@ class Origin:
         Whether R and standard errors were estimated; else they are what a file says.
     inverter, harmonics : bool
         Whether results have the inverter's curve, and rotor-position harmonics.
+    slopes : bool
+        Whether the standard errors hold for inductances away from zero current, too: others miss the bias there.
     diagnostics : bool
         Whether results have residuals over time and angle, a simulated current, and other methods beside them.
     live : bool
@@ -60,6 +62,7 @@ class Origin:
     fitted: bool = True
     inverter: bool = True
     harmonics: bool = False
+    slopes: bool = False
     diagnostics: bool = True
     live: bool = True
     no_inverter: str = ""
@@ -141,6 +144,7 @@ FULL: Final = Origin(
         "squares, with correction for current noise and heteroscedasticity-consistent standard errors."
     ),
     harmonics=True,
+    slopes=True,
     limits=(_LINEAR_PART, *_OF_THE_DATA, _RECIPROCAL),
     one_speed=_RECIPROCAL,
     reference=_PAPER,

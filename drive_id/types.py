@@ -10,7 +10,7 @@ import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from drive_id.errors import ConfigurationError, DataError, NonFiniteError
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _LARGEST = 1e39
 """Limit for samples, just beyond float32: powers and sums of larger values overflow."""
@@ -43,8 +44,8 @@ def ranges_table(caption: str, values: Mapping[str, NDArray[Any]]) -> str:
 class Samples:
     """Equally sampled signals of one drive, the paper's ``eq:experiment``, without the gaps.
 
-    All sources (live topics, our bags, bags with other messages) end in this type. Arrays that have the right type
-    already are not copied: do not change them afterwards, for then nothing checks them.
+    All sources (live topics, our bags, bags with other messages) end in this type. Its arrays are checked once, so they
+    are read-only: arrays that can be written to are copied.
 
     Parameters
     ----------
@@ -108,9 +109,9 @@ class Samples:
             if values.shape != shape:
                 said = f"{name} has shape {values.shape} where {n} stamps need {shape}"
                 raise DataError(f"{said}: pass arrays of equal length.")
-            object.__setattr__(self, name, np.ascontiguousarray(values, np.float64))  # kernels want it so
-        object.__setattr__(self, "stamp", np.ascontiguousarray(self.stamp, np.int64))
-        object.__setattr__(self, "run_starts", np.asarray(self.run_starts, np.int64))
+            object.__setattr__(self, name, _read_only(values, np.float64))
+        for name in ("stamp", "run_starts"):
+            object.__setattr__(self, name, _read_only(np.asarray(getattr(self, name)), np.int64))
         if not (np.isfinite(self.sample_period) and self.sample_period > 0):
             raise DataError(f"The sample period is {self.sample_period} s: it must be a positive number of seconds.")
         if n == 0:
@@ -186,7 +187,7 @@ class Samples:
         inner = self.run_starts[(self.run_starts > start) & (self.run_starts < stop)] - start
 
         def cut(values: NDArray[Any]) -> NDArray[Any]:
-            return values[start:stop].copy() if copy else values[start:stop]
+            return fixed(values[start:stop].copy()) if copy else values[start:stop]
 
         arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
         own: dict[str, Any] = {name: None if array is None else cut(array) for name, array in arrays.items()}
@@ -203,7 +204,7 @@ class Samples:
             Which of them begin a run; the first one must.
         """
         arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
-        own: dict[str, Any] = {name: None if array is None else array[kept] for name, array in arrays.items()}
+        own: dict[str, Any] = {name: None if array is None else fixed(array[kept]) for name, array in arrays.items()}
         return replace(self, **own, run_starts=np.flatnonzero(begins[kept]))
 
     @classmethod
@@ -234,7 +235,7 @@ class Samples:
         offsets = np.cumsum([0, *sizes[:-1]])
 
         def together(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
-            return np.concatenate([array[skip:] for array, skip in zip(arrays, skips, strict=True)])
+            return fixed(np.concatenate([array[skip:] for array, skip in zip(arrays, skips, strict=True)]))
 
         known = [name for name in _OPTIONAL if any(getattr(part, name) is not None for part in parts)]
         arrays: dict[str, Any] = {name: together(getattr(part, name) for part in parts) for name in _SIGNALS}
@@ -248,6 +249,17 @@ class Samples:
             truth=parts[0].truth if all(part.truth is parts[0].truth for part in parts) else None,
             angle_error=math.sqrt(float(np.average([part.angle_error**2 for part in parts], weights=sizes))),
         )
+
+
+def fixed(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Forbid writing to an array that nobody else writes to: :class:`Samples` take it without a copy."""
+    values.flags.writeable = False
+    return values
+
+
+def _read_only(values: NDArray[Any], kind: type[Scalar]) -> NDArray[Scalar]:
+    """Return values as a contiguous array that nobody can write to, as kernels want it."""
+    return fixed(np.array(values, kind, order="C", copy=True if values.flags.writeable else None))
 
 
 def _or_unknown(samples: Samples, name: str) -> FloatArray:

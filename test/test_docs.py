@@ -1,34 +1,87 @@
-"""The pages: their Python runs, their links lead somewhere, the files that they name exist."""
+"""The pages: their Python and commands run, their links lead somewhere, the files that they name exist."""
 
 from __future__ import annotations
 
+import ast
 import re
+import shlex
 import shutil
 from pathlib import Path
 
 import pytest
 import yaml
 
+import drive_id
+from drive_id.cli.app import app
+from drive_id.files.write.writer import write_recording
+
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 OF_TODAY = [page for page in PAGES if page.parent.name != "adr" and page.name != "CHANGELOG.md"]
 """The others may name what is gone."""
+WRITES = ("--output", "--draft")
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"^    (drive-id .*)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 SOURCE = re.compile(r"`((?:drive_id|core|files|fitting|config|examples|benchmarks|test|tools|docs)/[\w./]+)`")
 
 
-def test_the_python_of_the_page_runs(bag, tmp_path, monkeypatch):
-    shutil.copytree(bag, tmp_path / "my_bag")
-    shutil.copy(ROOT / "config" / "signals_default.yaml", tmp_path / "my_signals.yaml")
+@pytest.fixture
+def folder(bag, tmp_path, monkeypatch):
+    """The working directory, with recordings of the names in the pages."""
+    for name in ("my_bag", "my_log"):
+        shutil.copytree(bag, tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    blocks = PYTHON.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))
-    assert len(blocks) > 5
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/python.md", "docs/quick_start.md", "docs/report.md"])
+def test_the_python_of_a_page_runs(name, folder, fitted):
+    shutil.copy(ROOT / "config" / "signals_default.yaml", folder / "my_signals.yaml")
+    fitted.save(folder / "my_drive")
+    blocks = PYTHON.findall((ROOT / name).read_text(encoding="utf-8"))
+    assert blocks
     names: dict[str, object] = {}
     for block in blocks:
-        exec(compile(block, "docs/python.md", "exec"), names)
-    assert (tmp_path / "my_drive" / "identification.json").exists()
-    assert (tmp_path / "flux.pdf").exists()
+        exec(compile(block, name, "exec"), names)
+    assert ("result" in names) or ("twin" in names)
+
+
+@pytest.mark.parametrize("page", OF_TODAY, ids=lambda page: str(page.relative_to(ROOT)))
+def test_all_python_is_python(page):
+    for block in PYTHON.findall(page.read_text(encoding="utf-8")):  # cells are run when the site is built
+        ast.parse(block)
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/quick_start.md"])
+def test_the_commands_of_a_page_run(name, folder, fitted):
+    commands = [shlex.split(line, comments=True) for line in COMMAND.findall((ROOT / name).read_text(encoding="utf-8"))]
+    assert len(commands) > 4
+    written = {Path(word) for words in commands for at, word in enumerate(words) if words[at - 1] in WRITES}
+    for path in filter(Path.exists, written):
+        shutil.rmtree(path)
+    fitted.save(folder / "results" / "earlier")
+    drive_id.export(fitted, "syre", folder / "other.mat")
+    friday = drive_id.simulate("ipm", 2.0, speed=900.0, noise=1e-3, seed=2)
+    write_recording(folder / "friday", friday, friday.truth)
+    for words in commands:
+        if words[1] != "serve":  # which does not end
+            assert not app(words[1:], standalone_mode=False), words
+    assert all(path.exists() for path in written)
+
+
+def test_the_times_of_the_readme_are_those_of_make_bench():
+    readme = (ROOT / "README.md").read_text("utf-8")
+    told = re.search(r"10\s+kHz take (\S+) s to fit and 10 minutes take (\S+) s", readme)
+    page = (ROOT / "docs" / "performance.md").read_text("utf-8")
+    ten = re.search(r"^\| 10 s, `full`: time \| [^|]*\| ([\d.]+) s \|", page, re.MULTILINE)
+    minutes = re.search(r"^\| `full`, 600 s at 10 kHz \| [^|]*\| ([\d.]+) s,", page, re.MULTILINE)
+    assert [f"{float(x):.2g}" for x in told.groups()] == [f"{float(found[1]):.2g}" for found in (ten, minutes)]
+
+
+def test_the_reference_holds_all_public_names():
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert set(re.findall(r":: drive_id\.(\w+)$", text, re.MULTILINE)) == set(drive_id.__all__)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -116,7 +116,7 @@ ROOMS = {
         NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.pictures"}, {"numpy", "pandas", "xarray", "typing_extensions"}
     ),
     "drive_id.fitting": Room.of(
-        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.report", "drive_id.result"}, {"numpy", "matplotlib"}
+        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"}, {"numpy", "matplotlib"}
     ),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(
@@ -129,7 +129,7 @@ ROOMS = {
     "drive_id.exchange.imports": Room.of(
         NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.exchange", "drive_id.fitting"}, {"numpy", "scipy"}
     ),
-    "drive_id.report": Room.of(
+    "drive_id.reporting": Room.of(
         NOUNS
         | LIBRARY
         | {"drive_id.analysis", "drive_id.exchange", "drive_id.inspection", "drive_id.pictures", "drive_id.result"},
@@ -138,7 +138,7 @@ ROOMS = {
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy"}),
     "drive_id.live.recording": Room.of(NOUNS | LIBRARY | {"drive_id.live"}, {"numpy"}),
     "drive_id.live.identification": Room.of(
-        NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.live", "drive_id.report"}, {"numpy", "yaml"}
+        NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.live", "drive_id.reporting"}, {"numpy", "yaml"}
     ),
     "drive_id.nodes": Room.of(
         NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.nodes.support"} | LIVE, {"numpy", "yaml", *ROS}
@@ -161,7 +161,7 @@ ROOMS = {
         | LIBRARY
         | {"drive_id.analysis", "drive_id.fitting", "drive_id.inspection", "drive_id.pictures"}
         | {"drive_id.exchange", "drive_id.exchange.exports", "drive_id.exchange.imports"}
-        | {"drive_id.report", "drive_id.result", "drive_id.web"},
+        | {"drive_id.reporting", "drive_id.result", "drive_id.web"},
         {"typer", "rich", "uvicorn", "yaml"},
     ),
 }
@@ -319,8 +319,8 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.bench.drive", "from drive_id.pictures.plots import to_png"),
         ("drive_id.bench.drive", "import numba"),
         ("drive_id.pictures.plots", "from drive_id.live.identification.identifier import Identifier"),
-        ("drive_id.result.result", "def f():\n    from drive_id.report.page.report import write_report"),
-        ("drive_id.report.page.content", "from drive_id.fitting.result import Identification"),
+        ("drive_id.result.result", "def f():\n    from drive_id.reporting.page.report import write_report"),
+        ("drive_id.reporting.page.content", "from drive_id.fitting.result import Identification"),
         ("drive_id.core.numerics.bspline", "from drive_id.core.maps.coverage import Visits"),
         ("drive_id.core.maps.coenergy", "from drive_id.core import full"),
         ("drive_id.core.paper.regression", "from drive_id.core.full.windows import windows"),
@@ -354,7 +354,7 @@ def test_the_checker_sees_what_is_forbidden(module, source):
         ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.write.writer import write_recording"),
         ("drive_id.nodes.recorder", "from drive_id.fitting.fit import fit_bags"),
         ("drive_id.cli.app", "from drive_id.version import VERSION\nfrom drive_id.fitting.fit import fit_bags"),
-        ("drive_id.fitting.result", "def f():\n    from drive_id.report.page.report import write_report"),
+        ("drive_id.fitting.result", "def f():\n    from drive_id.reporting.page.report import write_report"),
         ("drive_id.core.checks.prescan", "from drive_id.core.accumulation.evidence import Evidence"),
     ],
 )

@@ -19,9 +19,9 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
 from drive_id.origins import METHODS, ORIGINS, origin_named
-from drive_id.report.page.content import Content, content_of
-from drive_id.report.page.operation import torque_map
-from drive_id.report.tables import fit_table
+from drive_id.reporting.page.content import Content, content_of
+from drive_id.reporting.page.operation import torque_map
+from drive_id.reporting.tables import fit_table
 
 SECTIONS = ("comparison", "residuals", "currents", "inverter")
 

@@ -245,7 +245,7 @@ def test_a_wheel_is_complete_and_its_command_goes_to_bin(tmp_path):
     assert {str(file.relative_to(ROOT)) for file in SOURCES} <= names
     files = {"drive_id/py.typed", "drive_id/files/messages/signals.schema.json"}
     assert files | {"drive_id/exchange/exports/writers/flux_map.h"} <= names
-    templates = (ROOT / "drive_id/report/page/templates").iterdir()
+    templates = (ROOT / "drive_id/reporting/page/templates").iterdir()
     assert {str(file.relative_to(ROOT)) for file in templates} <= names
     assert any(name.startswith(information) and name.endswith("/LICENSE") for name in names)
     assert f"drive_id-{drive_id.__version__}.data/data/share/drive_id/package.xml" in names

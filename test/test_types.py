@@ -34,6 +34,21 @@ def assert_equal(ours, theirs):
         np.testing.assert_array_equal(getattr(ours, field.name), getattr(theirs, field.name), err_msg=field.name)
 
 
+def test_what_was_checked_cannot_be_changed():
+    given = numbered(10, [0, 4], scalars=SCALARS[:1])
+    arrays = {name: getattr(given, name).copy() for name in ("stamp", "i_abc", "u_abc", "angle", "speed", SCALARS[0])}
+    starts = np.array([0, 4])
+    samples = Samples(**arrays, run_starts=starts, sample_period=1e-4)
+    for values in (*arrays.values(), starts):
+        values[:] = 99
+    assert_equal(samples, given)
+    for part in (samples, samples.part(2, 8), samples.part(2, 8, copy=True), Samples.joined([samples])):
+        for name in (*arrays, "run_starts"):
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(part, name)[0] = 0
+    assert np.shares_memory(replace(samples, speed=given.speed).i_abc, samples.i_abc)  # without a copy
+
+
 @given(
     starts=st.sets(st.integers(1, 29)),
     cuts=st.sets(st.integers(1, 29)),

@@ -163,6 +163,12 @@ class Analysis:
         found = {f"{x.u_dc:.4g} V": (x.motoring.speed, x.motoring.torque, x.sigma_torque) for x in self.speed_ranges}
         return draw_torque_speed(found, ax)
 
+    def _repr_png_(self) -> bytes | None:
+        """Return the picture of :meth:`plot`, for notebooks and exports of them; None without a DC-link voltage."""
+        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+
+        return rendered(self.plot(), dpi=SCREEN_DPI) if self.speed_ranges else None
+
     def save(self, directory: str | Path, *, force: bool = False) -> None:
         """Write ``analysis.json``, the CSV tables and ``maps.npz``, all of them or nothing.
 

@@ -65,7 +65,7 @@ def analyze(
     from drive_id.analysis.settings import AnalysisSettings
     from drive_id.files.results.folder import check_output
     from drive_id.fitting.result import load
-    from drive_id.report.tables import figures_table
+    from drive_id.reporting.tables import figures_table
 
     options: dict[str, Any] = {
         "u_dc": tuple(u_dc) if u_dc else None, "speed": speed, "i_max": i_max, "temperature": temperature,

@@ -346,7 +346,7 @@ def info(
     from drive_id.files.read.info import bag_info
     from drive_id.files.results.folder import is_result
     from drive_id.files.results.information_name import is_information
-    from drive_id.report.tables import info_table
+    from drive_id.reporting.tables import info_table
 
     if is_information(path):
         _print_information(path, as_json=as_json, quiet=quiet)
@@ -379,7 +379,7 @@ def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> N
 
 def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:
     from drive_id.files.results.information import information_tree, read_information
-    from drive_id.report.tables import information_table
+    from drive_id.reporting.tables import information_table
 
     stored = read_information(path)
     if as_json:

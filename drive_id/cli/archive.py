@@ -1,11 +1,12 @@
 """``drive-id index`` and ``drive-id serve``: all results below a folder in a browser."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from drive_id.cli.options import QuietFlag, say
+from drive_id.cli.options import JsonFlag, QuietFlag, say
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder below which the results are.", show_default=False)]
 
@@ -15,6 +16,7 @@ def index_results(
         list[Path], typer.Argument(help="Folder below which the results are, or results to compare.", metavar="DIR...")
     ],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Page.  \\[default: DIR/index.html]")] = None,
+    as_json: JsonFlag = False,
     quiet: QuietFlag = False,
 ) -> None:
     """Write one page of all results below a folder: sorted, filtered, compared, and over time for each machine."""
@@ -32,7 +34,9 @@ def index_results(
     found = entries_of(folders, path.parent) if archive is None else archive.entries(path.parent)
     title = "Results compared" if compared else f"Results in {folders[0].resolve().name}"
     write_page(path, archive_page(found, title, ticked=len(found) if compared else 0))
-    if not quiet:
+    if as_json:
+        typer.echo(json.dumps({"page": str(path), "results": [str(entry.folder) for entry in found]}))
+    elif not quiet:
         say(f"{path}: {len(found)} results.")
 
 
@@ -45,6 +49,8 @@ def serve_results(
     token: Annotated[str, typer.Option(help="Token to ask for.  \\[default: a new one if not 127.0.0.1]")] = "",
     namespace: Annotated[str, typer.Option(help="ROS namespace of the drive on the live page.")] = "",
     archive_only: Annotated[bool, typer.Option("--archive-only", help="Do not listen to ROS.")] = False,
+    as_json: JsonFlag = False,
+    quiet: QuietFlag = False,
 ) -> None:
     """Serve all results below a folder, and with ROS 2 a live page of an experiment; both only show."""
     from drive_id.errors import ConfigurationError
@@ -62,12 +68,16 @@ def serve_results(
     token = token or ("" if host in LOOPBACK else secrets.token_urlsafe(16))
     live = not archive_only and ros_found()
     app = application(folder, namespace=namespace, token=token, live=live)
-    query = f"?token={token}" if token else ""
-    say(f"http://{host}:{port}/{query}: the results in {folder}.")
-    if live:
-        say(f"http://{host}:{port}/live{query}: an experiment as it runs.")
-    elif not archive_only:
-        say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
+    address, query = f"http://{host}:{port}", f"?token={token}" if token else ""
+    if as_json:
+        pages = {"archive": f"{address}/{query}", "live": f"{address}/live{query}" if live else None}
+        typer.echo(json.dumps(pages))
+    elif not quiet:
+        say(f"{address}/{query}: the results in {folder}.")
+        if live:
+            say(f"{address}/live{query}: an experiment as it runs.")
+        elif not archive_only:
+            say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
     server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="warning", timeout_graceful_shutdown=1))
     server.run()
     if not server.started:

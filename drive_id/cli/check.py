@@ -30,7 +30,7 @@ def check_log(
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.results.folder import replace_file
     from drive_id.inspection.inspect import inspect_log
-    from drive_id.report.log_tables import inspection_tables
+    from drive_id.reporting.log_tables import inspection_tables
 
     _refuse(draft, picture, force=force)
     signal_map = read_signals(signals) if signals else None
@@ -41,7 +41,7 @@ def check_log(
     if picture is not None and found.overview is None:
         warn(f"{picture} was not drawn, for there are no joined samples.")
     elif picture is not None and found.overview is not None:
-        from drive_id.report.log_picture import overview_picture
+        from drive_id.reporting.log_picture import overview_picture
 
         replace_file(picture, overview_picture(found.overview, picture.suffix[1:]))
     if as_json:

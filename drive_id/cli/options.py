@@ -89,7 +89,7 @@ def listing(settings: Callable[[], type[Any]]) -> type[TyperCommand]:
             from dataclasses import fields
 
             from drive_id.quantity import spelled
-            from drive_id.report.tables import plain_table
+            from drive_id.reporting.tables import plain_table
 
             table = plain_table("Settings for --set NAME=VALUE and --config", ["Name", "Default", "Meaning"])
             for entry in fields(settings()):
@@ -143,7 +143,7 @@ def show(table: Table) -> None:
 
 def show_result(result: Identification, *, verbose: bool = False) -> None:
     """Print a result: values and quality, one line of advice, warnings, statements; what was not found if verbose."""
-    from drive_id.report.tables import fit_table
+    from drive_id.reporting.tables import fit_table
     from drive_id.result.advice import sorted_statements
 
     show(fit_table(result, verbose=verbose))

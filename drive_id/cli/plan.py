@@ -59,7 +59,7 @@ def plan_experiment(
         write_plan,
     )
     from drive_id.fitting.simulated import rough_settings
-    from drive_id.report.tables import plan_tables
+    from drive_id.reporting.tables import plan_tables
 
     options: dict[str, Any] = {
         "i_max": i_max, "pole_pairs": pole_pairs, "resistance": resistance, "inductance_d": inductance_d,

@@ -31,7 +31,7 @@ def report_result(
 ) -> None:
     """Write a report on a result: one HTML or PDF file that needs no network and no other files."""
     from drive_id.fitting.result import load
-    from drive_id.report.page.report import check_report_output, write_report
+    from drive_id.reporting.page.report import check_report_output, write_report
 
     output = output or directory / "report.html"
     check_report_output(output, pdf=pdf)

@@ -51,9 +51,9 @@ def verify_result(
     from drive_id.files.read.several import read_recording
     from drive_id.files.results.folder import replace_file
     from drive_id.fitting.result import load
-    from drive_id.report.page.certificate import certificate, row, verdict
-    from drive_id.report.page.report import check_report_output
-    from drive_id.report.tables import verification_table
+    from drive_id.reporting.page.certificate import certificate, row, verdict
+    from drive_id.reporting.page.report import check_report_output
+    from drive_id.reporting.tables import verification_table
 
     if output is not None:
         check_report_output(output)

@@ -77,7 +77,7 @@ class Identification(Result):
 
             files |= result_pictures(self.drive, self.excerpts, self.caption(), figure_format=figure_format)
         if report:
-            from drive_id.report.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
+            from drive_id.reporting.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
 
             files |= report_files(self)
         target = Path(directory)
@@ -103,7 +103,7 @@ class Identification(Result):
         OutputError
             When something else is under this name, or it cannot be written.
         """
-        from drive_id.report.page.report import write_report  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.reporting.page.report import write_report  # noqa: PLC0415  # matplotlib takes half a second
 
         return write_report(self, Path(path), pdf=pdf)
 
@@ -124,6 +124,12 @@ class Identification(Result):
 
         return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
 
+    def _repr_png_(self) -> bytes:
+        """Return the picture of :meth:`plot`, for notebooks and exports of them."""
+        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+
+        return rendered(self.plot(), dpi=SCREEN_DPI)
+
 
 def load(directory: str | Path) -> Identification:
     """Load a result folder that ``drive-id fit``, :func:`drive_id.fit` or a node wrote.
@@ -142,3 +148,31 @@ def load(directory: str | Path) -> Identification:
         When it is not a result folder, is damaged, or was written by a newer version.
     """
     return Identification.load(directory)
+
+
+def report(
+    result: Identification | str | Path,
+    path: str | Path,
+    *,
+    pdf: bool = False,
+    pole_pairs: int | None = None,
+    u_dc: float | None = None,
+) -> tuple[Path, ...]:
+    """Write a report, see :meth:`Identification.report`.
+
+    Parameters
+    ----------
+    result : Identification or path
+        Or its folder.
+    pole_pairs : int, optional
+        Default: those of the result.
+    u_dc : float, optional
+        DC-link voltage, V. Default: that of the result.
+
+    Returns
+    -------
+    tuple of Path
+        The files that were written.
+    """
+    found = result if isinstance(result, Identification) else load(result)
+    return found.given(pole_pairs=pole_pairs, u_dc=u_dc).report(path, pdf=pdf)

@@ -35,7 +35,7 @@ from drive_id.nodes.support.live_topics import TOPICS, LiveTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM
-from drive_id.nodes.support.replies import fill, flux_map_message
+from drive_id.nodes.support.replies import NAMES, fill, flux_map_message
 from drive_id.nodes.support.request_action import RequestAction
 from drive_id.nodes.support.runtime import run
 from drive_id.types import SCALARS, Progress
@@ -153,7 +153,8 @@ class IdentificationNode(ManagedNode):
         if not request.bags:
             self._inbox.empty()
             dropped = self._inbox.warnings()
-        job, life = self._identifier.job(request.bags, request.method, request.signals), self._life
+        names = {name: getattr(request, field) for name, field in NAMES.items()}
+        job, life = self._identifier.job(request.bags, request.method, request.signals, names), self._life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:

@@ -23,6 +23,8 @@ FORMATS = ("png", "svg", "pdf")
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
 _DPI = 200
+SCREEN_DPI = 100
+"""Of a picture in a notebook."""
 _MOST_POINTS = 30_000
 """Of a trajectory: more look the same, and take longer to draw than the map."""
 

@@ -26,6 +26,7 @@ from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.middleware import fast_dds
+from drive_id.nodes.support.replies import NAMES
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
 MEASURED = ("phase_currents", "phase_voltages", "resolver")
@@ -299,7 +300,7 @@ class Bench:
         """
         self._configure(self.drive, asdict(encoder))
 
-    def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "") -> Identified:
+    def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "", **names: str) -> Identified:
         """Identify the drive.
 
         Parameters
@@ -310,13 +311,17 @@ class Bench:
             ``psm``, ``joint`` or ``full``; default: as the node is configured.
         signals : str
             Signals file for the recordings, on the machine of the node; default: as the node is configured.
+        **names : str
+            ``machine``, ``serial``, ``bench``, ``operator``, ``notes``; default: as the node is configured.
 
         Raises
         ------
         ExperimentError
             When the node refuses or does not answer; its sentence tells why.
         """
-        reply = self._required(f"{IDENTIFICATION}/identify", bags=list(bags), method=method, signals=signals)
+        wanted = {"bags": list(bags), "method": method, "signals": signals}
+        wanted |= {NAMES[name]: text for name, text in names.items()}
+        reply = self._required(f"{IDENTIFICATION}/identify", **wanted)
         return Identified(reply.flux_map, reply.report, reply.output, reply.message)
 
     def stop(self) -> list[str]:

@@ -34,6 +34,7 @@ from drive_id.errors import DriveIdError, ExperimentError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.fitting.result import load
 from drive_id.nodes.support.arguments import ros_arguments
+from drive_id.nodes.support.replies import NAMES
 from drive_id.ros.bench import Bench, Identified, Progress
 from drive_id.ros.comparison import comparison
 from drive_id.ros.first_start import commission, swing_up
@@ -173,7 +174,8 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
     for title, (recorded, method) in requests.items():
         begin = time.monotonic()
         bags = [recording.uri] if recorded else []
-        results[title] = bench.identify(bags, method or options.method, signals)
+        names = {name: getattr(options, name) for name in NAMES}
+        results[title] = bench.identify(bags, method or options.method, signals, **names)
         say(f"   {title}: {time.monotonic() - begin:.1f} s")
     Console(width=_WIDTH).print(comparison(results, truth))
     warned: dict[str, list[str]] = {}
@@ -196,6 +198,8 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--recording", default="", help="name of the recording; default: date and time")
     parser.add_argument("--method", default="", help="full, joint or psm; default: as the node is configured")
+    for name in NAMES:
+        parser.add_argument(f"--{name}", default="", help="for titles and files; default: as the node is configured")
     parser.add_argument("--compare", action="store_true", help="identify live and recorded, by all methods")
     parser.add_argument(
         "--first-start", action="store_true", help="find angle and acceleration of a drive without load machine first"

@@ -22,17 +22,17 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     for title in [*results, *(["truth"] if truth else [])]:
         table.add_column(title, justify="right", no_wrap=True)
     maps, reports = [r.flux_map for r in results.values()], [r.report for r in results.values()]
-    drop = "" if truth is None else f"{truth.inverter_voltage[-1]:.4g} V"
+    drop = "" if truth is None else measured(float(truth.inverter_voltage[-1]), unit="V")
     rows = [
-        ("R", [measured(m.resistance, unit="Ω") for m in maps], truth and measured(truth.resistance, unit="Ω")),
-        ("u_e", [f"{m.voltage_error:.4g} V" if len(m.inverter_current) else "not modelled" for m in maps], drop),
+        ("R", [_resistance(m) for m in maps], truth and measured(truth.resistance, unit="Ω")),
+        ("Inverter drop", [_drop(m) if len(m.inverter_current) else "not modelled" for m in maps], drop),
         ("MAD of i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),
         ("Samples used", [f"{r.samples_used} of {r.samples_read}" for r in reports], ""),
     ]
     if truth is not None:
         errors = [flux_errors(m, truth) for m in maps]
-        rows.insert(2, ("NRMSE of psi_d / psi_q", [f"{100 * d:.3f} / {100 * q:.3f} %" for d, q in errors], ""))
+        rows.insert(2, ("NRMSE of ψ_d / ψ_q", [f"{100 * d:.3f} / {100 * q:.3f} %" for d, q in errors], ""))
     if any(math.isfinite(report.inertia) for report in reports):
         true_inertia = math.nan if truth is None else float(truth.details.get("inertia", math.nan))
         found = [measured(r.inertia, r.sigma_inertia, unit="kg m²") for r in reports]
@@ -40,6 +40,14 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     for name, values, true in rows:
         table.add_row(name, *values, *([true or ""] if truth else []))
     return table
+
+
+def _resistance(flux_map: FluxMap) -> str:
+    return measured(flux_map.resistance, flux_map.sigma_resistance, "Ω")
+
+
+def _drop(flux_map: FluxMap) -> str:
+    return measured(flux_map.voltage_error, flux_map.sigma_voltage_error, "V")
 
 
 def flux_errors(flux_map: FluxMap, truth: GroundTruth) -> tuple[float, float]:

@@ -23,7 +23,7 @@ def archive_page(entries: Sequence[Entry], title: str, *, ticked: int = 0, live:
 
 def rendered(template: str, **values: Any) -> str:
     """Render a template of this package, which may use the report's style."""
-    places = [jinja2.PackageLoader("drive_id.web"), jinja2.PackageLoader("drive_id.report.page")]
+    places = [jinja2.PackageLoader("drive_id.web"), jinja2.PackageLoader("drive_id.reporting.page")]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(places), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,

@@ -128,7 +128,9 @@ class TokenWall:
         return secrets.compare_digest(given.encode(), self.token.encode())
 
 
-def application(root: Path, *, namespace: str = "", token: str = "", live: bool = True) -> Starlette:
+def application(
+    root: Path, *, namespace: str = "", token: str = "", live: bool = True, feed: Feed | None = None
+) -> Starlette:
     """Return the application.
 
     Parameters
@@ -140,12 +142,15 @@ def application(root: Path, *, namespace: str = "", token: str = "", live: bool 
     token : str
         Empty: only this computer is served, and only under its own name.
     live : bool
-        Whether to listen to ROS.
+        Whether there is a live page.
+    feed : Feed, optional
+        Of the live page. Default: it listens to ROS.
     """
     archive = Archive(root)
     title = f"Results in {root.resolve().name}"
     command = [sys.executable, "-m", "drive_id.nodes.live_feed"]
-    feed = Feed([*command, "--ros-args", "-r", f"__ns:=/{namespace.strip('/')}"] if namespace else command)
+    command += ["--ros-args", "-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
+    feed = feed or Feed(command)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 import yaml
 from drive_bags import blocks_of, changed, with_arrays, wrapped, write_blocks
 
@@ -722,6 +723,12 @@ def test_version_and_help(run):
 
 
 # -- the process -----------------------------------------------------------------------------------------------------
+
+
+def test_every_command_can_be_quiet_and_speak_json():
+    for name, command in typer.main.get_command(cli.app).commands.items():
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert {"--json", "--quiet"} <= known, name
 
 
 def test_help_does_not_wait_for_the_numerics():

@@ -12,7 +12,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.errors import CoverageError
 from drive_id.exchange.comparison import compare
 from drive_id.pictures.plots import rendered
-from drive_id.report.difference import difference_table, draw_difference
+from drive_id.reporting.difference import difference_table, draw_difference
 
 
 def changed(sigma=1e-4, drop=None, **fields):

@@ -21,7 +21,7 @@ from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag
 from drive_id.fitting.sources import Sources
-from drive_id.report.tables import fit_table
+from drive_id.reporting.tables import fit_table
 
 SHORT = SimulationSettings()
 

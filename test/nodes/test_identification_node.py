@@ -21,6 +21,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.result import load
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
@@ -100,10 +101,10 @@ def player(ros, node):
     player.close()
 
 
-def identify(ros, *bags, method="", name="/identification/identify"):
+def identify(ros, *bags, name="/identification/identify", **request):
     from drive_id_msgs.srv import Identify
 
-    return ros.call(Identify, name, bags=list(bags), method=method)
+    return ros.call(Identify, name, bags=list(bags), **request)
 
 
 def identify_all(ros, samples, node="/identification"):
@@ -196,6 +197,22 @@ def test_the_method_of_a_request(ros, player, bag):
     assert live.flux_map.resistance == pytest.approx(recorded.flux_map.resistance, rel=1e-9)
     assert live.flux_map.voltage_error == 0
     assert len(live.flux_map.inverter_current) == 0
+
+
+def test_a_request_names_the_machine_and_its_recording(ros, player, bag):
+    player.play(messages_of(bag))
+    identify_all(ros, 20_000)
+    from drive_id.nodes.support.replies import NAMES
+
+    names = {"machine": "motor A", "serial": "17", "bench": "B 2", "operator": "A. N. Other", "notes": "cold"}
+    request = {NAMES[name]: text for name, text in names.items()}
+    for reply in (identify(ros, **request), identify(ros, "bag", **request)):
+        assert reply.flux_map.machine == "motor A"
+        known = load(reply.output).provenance
+        assert known.machine == "motor A"
+        assert {name: getattr(known.settings, name) for name in names} == names
+    unnamed = identify(ros)
+    assert (unnamed.flux_map.machine, load(unnamed.output).provenance.settings.serial) == ("", "")
 
 
 def test_method_full_needs_what_only_it_gathers(ros, player, bag):

@@ -11,7 +11,7 @@ import pytest
 from browser import check_quiet, driven, wait_for
 
 from drive_id.messages import Message
-from drive_id.report.page.report import report_files
+from drive_id.reporting.page.report import report_files
 
 WARNING = "A warning with <b>markup</b> & an ampersand."
 STATE = """

@@ -22,13 +22,13 @@ from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
 from drive_id.messages import Message
 from drive_id.quantity import measured
-from drive_id.report.page import pdf, report
-from drive_id.report.page.charts import MOST_POINTS, charts_of
-from drive_id.report.page.content import content_of
-from drive_id.report.page.html import rendered_page
-from drive_id.report.page.operation import torque_map
-from drive_id.report.page.report import check_report_output, report_files
-from drive_id.report.page.wording import SECTIONS
+from drive_id.reporting.page import pdf, report
+from drive_id.reporting.page.charts import MOST_POINTS, charts_of
+from drive_id.reporting.page.content import content_of
+from drive_id.reporting.page.html import rendered_page
+from drive_id.reporting.page.operation import torque_map
+from drive_id.reporting.page.report import check_report_output, report_files
+from drive_id.reporting.page.wording import SECTIONS
 
 HOSTILE = '</script><script>alert(1)</script> <b>&amp; "ipm"\' {{ 7 * 7 }} $x$'
 

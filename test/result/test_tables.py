@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -60,6 +62,15 @@ def test_an_analysis_is_a_table_and_a_picture(result):
     assert axes.get_legend_handles_labels()[1] == ["300 V", "400 V"]
     plt.close(figure)
     assert "<th>max torque</th>" in found._repr_html_()
+    assert found._repr_png_().startswith(b"\x89PNG")
+    without = drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)))
+    assert without._repr_png_() is None
+
+
+def test_a_notebook_gets_the_picture_of_a_result(result):
+    image = plt.imread(io.BytesIO(result._repr_png_()))
+    assert image.shape[:2] == (375, 720)
+    assert image[..., :3].std() > 0.1
 
 
 def test_samples_and_maps_show_their_ranges(samples, result):
@@ -76,6 +87,17 @@ def test_progress_is_shown_on_a_bar(samples):
     assert "Accumulating" in shown
     assert "Solving" in shown
     assert bar.total == 1.0
+
+
+def test_a_report_takes_what_a_folder_lacks(result, tmp_path):
+    replace(result, provenance=replace(result.provenance, u_dc=None)).save(tmp_path / "folder")
+    for name, known in (("without", {}), ("with", {"u_dc": 321.0})):
+        (path,) = drive_id.report(tmp_path / "folder", tmp_path / f"{name}.html", **known)
+        assert ("321 V" in path.read_text(encoding="utf-8")) == bool(known)
+    from drive_id.reporting import tables
+
+    assert tables
+    assert callable(drive_id.report)  # no room of the package has its name
 
 
 def test_wrong_types_are_told_in_a_sentence(samples, result):

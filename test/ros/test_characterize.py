@@ -84,7 +84,10 @@ def test_it_says_what_it_waits_for(environment):
 @pytest.mark.parametrize("columns", ["40", "200"])
 def test_the_table_does_not_depend_on_the_terminal(characterize, monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", columns)
-    flux_map = SimpleNamespace(resistance=0.01, voltage_error=3.98, inverter_current=[-1.0, 1.0], method="full")
+    flux_map = SimpleNamespace(
+        resistance=0.01, sigma_resistance=1.1e-5, voltage_error=3.98, sigma_voltage_error=0.021,
+        inverter_current=[-1.0, 1.0], method="full",
+    )  # fmt: skip
     report = SimpleNamespace(
         mad_d=0.1, mad_q=0.2, coverage=1.0, samples_used=100, samples_read=200, inertia=float("nan")
     )
@@ -94,4 +97,5 @@ def test_the_table_does_not_depend_on_the_terminal(characterize, monkeypatch, ca
     assert lines[0].strip() == "The drive, identified through the services"
     assert len({len(line) for line in lines[1:]}) == 1
     assert "100 of 200" in lines[-2]
-    assert sum("10 mΩ" in line for line in lines) == 1
+    assert sum("10.000 ± 0.011 mΩ" in line for line in lines) == 1
+    assert sum("3.980 ± 0.021 V" in line for line in lines) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,6 +106,9 @@ def test_the_command_indexes_a_folder_and_compares_results(folder, tmp_path):
     text = page.read_text()
     assert [row["folder"] for row in data_of(text)] == ["all/day 4", "all/day 3"]
     assert '"ticked": 2' in text
+    told = json.loads(run(app, ["index", str(folder), "--json"]).output)
+    assert told["page"] == str(folder / "index.html")
+    assert {Path(name).name for name in told["results"]} == {"day 3", "day 4", "day 5", "broken"}
     refused = run(app, ["index", *chosen]).exception
     assert isinstance(refused, ConfigurationError)
     assert "--output" in str(refused)

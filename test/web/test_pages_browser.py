@@ -159,7 +159,7 @@ def lines_of(fitted):
 
 
 @pytest.fixture
-def live(fitted, results, tmp_path, monkeypatch):
+def live(fitted, results, tmp_path):
     """A server whose feed prints the next piece whenever the file ``go`` grows."""
     uvicorn = pytest.importorskip("uvicorn", reason="the extra web is not installed")
     from drive_id.web import server
@@ -173,11 +173,11 @@ def live(fitted, results, tmp_path, monkeypatch):
         "    print(line, end='', flush=True)\ntime.sleep(600)"
     )
     feed = server.Feed([sys.executable, "-c", script, str(lines), str(go)])
-    monkeypatch.setattr(server, "Feed", lambda _: feed)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    config = uvicorn.Config(server.application(results.root), port=port, log_level="error", timeout_graceful_shutdown=1)
+    app = server.application(results.root, feed=feed)
+    config = uvicorn.Config(app, port=port, log_level="error", timeout_graceful_shutdown=1)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run)
     thread.start()

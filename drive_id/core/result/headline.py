@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,18 @@ _FINE = np.deg2rad(np.linspace(-1.5, 1.5, 25))
 """Angles, rad, at which MTPA is searched; the torque is flat there, so 0.1° cost 2e-6 of it."""
 _RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Of the circle of the peak torque, in i_max: the first whose MTPA has data around it."""
+_SLOPES = 0.95
+"""The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 6 %."""
+_WORST = 0.5
+"""Standard error of an inductance, relative, beyond which it is not told."""
 
 
 def headline(
     drive: IdentifiedDrive, *, pole_pairs: int | None = None, temperature: float | None = None
 ) -> tuple[Quantity, ...]:
     """Return what is asked for first; what the data do not cover, or what is not known, is left out.
+
+    Inductances away from zero current need the standard errors of method ``full``, and are told at 95 % of i_max.
 
     Parameters
     ----------
@@ -37,16 +43,20 @@ def headline(
     tuple of Quantity
         The standard errors of inductances and torque need the joint errors of a fit.
     """
-    found = [*_at_zero_current(drive)]
+    peak, rated = _peak_torque(drive), _peak_torque(drive, _SLOPES) if drive.origin.slopes else None
+    found = [*_at_zero_current(drive), *(() if rated is None else rated.inductances(drive))]
     if math.isfinite(drive.resistance):
         at = "" if temperature is None else f" at {temperature:g} °C"
-        note = "With the linear part of the inverter's drop." if drive.origin.inverter else ""
+        warm = "At the temperature of the recording." if drive.origin.fitted and not at else ""
+        linear = "With the linear part of the inverter's drop." if drive.origin.inverter else ""
+        note = " ".join(filter(None, (warm, linear)))
         found.append(Quantity(f"R{at}", drive.resistance, drive.sigma_resistance, "Ω", note))
     if drive.origin.inverter:
         note = "Of one phase at large current, without its linear part, which is in R."
         found.append(Quantity("Inverter drop", drive.voltage_error, drive.sigma_voltage_error, "V", note))
     found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc."))
-    return (*found, *(_at_peak_torque(drive, pole_pairs) if pole_pairs else ()), *_of_shaft(drive))
+    torque = () if peak is None or not pole_pairs else (peak.torque(drive, pole_pairs),)
+    return (*found, *torque, *_of_shaft(drive))
 
 
 def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -61,7 +71,7 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
     if local is None:
         return ()
     psi_pm = Quantity(names[0], float(local.psi[0]), float(drive.flux_map.sigma(0.0, 0.0)[0]), "Wb", "At zero current.")
-    return (psi_pm, local.inductance(0, names[1], note), local.inductance(1, names[2], note))
+    return (psi_pm, *(local.inductance(axis, name, note) for axis, name in enumerate(names[1:])))
 
 
 def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -72,26 +82,22 @@ def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
     return (Quantity("J", mechanics.inertia, mechanics.sigma_inertia, "kg m²", note),)
 
 
-def _at_peak_torque(drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, ...]:
+def _peak_torque(drive: IdentifiedDrive, largest: float = 1.0) -> _Local | None:
+    """Return the current of the largest positive torque on the largest circle where there are data around it.
+
+    ``largest`` limits the circles, in i_max.
+    """
     found = drive.flux_map
-    for radius in (share * drive.i_max for share in _RADII):
+    for radius in (share * drive.i_max for share in _RADII if share <= largest):
         d, q = radius * np.cos(_COARSE), radius * np.sin(_COARSE)
         rough = _COARSE[(found.sampled(found.psi_d, d, q) * q - found.sampled(found.psi_q, d, q) * d).argmax()]
         tried = ((radius * np.cos(angle), radius * np.sin(angle)) for angle in rough + _FINE)
         points = filter(None, (_Local.at(drive, *point, continued=True) for point in tried))
         summit = max(points, key=lambda point: float(point.per_pair[0]), default=None)
         best = None if summit is None else _Local.at(drive, summit.i_d, summit.i_q)
-        if best is None:
-            continue
-        torque, change = (1.5 * pole_pairs * x for x in best.per_pair)
-        if torque <= 0:
-            return ()
-        sigma = float(np.linalg.norm(change)) if len(change) else math.nan
-        where = "i_max, MTPA" if radius == drive.i_max else f"{radius:.4g} A, MTPA"
-        at = f"i_d = {best.i_d:.4g} A, i_q = {best.i_q:.4g} A".replace("-", "\N{MINUS SIGN}")
-        note = f"Air-gap torque at {at}; {float(torque) / radius:.4g} Nm/A."
-        return (Quantity(f"Torque at {where}", float(torque), sigma, "Nm", note),)
-    return ()
+        if best is not None:
+            return best if best.per_pair[0] > 0 else None
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +151,29 @@ class _Local:
             slope_changes=np.array([d @ x @ q for x, (d, q) in zip(errors, slopes, strict=True)]),
         )
 
+    def where(self, drive: IdentifiedDrive) -> str:
+        """Name a current of the largest torque of its amplitude."""
+        radius = math.hypot(self.i_d, self.i_q)
+        return "i_max, MTPA" if math.isclose(radius, drive.i_max) else f"{radius:.4g} A, MTPA"
+
+    def inductances(self, drive: IdentifiedDrive) -> tuple[Quantity, ...]:
+        """Return both incremental inductances at a current of the largest torque."""
+        note = f"Incremental, at {self.currents}."
+        found = tuple(self.inductance(k, f"L_{axis} at {self.where(drive)}", note) for k, axis in enumerate("dq"))
+        return tuple(_unless_vague(quantity) for quantity in found if math.isfinite(quantity.sigma))
+
+    def torque(self, drive: IdentifiedDrive, pole_pairs: int) -> Quantity:
+        """Return the largest torque of this amplitude of the current."""
+        torque, change = (1.5 * pole_pairs * x for x in self.per_pair)
+        per_current = float(torque) / math.hypot(self.i_d, self.i_q)
+        note = f"Air-gap torque at {self.currents}; {per_current:.4g} Nm/A."
+        return Quantity(f"Torque at {self.where(drive)}", float(torque), _sigma(change), "Nm", note)
+
+    @property
+    def currents(self) -> str:
+        """The current, in words."""
+        return f"i_d = {self.i_d:.4g} A, i_q = {self.i_q:.4g} A".replace("-", "\N{MINUS SIGN}")
+
     @property
     def per_pair(self) -> tuple[FloatArray, FloatArray]:
         """Torque over 1.5 p, and its changes (M,), Nm."""
@@ -152,9 +181,19 @@ class _Local:
 
     def inductance(self, axis: int, name: str, note: str) -> Quantity:
         """Return one incremental inductance."""
-        change = self.slope_changes[axis]
-        sigma = float(np.linalg.norm(change)) if len(change) else math.nan
-        return Quantity(name, float(self.slopes[axis]), sigma, "H", note)
+        return Quantity(name, float(self.slopes[axis]), _sigma(self.slope_changes[axis]), "H", note)
+
+
+def _unless_vague(quantity: Quantity) -> Quantity:
+    """Return a quantity without its value where that says next to nothing."""
+    if quantity.sigma < _WORST * quantity.value:
+        return quantity
+    return replace(quantity, value=math.nan, sigma=math.nan, note=f"The data hardly define it: {quantity}.")
+
+
+def _sigma(changes: FloatArray) -> float:
+    """Return the standard error of changes (M,) by independent causes; NaN where they are not known."""
+    return float(np.linalg.norm(changes)) if len(changes) else math.nan
 
 
 def _starts(axis: FloatArray, x: float) -> list[tuple[float, int]]:

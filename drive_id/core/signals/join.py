@@ -24,7 +24,7 @@ from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import MOST_HELD, SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
 from drive_id.messages import Message
-from drive_id.types import SCALARS, FloatArray, IntArray, Samples
+from drive_id.types import SCALARS, FloatArray, IntArray, Samples, fixed
 
 SECTIONS = ("currents", "voltages", "resolver")
 SHORTEST_RUN = 4
@@ -543,11 +543,11 @@ class StreamJoin:
             for values, convert in zip((chosen.i_abc, chosen.u_abc), self._to_phases, strict=True)
         )
         samples = Samples(
-            stamp=stamp,
-            i_abc=i_abc,
-            u_abc=u_abc,
-            angle=angle,
-            speed=speed,
+            stamp=fixed(stamp),
+            i_abc=fixed(i_abc),
+            u_abc=fixed(u_abc),
+            angle=fixed(angle),
+            speed=fixed(speed),
             sample_period=period,
             run_starts=starts,
             i_dq_reference=self._reference(stamp, period) if self._reference else None,

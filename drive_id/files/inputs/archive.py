@@ -7,23 +7,26 @@ compared with the size of its member before memory is taken for the array.
 from __future__ import annotations
 
 import io
+import json
 import math
 import struct
 import zipfile
 import zlib
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.files.inputs.input_file import shown_size
+from drive_id.files.inputs.input_file import reason, shown_size
 
 DAMAGED = (
     OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, RecursionError,
     NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 """What reading a damaged archive, and what is made of its arrays, may raise."""
+_LONGEST_REASON = 120
 UNPACKED = 1 << 25
 """Bytes that an archive of any size may unpack to."""
 RATIO = 16
@@ -34,6 +37,20 @@ _LARGEST_DIRECTORY = 1 << 20
 _END = b"PK\5\6"  # of the end record of a zip archive
 _END_SIZE = 22  # bytes, without its comment
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def damage(error: Exception) -> str:
+    """Say in words what one of :data:`DAMAGED` tells."""
+    if isinstance(error, OSError):
+        return f"{Path(str(error.filename)).name}: {reason(error)}" if error.filename else reason(error)
+    if isinstance(error, KeyError):
+        return f"{error.args[0]} is missing"
+    if isinstance(error, json.JSONDecodeError):
+        return "it is not JSON"
+    if isinstance(error, ValueError):
+        return " ".join(str(error).split())[:_LONGEST_REASON]
+    other = isinstance(error, (TypeError, AttributeError, IndexError))
+    return "a value is of another kind than it should be" if other else "it is cut short or was altered"
 
 
 def unpacked_limit(size: int, largest: int = LARGEST) -> int:

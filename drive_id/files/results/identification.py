@@ -32,8 +32,8 @@ from drive_id.core.result.identification import (
     TorqueFit,
 )
 from drive_id.errors import DriveIdError, ResultError
-from drive_id.files.inputs.archive import DAMAGED, read_arrays
-from drive_id.files.inputs.input_file import NotAFileError, read_input, read_text_input, reason
+from drive_id.files.inputs.archive import DAMAGED, damage, read_arrays
+from drive_id.files.inputs.input_file import read_input, read_text_input
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
 from drive_id.messages import Message
@@ -165,8 +165,7 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     except _DAMAGE as error:
         if isinstance(error, ResultError) and not isinstance(error, _MixedError):
             raise
-        said = reason(error) if isinstance(error, NotAFileError) else f"{error!r:.99}"
-        said = str(error) if isinstance(error, _MixedError) else said
+        said = str(error) if isinstance(error, DriveIdError) else damage(error)
         raise ResultError(f"The result folder {directory} is damaged ({said}): fit the recording again.") from error
 
 
@@ -182,7 +181,7 @@ def _read(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
         )
     tree = _tree(directory)
     if tree["format"] != FORMAT:
-        raise TypeError("another format")
+        raise ValueError("another format")
     if int(tree["format_version"]) > FORMAT_VERSION:
         raise ResultError(
             f"{directory} was written by a newer drive_id (format {tree['format_version']}, and this "
@@ -199,7 +198,7 @@ def _read(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
 def _tree(directory: Path) -> dict[str, Any]:
     tree = json.loads(read_text_input(directory / MARKER, LARGEST_MARKER))
     if not isinstance(tree, dict):
-        raise TypeError("another format")
+        raise ValueError("another format")  # noqa: TRY004  # of a file: its text is told
     return tree
 
 
@@ -221,7 +220,7 @@ def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
             return None
         return read_diagnostics(_content(directory, DIAGNOSTICS, _tree(directory)), flux_map.psi_d.shape)
     except _DAMAGE as error:
-        said = str(error) if isinstance(error, ResultError) else type(error).__name__
+        said = str(error) if isinstance(error, DriveIdError) else damage(error)
         raise ResultError(
             f"{directory / DIAGNOSTICS} is damaged ({said}): delete it to use the result without it, or fit the "
             "recording again."
@@ -464,7 +463,11 @@ def _earlier(directory: Path) -> list[str]:
 
 
 def _number(value: float | None, unknown: float = np.nan) -> float:
-    return unknown if value is None else float(value)
+    if value is None:
+        return unknown
+    if not isinstance(value, (int, float)):
+        raise ValueError(f"{value!r:.40} is no number")  # noqa: TRY004  # of a file: its text is told
+    return float(value)
 
 
 def _array(values: list[float | None] | None) -> np.ndarray[Any, np.dtype[np.float64]] | None:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
@@ -169,7 +171,9 @@ class Identifier:
         self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
-    def job(self, bags: Sequence[str], method: str, signals: str = "") -> Job:
+    def job(
+        self, bags: Sequence[str], method: str, signals: str = "", names: Mapping[str, str] = MappingProxyType({})
+    ) -> Job:
         """Make a job of a request, to be run in another thread.
 
         Parameters
@@ -180,6 +184,8 @@ class Identifier:
             Empty: that of the settings.
         signals : str
             Signals file for the bags; empty: our messages under the names of this drive.
+        names : mapping of str to str
+            Of machine, serial, bench, operator and notes; those that are empty are as in the settings.
 
         Raises
         ------
@@ -187,16 +193,18 @@ class Identifier:
             When the request makes no sense, or the signals file cannot be read.
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
+        given: dict[str, Any] = {name: text for name, text in names.items() if text}
+        named = replace(fit, **given)
         if bags:
             own = read_signals(Path(signals).expanduser()) if signals else self._signals()
-            work = partial(_fit_bags, tuple(bags), own, bool(signals), fit, self.settings)
+            work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings)
             return partial(_guarded, partial(_kept, self.folders, work))
         if signals:
             raise ConfigurationError("The request names a signals file, but no bags: it is for bags only.")
         snapshot = self.live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples)
-        work = partial(_fit_live, snapshot, earlier, fit, self.settings, self._forgotten)
+        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten)
         return partial(_guarded, partial(_kept, self.folders, work))
 
     def refit(self) -> RefitJob | None:

@@ -1,4 +1,4 @@
-"""Converts results to messages."""
+"""Converts results to messages, and says how requests name them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ _OF_MECHANICS = {
     )
 } | {"torque_gain": "gain", "sigma_torque_gain": "sigma_gain"}  # fmt: skip
 """Fields of the message, and of :class:`~drive_id.core.result.identification.Mechanics`."""
+
+NAMES = {name: name for name in ("machine", "serial", "bench", "notes")} | {"operator": "operator_name"}
+"""Settings of a fit that name it, and fields of a request; ``operator`` is a word of C++."""
 
 
 def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import cut
@@ -65,5 +64,4 @@ def test_the_kept_parts_are_copies():
     samples = counted(10, [])
     spans = Spans(50, 4)
     spans.add(Piece(samples, False))
-    samples.i_abc[:] = 99.0
-    assert spans.samples()[0].i_abc.max() == pytest.approx(9.0)
+    assert not np.shares_memory(spans.samples()[0].i_abc, samples.i_abc)

@@ -12,7 +12,7 @@ from drive_id.analysis.verification import Judgement, Verification
 from drive_id.pictures.panels import CURRENT, PSI, add_colour_bar, levels, name, place
 from drive_id.pictures.plots import rendered
 from drive_id.quantity import measured
-from drive_id.report.page.html import GENERATOR, environment
+from drive_id.reporting.page.html import GENERATOR, environment
 from drive_id.result.result import Result
 from drive_id.version import VERSION
 

@@ -15,9 +15,9 @@ from drive_id.files.results.identification import Provenance, results_tree
 from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.quantity import Quantity, measured
-from drive_id.report.page.operation import TorqueMap
-from drive_id.report.page.wording import NOT_STORED
-from drive_id.report.shaft import shaft_values
+from drive_id.reporting.page.operation import TorqueMap
+from drive_id.reporting.page.wording import NOT_STORED
+from drive_id.reporting.shaft import shaft_values
 from drive_id.result.advice import single_speed, sorted_statements
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
@@ -103,7 +103,7 @@ class Content:
 
 
 def content_of(result: Result, operation: TorqueMap | None) -> Content:
-    """Put a result into words and tables; ``operation`` as of :func:`~drive_id.report.page.operation.torque_map`."""
+    """Put a result into words and tables; ``operation`` as of :func:`~drive_id.reporting.page.operation.torque_map`."""
     known = _without_folders(result.provenance)
     twin = results_tree(result.drive, known)
     said, nothing = sorted_statements(result.drive)

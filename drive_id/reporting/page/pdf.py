@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from drive_id.report.page.content import Content, TextTable
-from drive_id.report.page.html import GENERATOR
-from drive_id.report.page.wording import SECTIONS
+from drive_id.reporting.page.content import Content, TextTable
+from drive_id.reporting.page.html import GENERATOR
+from drive_id.reporting.page.wording import SECTIONS
 from drive_id.version import VERSION
 
 _WIDTH = 8.27  # of a page (A4), inches
@@ -35,7 +35,7 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     Parameters
     ----------
     figures : mapping of str to Figure
-        By the name of their section, see :func:`~drive_id.report.page.pictures.figures_of`.
+        By the name of their section, see :func:`~drive_id.reporting.page.pictures.figures_of`.
     """
     sheets = _Sheets()
     sheets.text(content.title, _TITLE, bold=True)

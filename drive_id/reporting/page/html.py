@@ -10,8 +10,8 @@ from typing import Any
 
 import jinja2
 
-from drive_id.report.page.content import Content
-from drive_id.report.page.wording import SECTIONS
+from drive_id.reporting.page.content import Content
+from drive_id.reporting.page.wording import SECTIONS
 from drive_id.version import VERSION
 
 GENERATOR = "drive_id report"
@@ -24,7 +24,7 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
     Parameters
     ----------
     charts : mapping
-        See :func:`~drive_id.report.page.charts.charts_of`.
+        See :func:`~drive_id.reporting.page.charts.charts_of`.
     pictures : mapping of str to bytes
         PNG by name, for print and for browsers without scripts.
     """
@@ -45,7 +45,7 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
 def environment() -> jinja2.Environment:
     """Return the loader of our templates."""
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("drive_id.report.page"),
+        loader=jinja2.PackageLoader("drive_id.reporting.page"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -13,7 +13,7 @@ from rich.table import Table
 from drive_id.exchange.comparison import Comparison
 from drive_id.pictures.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
 from drive_id.quantity import measured
-from drive_id.report.tables import plain_table
+from drive_id.reporting.tables import plain_table
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
 

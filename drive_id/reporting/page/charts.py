@@ -14,8 +14,8 @@ from matplotlib.colors import to_hex
 
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain
-from drive_id.report.page.content import map_difference
-from drive_id.report.page.operation import TorqueMap
+from drive_id.reporting.page.content import map_difference
+from drive_id.reporting.page.operation import TorqueMap
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 

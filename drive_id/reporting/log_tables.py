@@ -10,7 +10,7 @@ from rich.table import Table
 
 from drive_id.inspection.contents import Contents
 from drive_id.inspection.inspect import Inspection
-from drive_id.report.tables import plain_table
+from drive_id.reporting.tables import plain_table
 
 _MOST_FIELDS = 60
 

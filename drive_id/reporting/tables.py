@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drive_id.quantity import measured
-from drive_id.report.shaft import shaft_values
+from drive_id.reporting.shaft import shaft_values
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Iterable, Mapping, Sequence

@@ -11,8 +11,8 @@ from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.pictures.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
 from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
-from drive_id.report.page.content import map_difference
-from drive_id.report.page.operation import SpeedMap, TorqueMap
+from drive_id.reporting.page.content import map_difference
+from drive_id.reporting.page.operation import SpeedMap, TorqueMap
 from drive_id.result.result import Result
 
 _COLOURS = {"d": DARK, "q": LIGHT}

@@ -54,7 +54,9 @@ CAUSES = {
         "no_checksums", "misfit.time",
     ),
     "angle": ("angle_offset", "resolver_offset", "mirror_asymmetry", "magnet_negative"),
-    "gains": ("current_gain*", "current_rotation", "current_offset", "zero_sequence", "voltage_offset"),
+    "gains": (
+        "current_gain*", "current_rotation", "current_sensors", "current_offset", "zero_sequence", "voltage_offset",
+    ),
     "offsets": ("current_offset*", "voltage_offset*"),
     "resolver": ("eccentricity", "resolver_[efs]*"),
     "voltage_gains": ("voltage_gain*",),

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import array
 import cmath
-import contextlib
 import math
+import signal
+import threading
 from collections import deque
 from typing import Any
 
 import rclpy
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PhaseVoltages, Resolver
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
 PERIOD, BLOCK = 1e-4, 100  # control period, s; samples per message
@@ -173,6 +175,10 @@ class MinimalDrive(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(MinimalDrive())
+    interrupted = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: interrupted.set())  # an exception may strike in the midst of a message
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    executor.add_node(MinimalDrive())
+    while not interrupted.is_set():
+        executor.spin_once(timeout_sec=0.1)

@@ -22,8 +22,8 @@ CATALOGUE = yaml.safe_load((PACKAGE / "messages.yaml").read_text(encoding="utf-8
 KINDS = ("error", "warning", "statement", "nothing", "advice")
 TEMPLATES = {key: text for kind in KINDS for key, text in CATALOGUE[kind].items()}
 FAMILIES = {
-    "current_offset", "voltage_offset", "current_gain_mismatch", "single_sample", "misfit", "not_reciprocal",
-    "separation", "left_out",
+    "current_offset", "voltage_offset", "current_gain_mismatch", "current_rotation", "single_sample", "misfit",
+    "not_reciprocal", "separation", "left_out",
 }  # fmt: skip
 """Codes whose wordings the code puts together."""
 REPORTED = "{reason}"  # of an exception, or of a draft

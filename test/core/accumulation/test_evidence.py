@@ -121,10 +121,6 @@ def test_errors_of_interpolated_angles_are_averaged_over_recordings(recordings):
     assert Samples.joined([first, replace(second, stamp=second.stamp + 10**12)]).angle_error ** 2 == pytest.approx(
         expected
     )
-    older = {name: values for name, values in both.state().items() if name != "_angle_square"}
-    restored = evidence(first)
-    restored.restore(older)
-    assert restored.samples == both.samples
 
 
 def test_a_state_of_another_model_is_refused(recordings):

@@ -77,10 +77,6 @@ def test_what_was_reached_is_merged_and_stored():
     restored = Evidence.within(settings, 300.0)
     restored.restore(one.state())
     assert restored.reached == one.reached == pytest.approx(100.0, rel=1e-3)
-    older = one.state()
-    del older["reached"]
-    restored.restore(older)
-    assert restored.reached == 0.0
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,8 @@ def _one_voltage_high(samples: Samples) -> Samples:
     return replace(samples, u_abc=samples.u_abc * (1.0, 1.03, 1.0))
 
 
-def _cross_talk(samples: Samples) -> Samples:
+def cross_talk(samples: Samples) -> Samples:
+    """Add 2 % of the current of phase a to b, and of b to c."""
     matrix = np.array([[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.02, 1.0]])
     return replace(samples, i_abc=samples.i_abc @ matrix.T)
 
@@ -134,7 +135,7 @@ EFFECTS = {
         "resolver", lambda r, *_: {"resolver_electrical_errors": tuple(np.deg2rad(r.uniform(0.1, 0.3, 2)))}
     ),
     "voltage_high": Effect("voltage_gains", expected="warned", spoil=_one_voltage_high),
-    "cross_talk": Effect("gains", expected="warned", spoil=_cross_talk),
+    "cross_talk": Effect("gains", expected="warned", spoil=cross_talk),
     "late": Effect("timing", expected="warned", spoil=_late_from_the_middle),
     "decimated": Effect("decimated", lambda *_: {"log_decimation": 5}, "warned"),
     "nonlinear": Effect(

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from judging import normalized_curve
+from population_drives import cross_talk
 from rich.console import Console
 
 from drive_id.bench.drive import Simulation
@@ -101,12 +102,6 @@ def as_duty_cycles(samples: Samples, machine: MachineMap) -> Samples:
     return replace(samples, u_abc=samples.u_abc / machine.u_dc)
 
 
-def cross_talk(samples: Samples, _: MachineMap) -> Samples:
-    """Add 2 % of the current of phase a to b, and of b to c."""
-    matrix = np.array([[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.02, 1.0]])
-    return replace(samples, i_abc=samples.i_abc @ matrix.T)
-
-
 def switching(dead_time: float, capacitance: float = 0.0) -> Callable[[MachineMap], Changes]:
     """Return the settings of an inverter whose legs switch; 2 nF belong to 300 A and 400 V."""
 
@@ -158,7 +153,9 @@ EFFECTS = {
         of(two_current_sensors=True, current_gain=(1.005, 0.995, 1.0)),
         short=True,
     ),
-    "cross_talk": Effect("current sensors act on each other, 2 %", spoil=cross_talk, short=True),
+    "cross_talk": Effect(
+        "current sensors act on each other, 2 %", spoil=lambda samples, _: cross_talk(samples), short=True
+    ),
     "rotor": Effect("flux modulated by 0.5 % once per turn", of(eccentricity=(0.005,))),
     "sensors": Effect(
         "current sensors: cubic gain 0.2 %, skew 2 µs, dead band 0.1 %",

@@ -217,7 +217,7 @@ class Evidence:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
-        self.findings = tuple(map(_finding, json.loads(str(state.get("findings", "[]")))))
+        self.findings = tuple(map(_finding, json.loads(str(state["findings"]))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import lsqr
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effect_search import SENSORS
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, RESISTANCE, SENSOR_ORDERS
 from drive_id.core.full.windows import MOST_DELAY
@@ -104,7 +105,7 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
         Real and imaginary part of offset and mismatch; zero sequence and common gain cannot be observed.
     """
     out = _offsets(fit, i_dq, i_max)
-    if "current_sensors" in fit.spec.effects:
+    if SENSORS in fit.spec.effects:
         return out
     traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
     if traced is None:

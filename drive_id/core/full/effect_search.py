@@ -173,9 +173,14 @@ def search_effects(
 
 
 def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
-    """Return the variant with another effect; that of the currents' sensors replaces the harmonic that they cause."""
-    orders = tuple(order for order in spec.orders if name != SENSORS or order != SENSOR_ORDERS[1])
-    return replace(spec, effects=(*spec.effects, name), orders=orders)
+    """Return the variant with another effect."""
+    effects = (*spec.effects, name)
+    return replace(spec, effects=effects, orders=orders_beside(effects, spec.orders))
+
+
+def orders_beside(effects: Sequence[str], orders: Sequence[int]) -> tuple[int, ...]:
+    """Return the harmonics that are fitted beside effects: the currents' sensors stand for the one that they cause."""
+    return tuple(order for order in orders if SENSORS not in effects or order != SENSOR_ORDERS[1])
 
 
 def _settled(

@@ -47,6 +47,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -117,7 +118,7 @@ class EffectColumns:
         i_a, i_b, i_c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
         columns = {name: [between(turn * through(shift)) for shift in shifts] for name, shifts in currents.items()}
         read = np.stack([1j * windows.current, windows.current.conj(), 1j * windows.current.conj()])
-        dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self._coarse_drop())
+        dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self._coarse_drop)
         columns["current_sensors"] = [*(columns["current_sensors"] - self.estimate[RESISTANCE] * read - dropped)]
         columns |= {
             "current_latency": [between(windows.held - windows.speed * tilt)],  # with the ripple of a held voltage
@@ -208,12 +209,12 @@ class EffectColumns:
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) caused by the effects of the drive at its currents, V.
+        """Return the phase voltages (N, 3) caused by the effects of the drive, not of its current sensors, V.
 
         Parameters
         ----------
         recordings : sequence of Samples
-            Corrected for their sensors; the whole ones, unless the estimate has none of the effects ``OF_RECORDINGS``.
+            The whole ones, unless the estimate has none of the effects ``OF_RECORDINGS``.
         length : int
             Samples over which the voltage is averaged.
         """
@@ -248,6 +249,7 @@ class EffectColumns:
         psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
         return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
 
+    @cached_property
     def _coarse_drop(self) -> FloatArray:
         """Return the coefficients (L,) of the coarse shapes whose sum is the mean drop of the phases, V."""
         current = self.model.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2

@@ -9,7 +9,14 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import SENSORS, EffectSearch, plausible_effects, refined, search_effects
+from drive_id.core.full.effect_search import (
+    SENSORS,
+    EffectSearch,
+    orders_beside,
+    plausible_effects,
+    refined,
+    search_effects,
+)
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import (
@@ -270,8 +277,7 @@ def _select(
             if search.sums.effects is None:
                 freed = freed.with_effects(search.columns)
             search = replace(search, sums=freed, solver=Solver.over(freed))
-            beside = SENSOR_ORDERS[1] if SENSORS in spec.effects else None
-            everything = search.solver.solve(replace(free, orders=tuple(each for each in orders if each != beside)))
+            everything = search.solver.solve(replace(free, orders=orders_beside(free.effects, orders)))
             significant = _significant_orders(freed.model, everything, i_dq)
             spec = search.solver.best_penalty(replace(free, orders=significant))[0]
             solution = search.solver.solve(spec)

@@ -328,8 +328,8 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
     yield from dict.fromkeys(c.message for c in calibrations if c.doubtful)
     for c in calibrations:
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
-        sensor = c.name.startswith(("current_offset", "current_gain")) or c.name == calibration.CURRENT_ROTATION
-        if sensor and c.applied and abs(c.value) > largest:
+        of_sensors = c.name.startswith(("current_offset", "current_gain", calibration.CURRENT_ROTATION))
+        if of_sensors and c.applied and abs(c.value) > largest:
             yield Message(f"{c.message.code}.large", **c.message.values)
 
 

@@ -49,7 +49,7 @@ def wait_for(browser, script, *arguments):
 def check_quiet(browser, allowed=("file:", "data:", "blob:")):
     """Check that nothing was complained of, and nothing loaded but from the allowed places."""
     complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-    assert not complaints
+    assert not complaints, complaints
     asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     loaded = {entry["params"]["request"]["url"] for entry in asked if entry["method"] == "Network.requestWillBeSent"}
     assert not {url for url in loaded if not url.startswith(allowed)}

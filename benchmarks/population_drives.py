@@ -38,6 +38,9 @@ _WIDE = 0.1
 """Width of an inverter curve, in the largest current, above which docs/limits.md takes it for resistance."""
 _FASTEST, _SLOWEST = 0.09, 3.0
 """Electrical frequency: at most, of the sampling rate; at least, Hz."""
+_MOST_RIPPLE = 0.2
+"""Most ripple of the currents by the switching, u_dc T / (8 L), in i_max: beyond it nobody would drive the machine at
+this rate. Drives that were sampled with more before had up to ten times i_max."""
 _SLOWEST_SWING = 100.0
 """Least planned speed of a free shaft, rpm."""
 _HEADROOM = 0.85
@@ -235,11 +238,16 @@ def drive(seed: int, number: int) -> Drive:
     seconds = max(seconds / len(speeds), _SHORTEST)
     chosen = _effects(rng, len(speeds))
     part = rng.uniform(0.15, 0.8) if "hexagon" not in chosen else 1.25
-    swing = 2 * np.pi * (abs(speed) / 60 * pole_pairs + 4.0)
+    least, turn = _least_inductance(shape), 2 * np.pi / 60 * pole_pairs
+    slip = 2 * np.pi * 4.0
+    most = 8 * _MOST_RIPPLE * least * part * _HEADROOM / np.sqrt(3) / period
+    slower = min(1.0, max(most - slip, slip) / (abs(speed) * turn))
+    speeds = tuple(slower * each for each in speeds)
+    swing = slower * abs(speed) * turn + slip
     flux_unit = part * _HEADROOM * u_dc / np.sqrt(3) / swing
     power = 1.5 * i_max * u_dc / np.sqrt(3)
     drop = min(0.12 * (power / 100.0) ** -0.3 * rng.uniform(0.5, 2.0), 0.15)
-    slowest = _least_inductance(shape) * flux_unit / i_max / _FASTEST_FIELD[family == "slotless"]
+    slowest = least * flux_unit / i_max / _FASTEST_FIELD[family == "slotless"]
     resistance = min(drop * u_dc / np.sqrt(3) / i_max, slowest)
     machine = Machine(shape, i_max, flux_unit, resistance, pole_pairs, u_dc)
     common = _ordinary(rng, machine, period)

@@ -90,7 +90,7 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     primitive = np.zeros_like(drop)
     primitive[:, 1:] = np.cumsum(0.5 * (drop[:, 1:] + drop[:, :-1]), axis=1) * (current[1] - current[0])
     _integrate(
-        windows.angle[:, 0].copy(), turned, np.ascontiguousarray(windows.i_dq), frames.as_pairs(psi), inverse, samples,
+        windows.angle[:, 0].copy(), turned, frames.as_pairs(windows.measured), frames.as_pairs(psi), inverse, samples,
         windows.period, windows.drop_scale, float(estimate[RESISTANCE]), step, current[0], current[1] - current[0],
         drop, primitive, _AXES, out,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +62,12 @@ class Delay:
     def nearest(self) -> float:
         """The nearest half or whole number of samples."""
         return round(2 * self.value) / 2
+
+    @property
+    def between(self) -> tuple[float, ...]:
+        """The half or whole numbers of samples on both sides, 0 excluded."""
+        halves = math.floor(2 * self.value), math.ceil(2 * self.value)
+        return tuple(each / 2 for each in halves if each)
 
     @property
     def physical(self) -> bool:

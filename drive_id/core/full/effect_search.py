@@ -32,14 +32,12 @@ _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _MOST_EFFECTS = 6
 """Most effects of a drive: bounds the time."""
-_REFINEMENTS = 2
-"""Most linearizations about the estimate with effects: bounds the time."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
-_SETTLING = 4
-"""Most repetitions for what the current does between samples."""
+_SETTLING = 5
+"""Most linearizations: bounds the time."""
 _SETTLED = 0.01
-"""Relative change of the residuals that ends them."""
+"""Relative decrease of the residuals below which they end."""
 _MOST_POLE_PAIRS = 16
 """Tried where the number is not known: as many as common machines have."""
 _MOST_WINDOWS = 3000
@@ -75,6 +73,10 @@ class Taken:
     name: str
     saving: float
     rivals: tuple[str, ...]
+
+
+_Settled = tuple[WindowSums, Solver, FullSolution, EffectColumns]
+"""Sums with the effects, their solver, its solution, and the columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,9 @@ def search_effects(
 ) -> EffectSearch:
     """Add effects to the model one by one, best first.
 
+    A delay that is no half or whole number of samples may stand for one that is, beside an effect: at one speed, iron
+    loss turns the flux as well. Both are tried.
+
     Parameters
     ----------
     sums : WindowSums
@@ -127,10 +132,31 @@ def search_effects(
         Default: the number at which an eccentric resolver explains most of the residuals.
     """
     columns = _columns(sums.model, solution, sums.kept(), pole_pairs)
-    extended, solver, solution, columns = _settled(sums, solution.spec, columns)
+    start = _settled(sums, solution.spec, columns)
+    search = _greedy(sums, start, noise, allowed, turn)
+    delay = Delay(search.solution.spec.delay, search.sigma_delay)
+    if turn > 0 and delay.value != solution.spec.delay and not delay.physical:
+        for value in delay.between:
+            delayed = _settled(sums, replace(solution.spec, delay=value), columns)
+            saving = 1.0 - delayed[2].sum_of_squares / start[2].sum_of_squares
+            other = _greedy(sums, delayed, noise, allowed, 0.0, (Taken(DELAY, saving, ()),))
+            if other.solution.sum_of_squares < search.solution.sum_of_squares:
+                search = replace(other, delay=value, sigma_delay=search.sigma_delay)
+    return search
+
+
+def _greedy(
+    sums: WindowSums,
+    start: _Settled,
+    noise: CurrentNoise,
+    allowed: Sequence[str],
+    turn: float,
+    taken: tuple[Taken, ...] = (),
+) -> EffectSearch:
+    """Add effects to those taken one by one, best first, and a delay unless ``turn`` is 0."""
+    extended, solver, solution, columns = start
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
     period = noise.period
-    taken: list[Taken] = []
     savings: dict[str, float] = {}
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
     while len(taken) < _MOST_EFFECTS:
@@ -154,22 +180,21 @@ def search_effects(
         family = _family(best)
         near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
         rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
-        taken.append(Taken(best, savings[best], rivals))
+        found = Taken(best, savings[best], rivals)
         if best == DELAY:
-            solution = delayed
+            taken, solution = (*taken, found), delayed
             continue
         spec = with_effect(solution.spec, best)
         if not _predicts(solver, solution.spec, spec):
-            taken.pop()
             break
+        taken = (*taken, found)
         columns = replace(columns, estimate=solver.solve(spec).estimate)
-        extended, solver = _linearized(sums, columns)
-        solution = solver.solve(spec)
+        extended, solver, solution, columns = _settled(sums, spec, columns)
     names = {each.name for each in taken}
     if names <= {DELAY} and not _remains(solver):
         extended = sums
-    taken = [replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken]
-    return EffectSearch(extended, solver, solution, columns, tuple(taken), delay.value, delay.sigma, savings)
+    taken = tuple(replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken)
+    return EffectSearch(extended, solver, solution, columns, taken, delay.value, delay.sigma, savings)
 
 
 def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
@@ -183,19 +208,37 @@ def orders_beside(effects: Sequence[str], orders: Sequence[int]) -> tuple[int, .
     return tuple(order for order in orders if SENSORS not in effects or order != SENSOR_ORDERS[1])
 
 
-def _settled(
-    sums: WindowSums, spec: ModelSpec, columns: EffectColumns
-) -> tuple[WindowSums, Solver, FullSolution, EffectColumns]:
-    """Solve without effects, again and again where the current does much between samples."""
-    extended, solver = _linearized(sums, columns)
-    solution = solver.solve(spec)
-    for _ in range(_SETTLING if _remains(solver) else 0):
-        before, columns = solution.residual_rms, replace(columns, estimate=solution.estimate)
-        extended, solver = _linearized(sums, columns)
-        solution = solver.solve(spec)
-        if abs(solution.residual_rms - before) < _SETTLED * before:
+def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Settled:
+    """Solve about the measured currents or, where effects move them far, about those in the map.
+
+    The latter takes the kept windows only. If these are not all, it must fit clearly better.
+    """
+    move = columns.bends(spec, sums.kept())
+    if move and not sums.thinned:
+        return _iterated(sums, spec, columns, move=True)
+    start = _iterated(sums, spec, columns)
+    moved = _iterated(sums, spec, start[-1], move=True) if move else start
+    return moved if _GROWN * moved[2].residual_rms < start[2].residual_rms else start
+
+
+def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> _Settled:
+    """Solve, and linearize about the solution again, until the residuals settle or grow.
+
+    They grow where an effect moves the current by so much that the linearization fails.
+    """
+    best: _Settled | None = None
+    for _ in range(_SETTLING):
+        extended = (sums.moved(columns.moved) if move else sums).with_effects(columns)
+        solver = Solver.over(extended)
+        found = extended, solver, solver.solve(spec), columns
+        change = -1.0 if best is None else found[2].residual_rms / best[2].residual_rms - 1.0
+        if best is not None and change > _GROWN - 1.0:
+            return best
+        best = found
+        if -change < _SETTLED or not (spec.effects or _remains(solver)):
             break
-    return extended, solver, solution, columns
+        columns = replace(columns, estimate=found[2].estimate)
+    return found
 
 
 def several_speeds(speeds: FloatArray) -> bool:
@@ -204,19 +247,11 @@ def several_speeds(speeds: FloatArray) -> bool:
     return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
 
 
-def refined(sums: WindowSums, search: EffectSearch) -> EffectSearch:
-    """Repeat the linearization about the estimate that includes the effects, while the residuals shrink.
-
-    They grow where an effect moves the current by more than the map bends over.
-    """
-    for _ in range(_REFINEMENTS if search.solution.spec.effects else 0):
-        columns = replace(search.columns, estimate=search.solution.estimate)
-        extended, solver = _linearized(sums, columns)
-        solution = solver.solve(search.solution.spec)
-        if solution.residual_rms > _GROWN * search.solution.residual_rms:
-            break
-        search = replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
-    return search
+def with_effects_only(sums: WindowSums, search: EffectSearch, effects: tuple[str, ...]) -> EffectSearch:
+    """Return the search with some of its effects, solved again."""
+    spec, columns = search.solution.spec, replace(search.columns, estimate=search.solution.estimate)
+    extended, solver, solution, columns = _settled(sums, replace(spec, effects=effects), columns)
+    return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
 
 
 def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:
@@ -255,11 +290,6 @@ def _remains(solver: Solver) -> bool:
 def _family(name: str) -> str:
     """Return the common physical cause of variants of an effect."""
     return _FAMILIES.get(name, name.split("_lag_", maxsplit=1)[0])
-
-
-def _linearized(sums: WindowSums, columns: EffectColumns) -> tuple[WindowSums, Solver]:
-    extended = sums.with_effects(columns)
-    return extended, Solver.over(extended)
 
 
 def _best(savings: dict[str, float], *, physical: bool) -> str | None:

@@ -54,7 +54,15 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.between_samples import between_samples
-from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, MOST_RECORDINGS, MOST_RUNS, RESISTANCE, FullModel
+from drive_id.core.full.model import (
+    EFFECT_COLUMNS,
+    EFFECTS,
+    MOST_RECORDINGS,
+    MOST_RUNS,
+    RESISTANCE,
+    FullModel,
+    ModelSpec,
+)
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.types import FloatArray, Samples
@@ -71,6 +79,9 @@ OF_RECORDINGS = (
 
 _SLOWEST = 1.0
 """Speed below which hysteresis cannot be distinguished from noise, rad/s."""
+
+_BENDS = 0.1
+"""Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
 
 _CURVE_POINTS = 101
 """Currents, dense near zero, at which shapes of the drop are compared."""
@@ -110,7 +121,7 @@ class EffectColumns:
         i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
         through = self._jacobian(windows)
         psi, by_angle = self._flux(i_dq, windows.angle)
-        currents, waves = self._currents(windows, i_dq, turn), self._waves(windows)
+        currents, waves = self._currents(windows, turn), self._waves(windows)
         tilt = turn * (1j * psi + by_angle - through(1j * i_dq))  # by an error of the angle
         heat = windows.heat / max(self.heat, 1e-12)
         of_magnet = between(turn), between(turn * through(np.ones_like(i_dq)))
@@ -146,12 +157,13 @@ class EffectColumns:
             self._value("magnet_recordings")[2 * k + 1] * own_windows[:, None] for k, own_windows in enumerate(own)
         )
         shift = shift + self._value("magnet_heating")[1] * heat[:, None]
+        further = shift if windows.moved is None else shift - windows.moved
         late = self._value("current_latency") * windows.speed  # the currents belong to an earlier angle
         error = self._sum(waves).real + self._value("angle_latency") * windows.speed - late
         columns["remainder"] = [between_samples(self.model, self.estimate, windows, psi)]
         if shift.any() or error.any():
             ahead = np.exp(1j * error)
-            changed = self._flux((i_dq + shift) * ahead.conj(), windows.angle + error)[0]
+            changed = self._flux((i_dq + further) * ahead.conj(), windows.angle + error)[0]
             ripple = 0.5 * np.square(np.maximum(late * np.sign(windows.speed), 0.0)) * (psi - through(i_dq))
             remainder = turn * (ahead * changed - psi - through(shift) - ripple) - error * tilt
             columns["remainder"][0] = columns["remainder"][0] + between(remainder)
@@ -185,8 +197,30 @@ class EffectColumns:
         d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
         return lambda x: np.asarray(d * x.real + q * x.imag)
 
-    def _currents(self, windows: Windows, i_dq: ComplexArray, turn: ComplexArray) -> dict[str, list[ComplexArray]]:
+    def bends(self, spec: ModelSpec, kept: Sequence[Windows]) -> bool:
+        """Tell whether the effects of a variant move a current by so much that the slope of the map there differs."""
+        cells = self.model.resolution
+        least = _BENDS * min(float(np.diff(cells.d).min()), float(np.diff(cells.q).min()))
+        turned = ((windows, np.exp(1j * windows.angle)) for windows in kept)
+        return bool(spec.effects) and any(
+            float(np.abs(self._sum(self._currents(windows, turn))).max(initial=0.0)) > least for windows, turn in turned
+        )
+
+    def moved(self, windows: Windows) -> Windows:
+        """Return windows whose currents ``i_dq`` are those in the map at the estimate, where the map reaches them.
+
+        About them the flux is linear in all unknowns to first order, so that the normal equations are those of the
+        nonlinear fit even where an effect moves the current by more than the map bends over, as iron loss does in a
+        machine whose bridges saturate at small currents.
+        """
+        measured, shift = windows.measured, self._sum(self._currents(windows, np.exp(1j * windows.angle)))
+        inside = self.model.contains(replace(windows, i_dq=frames.as_pairs(measured + shift)))
+        shift = np.where(inside[:, None], shift, 0.0)
+        return replace(windows, i_dq=frames.as_pairs(measured + shift), moved=shift, effects=None)
+
+    def _currents(self, windows: Windows, turn: ComplexArray) -> dict[str, list[ComplexArray]]:
         """Return the currents (N, 2) that each effect adds to that of the map, per unit."""
+        i_dq = windows.measured
         i_s = i_dq * turn
         e = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
         speed = np.where(np.abs(windows.speed) < _SLOWEST, np.inf, np.abs(windows.speed))

@@ -191,6 +191,8 @@ class EarlierFit:
         Harmonics that its sums covered.
     cells : Resolution, optional
         Cells of its map and harmonics, if not the usual ones.
+    moved : bool
+        Whether its currents were those in the map, see :meth:`~drive_id.core.full.effects.EffectColumns.moved`.
     remains : bool
         Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
     left : mapping of str to float
@@ -201,6 +203,7 @@ class EarlierFit:
 
     orders: tuple[int, ...]
     cells: Resolution | None
+    moved: bool
     remains: bool
     spec: ModelSpec
     columns: EffectColumns
@@ -221,6 +224,7 @@ class EarlierFit:
         return cls(
             orders=fit.model.orders,
             cells=fit.model.cells,
+            moved=search.sums.kept()[0].moved is not None,
             remains=search.sums.effects is not None,
             spec=fit.spec,
             advantage=fit.selection.advantage,
@@ -238,6 +242,8 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
         sums = sums.resolved(earlier.cells, earlier.orders)
     elif earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
+    if earlier.moved:
+        sums = sums.moved(earlier.columns.moved)
     if earlier.spec.effects or earlier.remains:
         sums = sums.with_effects(earlier.columns)
     solver = Solver.over(sums)

@@ -14,8 +14,8 @@ from drive_id.core.full.effect_search import (
     EffectSearch,
     orders_beside,
     plausible_effects,
-    refined,
     search_effects,
+    with_effects_only,
 )
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
@@ -303,7 +303,6 @@ def _first_candidate(
     calibrated = settings.calibrate_delay and start.spec.reciprocal
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     while True:
-        search = refined(sums, search)
         solver, solution = search.solver, search.solution
         if "current_latency" in solution.spec.effects:  # it moves the steps, too
             solution = solver.solve(replace(solution.spec, crossing=False))
@@ -318,7 +317,7 @@ def _first_candidate(
                 spec, error = solver.best_penalty(wide.spec)
                 final = solver.solve(spec)
             return _Candidate(final, error, replace(search, solution=final))
-        search = replace(search, solution=solver.solve(replace(solution.spec, effects=plausible)))
+        search = with_effects_only(sums, replace(search, solution=solution), plausible)
 
 
 def _aligned(solver: Solver, spec: ModelSpec, settings: FitSettings, turn: float, noise: CurrentNoise) -> FullSolution:

@@ -128,6 +128,10 @@ class WindowSums:
         model = replace(self.model, orders=tuple(others), sensors=tuple(sensors), reciprocal=False)
         return self._over(model, self._kept)
 
+    def moved(self, move: Callable[[Windows], Windows]) -> WindowSums:
+        """Return the sums over the kept windows at other currents, without effects."""
+        return self._over(self.model, {number: move(windows) for number, windows in self._kept.items()})
+
     def between_crossings(self, weights: Callable[[Windows], FloatArray]) -> WindowSums:
         """Return the sums over the kept short windows instead, with weights (N,) on their squared residuals."""
         short = {number: windows.part(windows.short) for number, windows in self._kept.items()}
@@ -165,7 +169,7 @@ class WindowSums:
         """
         other, model = self.copy(), self.model
         numbers, kept = sorted(self._kept), self.kept()
-        thinned = sum(map(len, kept)) < self.windows
+        thinned = self.thinned
         some = _KeptProducts.none(model) if thinned and self._some is None else None
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
 
@@ -317,6 +321,11 @@ class WindowSums:
     def counts(self) -> FloatArray:
         """Rows of each fold, (FOLDS,)."""
         return np.asarray(2.0 * self._counts)
+
+    @property
+    def thinned(self) -> bool:
+        """Whether not all windows are kept."""
+        return sum(map(len, self.kept())) < self.windows
 
     def kept(self) -> list[Windows]:
         """Return the kept segments in order of time."""

@@ -129,6 +129,8 @@ class Windows:
         Smallest absolute value of a phase current within the window, 0 where one crosses zero, A.
     short : (N,) bool
         Whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE.
+    moved : (N, 2) complex, optional
+        ``i_dq`` minus the measured currents, see ``EffectColumns.moved``; default: 0, A.
     effects : (N, EFFECT_COLUMNS) complex, optional
         Columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`.
     weight : (N,) float, optional
@@ -161,6 +163,7 @@ class Windows:
     recording: IntArray
     clearance: FloatArray
     short: BoolArray
+    moved: ComplexArray | None = None
     effects: ComplexArray | None = None
     weight: FloatArray | None = None
 
@@ -204,12 +207,18 @@ class Windows:
         return self.part(~self.short) if self.short.any() else self
 
     @property
+    def measured(self) -> ComplexArray:
+        """Measured currents (N, 2) in the rotor frame at [start, end], A."""
+        i_dq: ComplexArray = self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
+        return i_dq if self.moved is None else i_dq - self.moved
+
+    @property
     def weights(self) -> FloatArray:
         """Weights (N,) of the squared residuals."""
         return np.ones(len(self)) if self.weight is None else self.weight
 
 
-_ADDED = ("effects", "weight")
+_ADDED = ("moved", "effects", "weight")
 MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
 """Arrays of windows that are computed from samples alone."""
 

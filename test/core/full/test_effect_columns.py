@@ -26,6 +26,8 @@ OF_SAMPLING = {"flux_lag_1ms": 0.06, "current_latency": 0.03}
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage."""
 OF_SECOND_ORDER = 0.1
+LARGE_LOSS = 1.2
+"""Conductance of the iron, S."""
 U_DC, LINK_TURN = 400.0, 2 * np.pi * 9.0
 SETTLED = 0.08
 """Time after which the lagging currents have forgotten their unknown start, s."""
@@ -258,6 +260,32 @@ def test_the_remainder_is_what_a_late_angle_changes_in_second_order(estimate):
     plus, minus, none = (left_and_remainder(x) for x in (size, -size, 0.0))
     left, column = (plus + minus) / 2 - none
     close(cut(Drive().record()), column, left, OF_SECOND_ORDER)
+
+
+def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(estimate):
+    """Iron loss that moves the current by a tenth of its range: its balance, differentiated numerically."""
+    windows, remainder = cut(iron(LARGE_LOSS).record()), MODEL.effect("remainder").start
+    known, iron_loss = estimate.copy(), MODEL.effect("iron_loss").start
+    known[[iron_loss, remainder]] = LARGE_LOSS, 1.0
+
+    def with_columns(some, x):
+        return replace(some, effects=EffectColumns(MODEL, x, 1.0, np.nan, None)(some))
+
+    def balance(x):
+        return residual(with_columns(windows, x), x)
+
+    moved = EffectColumns(MODEL, known, 1.0, np.nan, None).moved(windows)
+    assert np.abs(moved.moved).max() > 0.1 * RADIUS
+    there = with_columns(moved, known)
+    np.testing.assert_allclose(residual(there, known), balance(known), atol=1e-12)
+    designs = MODEL.design(there), MODEL.design(with_columns(windows, known))
+    middle = MODEL.map.start + MODEL.flux.parameters // 4
+    for k in (*range(middle, middle + 5), iron_loss):
+        step = np.zeros(MODEL.size)
+        step[k] = 1e-4
+        slope = (balance(known + step) - balance(known - step)) / 2e-4
+        there, here = (np.linalg.norm(design[:, 0, k] + 1j * design[:, 1, k] - slope) for design in designs)
+        assert there < 1e-3 * np.linalg.norm(slope) < 0.1 * here
 
 
 def test_what_the_recording_lacks_leaves_no_column(estimate):

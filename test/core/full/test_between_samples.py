@@ -48,6 +48,10 @@ class OneWindow(SimpleNamespace):
     def __len__(self):
         return 1
 
+    @property
+    def measured(self):
+        return self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
+
 
 def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time():
     """A linear machine, integrated by scipy over one sample of 15 degrees, with a drop that the current crosses."""

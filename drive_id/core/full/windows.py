@@ -57,6 +57,8 @@ _ROUNDING = 1e-9
 """Of stamps, s: a time that is a multiple of a batch must not fall into the batch before."""
 _FEWEST = 4096
 """Samples collected before windows are cut, so that overlaps cost little."""
+_ADJACENT = 4096
+"""Most adjacent windows that are cut at once, so that memory does not grow with the recording."""
 _FINEST = 1e-4
 """Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
@@ -315,18 +317,23 @@ class WindowCutter:
                 yield from self._cut(self._rest)
 
     def adjacent(self, samples: Samples, length: int) -> Iterator[tuple[int, Windows]]:
-        """Yield for each run the sample where the first of its adjacent windows of ``length`` samples starts, and them.
+        """Yield pieces of adjacent windows of ``length`` samples, and the sample where the first of each piece starts.
 
         The first few and the last few samples of a run are not included.
         """
         self._period = samples.sample_period
+        grain = spacing(self._period)
         for run in samples.runs():
             self._run += 1
             stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
-            begin = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
-            if len(begin):
-                sums, short = _Sums.over(stretch, self._period, self._shapes.coarse), np.zeros(len(begin), np.bool_)
-                yield run.start + int(begin[0]), self._windows(stretch, sums, begin, begin + length, short)
+            every = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
+            for begin in np.split(every, range(_ADJACENT, len(every), _ADJACENT)) if len(every) else ():
+                first = max(int(begin[0] + _PAST[0]) // grain - 1, 0) * grain
+                self._time = first * self._period
+                part = stretch.part(slice(first, int(begin[-1]) + length + _REACH + 1))
+                sums, short = _Sums.over(part, self._period, self._shapes.coarse), np.zeros(len(begin), np.bool_)
+                windows = self._windows(part, sums, begin - first, begin - first + length, short)
+                yield run.start + int(begin[0]), windows
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with the quantities integrated over them."""

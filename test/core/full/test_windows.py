@@ -133,6 +133,19 @@ def test_pieces_make_no_difference(samples, size):
         np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("period", [1e-4, 1e-5])
+def test_adjacent_windows_do_not_depend_on_the_pieces(period, monkeypatch):
+    recording = record(duration=0.5, noise=0.5, period=period)
+    (start, whole), *none = WindowCutter(SHAPES).adjacent(recording, 20)
+    monkeypatch.setattr("drive_id.core.full.windows._ADJACENT", 50)
+    starts, parts = zip(*WindowCutter(SHAPES).adjacent(recording, 20), strict=True)
+    assert not none
+    assert np.array_equal(starts, start + 20 * 50 * np.arange(len(starts)))
+    for name in NAMES:
+        found = getattr(Windows.joined(list(parts)), name)
+        np.testing.assert_allclose(found, getattr(whole, name), rtol=1e-9, atol=1e-11, err_msg=name)
+
+
 def test_no_window_spans_a_gap(samples):
     gaps = dataclasses.replace(samples, run_starts=np.array([0, 3000, 3004, 12001]))
     windows = cut(gaps)

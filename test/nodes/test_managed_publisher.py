@@ -163,8 +163,12 @@ def test_every_reply_has_a_code(ros):
     beat = ros.node.create_publisher(Empty, f"{NAME}/heartbeat", 1)
     assert managed.ask("start_experiment").code == "inactive"
     assert managed.ask("stop_experiment").code == "ok"
+    reply = managed.ask("clear_fault")
+    assert reply.code == "inactive"
+    assert reply.message.startswith("Not cleared. The node is unconfigured: configure and activate it")
     assert managed.change("configure")
     assert managed.ask("start_experiment").code == "inactive"
+    assert managed.ask("clear_fault").code == "inactive"
     assert managed.change("activate")
     ros.wait(lambda: managed.ask("start_experiment", require_lease=True).code == "no_heartbeat", "the drive")
     ros.wait(lambda: managed.ask("start_experiment", dry_run=True).success, "a dry run")

@@ -638,7 +638,7 @@ def codes(name):
 
 
 def test_every_answer_has_its_code(bench):
-    """All of StartExperiment but that of a node that is not active, and of Command those of the publisher."""
+    """All of StartExperiment but that of a node that is not active, and likewise of Command those of the publisher."""
     found = {"start": [], "stop": [], "clear_fault": []}
 
     def ask(what, *further, **options):
@@ -673,7 +673,7 @@ def test_every_answer_has_its_code(bench):
     bench.ticks(100)
     assert ask("stop") == "current_flows"
     assert {*found["start"], "no_clock", "inactive"} == codes("StartExperiment")
-    assert {*found["stop"], *found["clear_fault"], "not_recording"} == codes("Command")
+    assert {*found["stop"], *found["clear_fault"], "inactive", "not_recording"} == codes("Command")
 
 
 def test_a_stop_at_rest_brings_others_to_zero(bench):

@@ -418,8 +418,8 @@ def section(rounds: int) -> Section:
     ]
     text = (
         f"Time from the cause to zero measured current at {I_MAX:g} A, longest of {rounds}; 0.00 means that nothing\n"
-        "was measured any more. What detects it, and what is done: [Hazards](safety.md#hazards). `make safety` measures\n"
-        "the same ten times."
+        "was measured any more. What detects it, and what is done: [Hazards](safety.md#hazards). Ten times each:\n"
+        "`make safety`."
     )
     text += "".join(f"\n- Finding: {finding}" for finding in cell.findings)
     return Section("Reaction times", text, tuple(rows))

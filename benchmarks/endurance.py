@@ -8,7 +8,7 @@
     python benchmarks/endurance.py --only kills --rounds 30
 
 The seed determines states, requests and kills; the timing of threads and processes differs from run to run. The exit
-code is 1 if there is a finding. Modules: power_cuts, soak, live_drive, node_requests,
+code is 1 if there is a finding. Modules: power_cuts, soak, live_watch, node_requests,
 node_kills.
 """
 
@@ -62,7 +62,7 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 def live(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     """Test a drive that is identified live, in real time; yield findings."""
-    from live_drive import watch  # noqa: PLC0415
+    from live_watch import watch  # noqa: PLC0415
 
     result = watch(options.minutes, folder / "live", options.method)
     _row("node", "memory at first, MB", "median", "peak", "growth per hour", head=True)

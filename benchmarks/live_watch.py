@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from drive_id_msgs.msg import PublisherState
 from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from node_processes import Graph, slope
+from node_processes import Graph, highest, slope
 
 from drive_id.nodes.support.qos import LATCHED
 
@@ -37,6 +37,8 @@ class Watched:
         Of each look, s from the start of the trajectory.
     memory : dict
         Resident memory of each node at each look, MB.
+    peaks : dict
+        Most memory that each node has held at any time, MB.
     codes : Counter
         Codes of the replies.
     slowest : float
@@ -45,6 +47,7 @@ class Watched:
 
     times: list[float] = field(default_factory=list)
     memory: dict[str, list[float]] = field(default_factory=dict)
+    peaks: dict[str, float] = field(default_factory=dict)
     codes: Counter[str] = field(default_factory=Counter)
     asked: int = 0
     slowest: float = 0.0
@@ -53,17 +56,18 @@ class Watched:
     trips: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
 
-    def look(self, elapsed: float, memory: dict[str, float]) -> None:
-        """Note the memory of each node."""
+    def look(self, elapsed: float, memory: dict[str, float], peaks: dict[str, float]) -> None:
+        """Note the memory of each node, and the most that it has held so far."""
         self.times.append(elapsed)
         for name, value in memory.items():
             self.memory.setdefault(name, []).append(value)
+        self.peaks |= peaks
 
     def row(self, name: str) -> tuple[str, ...]:
         """Return memory at first, median, peak, MB, and growth per hour over the later two thirds, MB, of a node."""
         values = self.memory[name]
         growth = round(3600 * slope(self.times, values))
-        return f"{values[0]:.0f}", f"{np.median(values):.0f}", f"{max(values):.0f}", f"{growth:+d}"
+        return f"{values[0]:.0f}", f"{np.median(values):.0f}", f"{self.peaks[name]:.0f}", f"{growth:+d}"
 
 
 class _Operator:
@@ -132,7 +136,11 @@ def watch(minutes: float, folder: Path, method: str) -> Watched:
             operator.attend()
             if now - looked >= _LOOK:
                 looked = now
-                watched.look(now - begin, {name: node.memory for name, node in nodes.items()})
+                watched.look(
+                    now - begin,
+                    {name: node.memory for name, node in nodes.items()},
+                    {name: highest(node.popen.pid) for name, node in nodes.items()},
+                )
             if now - told >= _TELL:
                 told = now
                 memory = ", ".join(f"{name} {values[-1]:.0f} MB" for name, values in watched.memory.items())

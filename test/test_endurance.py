@@ -123,8 +123,9 @@ def test_memory_and_replies_of_a_live_identification_are_judged():
 
     watched = live_watch.Watched()
     for number in range(31):  # every two minutes
-        watched.look(120.0 * number, {"recorder": 80.0 + number, "identification": 300.0 if number < 4 else 500.0})
-    assert watched.row("identification") == ("300", "500", "500", "+0")
+        held = {"recorder": 80.0 + number, "identification": 300.0 if number < 4 else 500.0}
+        watched.look(120.0 * number, held, {"recorder": 80.0 + number, "identification": 620.0})
+    assert watched.row("identification") == ("300", "500", "620", "+0")
     assert watched.row("recorder") == ("80", "95", "110", "+30")
     for done, reply in (
         (True, Reply(success=True, code="ok", message="")),
@@ -135,6 +136,19 @@ def test_memory_and_replies_of_a_live_identification_are_judged():
     assert watched.codes == {"ok": 1, "coverage": 1, "no answer": 1}
     assert watched.findings == ["identify: Too small.", "identify: no answer"]
     assert watched.slowest == 3.0
+
+
+def test_the_most_memory_ever_held_is_not_forgotten():
+    require_ros()
+    import os
+
+    from node_processes import highest, resident
+
+    before = resident()
+    held = bytearray(64_000_000)
+    held[::4096] = b"x" * len(held[::4096])
+    del held
+    assert highest(os.getpid()) > before + 50.0
 
 
 def test_gaps_between_files_are_counted_and_files_removed(tmp_path):

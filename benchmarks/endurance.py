@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -71,8 +73,8 @@ def live(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     answered = ", ".join(f"{count} `{code}`" for code, count in result.codes.most_common())
     print(f"\n{options.minutes:g} min: {result.asked} requests, {answered}, slowest {result.slowest:.1f} s; ", end="")
     print(f"{result.recorded} samples recorded, {result.dropped} lost; {len(result.trips)} trips")
-    for reason in result.trips:
-        print(f"trip: {reason}")
+    for reason, count in Counter(re.sub(r"[-+.\d]*\d", "…", reason) for reason in result.trips).most_common():
+        print(f"{count} × {reason}")
     yield from result.findings
 
 

@@ -20,7 +20,7 @@ REQUESTS = 30.0
 _LOOK = 10.0
 """Time between two looks at the memory, s."""
 _REPLY = 300.0
-"""Longest wait for a reply, s: other processes may have the cores."""
+"""Longest wait for a reply after the end, s: other processes may have the cores."""
 _TELL = 600.0
 """Time between lines that say how far it is, s."""
 PUBLISHER = "trajectory_publisher"
@@ -149,7 +149,7 @@ def watch(minutes: float, folder: Path, method: str) -> Watched:
                 asked = now
                 watched.asked += 1
                 request = graph.send(Identify, "/identification/identify")
-            if request is not None and (request.done() or now - asked > _REPLY):
+            if request is not None and request.done():
                 _note(watched, request, time.monotonic() - asked)
                 request = None
         watched.findings += [f"{name} has died" for name, node in nodes.items() if not node.alive]

@@ -3,18 +3,22 @@
     python benchmarks/endurance.py                               everything, in a few minutes
     python benchmarks/endurance.py --only crash --states 120     disk states per kind of recording
     python benchmarks/endurance.py --only soak --hours 8 --minutes 15
+    python benchmarks/endurance.py --only live --minutes 62
     python benchmarks/endurance.py --only requests --requests 1000
     python benchmarks/endurance.py --only kills --rounds 30
 
 The seed determines states, requests and kills; the timing of threads and processes differs from run to run. The exit
-code is 1 if there is a finding. Modules: power_cuts, soak, node_requests, node_kills.
+code is 1 if there is a finding. Modules: power_cuts, soak, live_watch, node_requests,
+node_kills.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -58,6 +62,22 @@ def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     yield from result.findings
 
 
+def live(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Test a drive that is identified live, in real time; yield findings."""
+    from live_watch import watch  # noqa: PLC0415
+
+    result = watch(options.minutes, folder / "live", options.method)
+    _row("node", "memory at first, MB", "median", "peak", "growth per hour", head=True)
+    for name in result.memory:
+        _row(f"`{name}`", *result.row(name))
+    answered = ", ".join(f"{count} `{code}`" for code, count in result.codes.most_common())
+    print(f"\n{options.minutes:g} min: {result.asked} requests, {answered}, slowest {result.slowest:.1f} s; ", end="")
+    print(f"{result.recorded} samples recorded, {result.dropped} lost; {len(result.trips)} trips")
+    for reason, count in Counter(re.sub(r"[-+.\d]*\d", "…", reason) for reason in result.trips).most_common():
+        print(f"{count} × {reason}")
+    yield from result.findings
+
+
 def requests(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     """Test many requests; yield findings."""
     from node_requests import many_requests  # noqa: PLC0415
@@ -89,6 +109,7 @@ def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 PARTS: dict[str, Callable[[argparse.Namespace, Path], Iterator[str]]] = {
     "crash": crash,
     "soak": soak,
+    "live": live,
     "requests": requests,
     "kills": kills,
 }
@@ -104,7 +125,7 @@ def main() -> None:
     """Run the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--only", default=",".join(PARTS), help="parts to run, separated by commas: crash,soak,requests,kills"
+        "--only", default=",".join(PARTS), help="parts to run, separated by commas: crash,soak,live,requests,kills"
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--states", type=int, default=10, help="disk states per kind of recording")
@@ -112,7 +133,7 @@ def main() -> None:
         "--recordings", default="", metavar="WORD", help="only kinds of recording whose name contains this"
     )
     parser.add_argument("--hours", type=float, default=0.1, help="length of the stream, at 10 kHz on four topics")
-    parser.add_argument("--minutes", type=float, default=1.0, help="time in which it is published")
+    parser.add_argument("--minutes", type=float, default=1.0, help="time in which it is published; duration of live")
     parser.add_argument(
         "--in-process", action="store_true", help="stream through the classes of the nodes, without DDS"
     )

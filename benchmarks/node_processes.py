@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -46,6 +47,12 @@ def resident(pid: int | None = None) -> float:
     """Return the memory that a process, by default this one, holds, MB."""
     pages = int(Path(f"/proc/{pid or 'self'}/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def highest(pid: int) -> float:
+    """Return the most memory that a process has ever held, MB, which a look every now and then would miss."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    return float(re.findall(r"VmHWM:\s+(\d+) kB", status)[0]) * 1024 / 1e6
 
 
 def slope(times: list[float], values: list[float]) -> float:

@@ -18,6 +18,7 @@ import fitting
 import fleet
 import nodes
 import processes
+import safety
 import streams
 from reporting import Section, machine, show, write
 from rich.console import Console
@@ -39,6 +40,7 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
         "nodes": lambda: nodes.section(repeats),
+        "safety": lambda: safety.section(repeats),
         "fleet": lambda: fleet.section(folder, repeats, 60.0 if options.quick else fleet.SECONDS),
     }
 
@@ -54,7 +56,7 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
     parser.add_argument(
-        "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,fleet"
+        "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,safety,fleet"
     )
     parser.add_argument("--hour", action="store_true", help="also fit an hour at 10 kHz (1.2 GB of disk, minutes)")
     parser.add_argument("--quick", action="store_true", help="one run of each, short recordings: to see that all works")

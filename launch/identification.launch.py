@@ -21,7 +21,7 @@ CONFIG = Path(__file__).resolve().parent.parent / "config"
 NODES = ("trajectory_publisher", "recorder", "identification", "signal_bridge")
 RESPAWN_DELAY = 2.0  # s
 SWITCH = {"true": True, "false": False, "True": True, "False": False}
-SWITCHES = ("use_sim_time", "autostart", "require_status")
+SWITCHES = ("use_sim_time", "autostart", "activate", "require_status")
 NUMBERS = ("i_max", "speed_max")
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 OWN = {
@@ -32,7 +32,8 @@ OWN = {
     "output_directory": (("identification",), "Folder of the results."),
     "signals": (("identification", "signal_bridge"), "Signals file of a bench with topics of its own."),
     "use_sim_time": (NODES, "Use the time on /clock."),
-    "autostart": (NODES, "Have the nodes configure and activate themselves."),
+    "autostart": (NODES, "Have the nodes configure themselves."),
+    "activate": (NODES, "Have nodes that configure themselves activate themselves, too."),
 }
 """Parameters as launch arguments, the nodes that have them, and a sentence."""
 TOPICS = (

@@ -115,6 +115,42 @@ def test_growth_is_that_of_the_later_part():
     assert slope([0.0], [1.0]) == 0.0
 
 
+def test_memory_and_replies_of_a_live_identification_are_judged():
+    require_ros()
+    from types import SimpleNamespace as Reply
+
+    import live_watch
+
+    watched = live_watch.Watched()
+    for number in range(31):  # every two minutes
+        held = {"recorder": 80.0 + number, "identification": 300.0 if number < 4 else 500.0}
+        watched.look(120.0 * number, held, {"recorder": 80.0 + number, "identification": 620.0})
+    assert watched.row("identification") == ("300", "500", "620", "+0")
+    assert watched.row("recorder") == ("80", "95", "110", "+30")
+    for done, reply in (
+        (True, Reply(success=True, code="ok", message="")),
+        (True, Reply(success=False, code="coverage", message="Too small.")),
+        (False, None),
+    ):
+        live_watch._note(watched, Reply(done=lambda: done, result=lambda: reply), 3.0)  # noqa: B023
+    assert watched.codes == {"ok": 1, "coverage": 1, "no answer": 1}
+    assert watched.findings == ["identify: Too small.", "identify: no answer"]
+    assert watched.slowest == 3.0
+
+
+def test_the_most_memory_ever_held_is_not_forgotten():
+    require_ros()
+    import os
+
+    from node_processes import highest, resident
+
+    before = resident()
+    held = bytearray(64_000_000)
+    held[::4096] = b"x" * len(held[::4096])
+    del held
+    assert highest(os.getpid()) > before + 50.0
+
+
 def test_gaps_between_files_are_counted_and_files_removed(tmp_path):
     require_ros()
     import soak

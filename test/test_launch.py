@@ -112,16 +112,18 @@ def test_what_is_given_prevails(monkeypatch):
 
 def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
     text = lambda value: (value, str)  # noqa: E731  # as ParameterValue
-    given = {"data_directory": "/data", "output_directory": "/out", "autostart": "false", "log_level": "debug"}
+    given = {"data_directory": "/data", "output_directory": "/out", "activate": "false", "log_level": "debug"}
     launched = Launched("identification.launch.py", monkeypatch, **given)
     nodes = launched.nodes()
-    assert launched.own(nodes["recorder"]) == {"data_directory": text("/data"), "autostart": False}
-    expected = {"data_directory": text("/data"), "output_directory": text("/out"), "autostart": False}
+    assert launched.own(nodes["recorder"]) == {"data_directory": text("/data"), "activate": False}
+    expected = {"data_directory": text("/data"), "output_directory": text("/out"), "activate": False}
     assert launched.own(nodes["identification"]) == expected
-    assert launched.own(nodes["trajectory_publisher"]) == {"autostart": False}
+    assert launched.own(nodes["trajectory_publisher"]) == {"activate": False}
     for node in nodes.values():
         option, level = node.ros_arguments
         assert (option, level.perform(launched.context)) == ("--log-level", "debug")
+    launched = Launched("identification.launch.py", monkeypatch, autostart="false")
+    assert [launched.own(node) for node in launched.nodes().values()] == [{"autostart": False}] * 3
 
 
 def test_the_bridge_or_the_identification_reads_the_signals_file(monkeypatch):

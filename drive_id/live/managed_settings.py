@@ -11,7 +11,8 @@ from drive_id.settings import check, setting
 class ManagedSettings:
     """Who brings a managed node up."""
 
-    autostart: bool = setting(True, "Configure and activate the node at its start, without a lifecycle manager")
+    autostart: bool = setting(True, "Configure the node at its start, without a lifecycle manager")
+    activate: bool = setting(True, "Activate it as well; false: it subscribes and waits to be activated")
 
     def __post_init__(self) -> None:
         check(self)

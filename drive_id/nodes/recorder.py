@@ -194,6 +194,8 @@ class Recorder(ManagedNode):
     def _commanded(self, response: Any, command: Callable[[RecordingSession], None], message: str) -> Any:
         """Give the recording under way a command at this place among its messages, or say that there is none."""
         session = self._session
+        if not self.active:
+            return self.answer(command.__name__, response, response.CODE_INACTIVE, self.inactive())
         if session is None or session.error or self._stopping:
             return self.answer(command.__name__, response, response.CODE_NOT_RECORDING, _NOTHING)
         self._topics.drain()

@@ -108,9 +108,9 @@ def operator():
         folders = {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out")}
         for name, parameters in (
             ("bench_simulator", {}),
-            ("trajectory_publisher", PATIENT),
-            ("recorder", {"data_directory": str(ros.folder), "autostart": False}),
-            ("identification", folders),
+            ("trajectory_publisher", {**PATIENT, "activate": False}),
+            ("recorder", {"data_directory": str(ros.folder), "activate": False}),
+            ("identification", {**folders, "activate": False}),
         ):
             file = ROOT / "config" / f"{name}.yaml"
             ros.start(f"drive_id.nodes.{name}", parameters=parameters, files=[file])

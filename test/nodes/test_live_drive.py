@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
-from live_drive import PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
+from live_drive import BENCH, PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
 from ros_bench import ros_bench
 from simulated_time import SimulatedTime
 
 from drive_id.bench.machines import machine_map
 from drive_id.files.machines.ground_truth import decode_truth
+
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 @pytest.fixture(scope="module")
@@ -261,6 +264,37 @@ def test_a_killed_bench_trips_the_watchdog():
         drive.replace_bench()
         drive.clear()
         drive.start()
+
+
+def test_set_points_beyond_the_limit_of_the_drive_are_ignored_not_scaled():
+    from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents
+
+    from drive_id.nodes.support.qos import STREAM
+
+    with ros_bench() as ros:
+        ros.start(BENCH, files=[CONFIG / "bench_simulator.yaml"])
+        faults, peaks = [], []
+        ros.node.create_subscription(DriveStatus, "/drive_status", lambda said: faults.append(said.fault), STREAM)
+        ros.node.create_subscription(
+            PhaseCurrents,
+            "/phase_currents",
+            lambda block: peaks.append(np.abs([block.a, block.b, block.c]).max()),
+            STREAM,
+        )
+        publisher = ros.node.create_publisher(CurrentReference, "/current_reference", STREAM)
+        ros.wait(lambda: publisher.get_subscription_count() and faults and peaks, "the drive")
+
+        def send(amplitude, session):
+            block = CurrentReference(d=[amplitude] * 20_000, q=[0.0] * 20_000, sample_period=1e-4, session=session)
+            block.header.stamp = ros.node.get_clock().now().to_msg()
+            publisher.publish(block)
+
+        send(400.0, 1 << 16)
+        ros.wait(lambda: "Set-points of 400 A exceed the limit of 300 A." in faults, "a fault")
+        ros.wait(lambda: not faults[-1], "a drive that has rested")
+        assert max(peaks) < 3.0
+        send(50.0, 2 << 16)
+        ros.wait(lambda: peaks[-1] > 40.0, "the current of set-points within the limit")
 
 
 def test_two_drives_on_one_graph_one_of_them_with_other_names():

@@ -154,6 +154,18 @@ def test_without_autostart_each_state_permits_what_it_should(ros):
     managed.close()
 
 
+def test_without_activate_it_configures_itself_and_waits(ros):
+    managed = Managed(ros, activate=False)
+    assert managed.state() == "inactive"
+    ros.wait(lambda: ros.node.count_publishers("/current_reference"), "the publisher of a configured node")
+    assert managed.ask("start_experiment").code == "inactive"
+    assert managed.change("activate")
+    managed.begin()
+    assert managed.process.interrupt()[0] == 0
+    managed.assert_ends_at_zero()
+    managed.close()
+
+
 def test_every_reply_has_a_code(ros):
     """What the drive alone can bring about, the tests of the supervision do."""
     from std_msgs.msg import Bool, Empty
@@ -163,8 +175,12 @@ def test_every_reply_has_a_code(ros):
     beat = ros.node.create_publisher(Empty, f"{NAME}/heartbeat", 1)
     assert managed.ask("start_experiment").code == "inactive"
     assert managed.ask("stop_experiment").code == "ok"
+    reply = managed.ask("clear_fault")
+    assert reply.code == "inactive"
+    assert reply.message.startswith("Not cleared. The node is unconfigured: configure and activate it")
     assert managed.change("configure")
     assert managed.ask("start_experiment").code == "inactive"
+    assert managed.ask("clear_fault").code == "inactive"
     assert managed.change("activate")
     ros.wait(lambda: managed.ask("start_experiment", require_lease=True).code == "no_heartbeat", "the drive")
     ros.wait(lambda: managed.ask("start_experiment", dry_run=True).success, "a dry run")

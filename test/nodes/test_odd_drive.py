@@ -50,6 +50,13 @@ def test_a_start_beyond_the_limit_of_the_drive_is_refused(drive):
     drive.refuses("limit", "i_max is 50 A, above the current_limit of the drive, 40 A.")
 
 
+def test_a_current_above_the_limit_of_the_drive_trips(drive):
+    drive.status["current_limit"] = 52.0
+    drive.runs()
+    drive.spike = 58.0  # within 1.25 i_max
+    drive.trips("The current of phase a is 58 A, above 57.2 A.")
+
+
 def test_exchanged_phases_trip(drive):
     drive.sense = -1
     drive.asks("start_experiment", lambda reply: reply.success, "a start")

@@ -561,6 +561,8 @@ def test_a_disk_with_little_space(ros):
 
 
 def test_the_lifecycle(ros):
+    from drive_id_msgs.srv import Command
+
     recorder = Recorder(ros, autostart=False)
     change, bench = partial(change_state, ros, recorder.name), Bench(ros)
     reply = recorder.start("bag")
@@ -578,6 +580,10 @@ def test_the_lifecycle(ros):
     assert change("deactivate")
     assert len(read_recording(recorder.data / "bag").samples) == 500
     assert recorder.stop().code == "not_recording"
+    for name in ("pause", "resume", "split_bagfile"):
+        reply = ros.call(Command, f"{recorder.name}/{name}")
+        assert (reply.success, reply.code) == (False, "inactive")
+        assert "The node is inactive: activate it" in reply.message
     for _ in range(3):
         assert change("cleanup")
         ros.wait(lambda: not any(p.get_subscription_count() for p in bench.publishers.values()), "no subscription")

@@ -148,7 +148,8 @@ class ExperimentSettings:
     )
     current_limit: float | None = setting(
         None,
-        "Largest measured phase current allowed; default: 1.25 i_max, free_shaft 1.2 i_max",
+        "Largest measured phase current allowed, besides 1.1 times the limit in drive_status; default: 1.25 i_max, "
+        "free_shaft 1.2 i_max",
         unit="A",
         minimum=0.0,
         maximum=1e6,

@@ -25,6 +25,10 @@ _STRAY = 1_000_000
 _BRIEFLY = 0.1
 """Time for which an offset of the clock or another session may last, s: a stalled process catches up meanwhile."""
 
+CURRENT_MARGIN = 1.1
+"""Measured current that trips, by the drive's own current_limit: set-points may reach that limit, and overshoot of the
+current control, noise and ripple come on top, 4 % with the simulated drives."""
+
 Message = TypeVar("Message", SampleBlock, DriveStatus)
 
 
@@ -160,7 +164,7 @@ class Watchdog:
     def currents(self, now: int, steady: float, block: SampleBlock) -> Fault | None:
         """Check a block of phase currents, three (N,) arrays, A, and return its fault."""
         fault = _malformed(self._currents.name, block)
-        limit = self.settings.largest_phase_current
+        limit = min(self.settings.largest_phase_current, CURRENT_MARGIN * self.own_current_limit)
         if fault is None and len(block):
             peaks = [float(np.max(np.abs(phase))) for phase in block.values]
             if max(peaks) > limit:
@@ -272,6 +276,11 @@ class Watchdog:
         high = own if high is None else min(high, own)
         return (-abs(high) if low is None else max(low, -own)), high
 
+    @property
+    def own_current_limit(self) -> float:
+        """Largest amplitude that the drive says it follows, A; infinite if it does not say."""
+        return math.inf if self._status.last is None else _limit(None, self._status.last.current_limit)
+
     def fault(self, now: int, steady: float) -> Fault | None:
         """Return the present fault, the most urgent one first."""
         return next((fault for fault in self._faults(now, steady) if fault is not None), None)
@@ -283,7 +292,7 @@ class Watchdog:
                 "speed_max is not set, and the drive reports no speed_limit: set speed_max, the highest electrical "
                 "speed at which the machine may be driven, in rad/s."
             )
-        limit = math.inf if self._status.last is None else _limit(None, self._status.last.current_limit)
+        limit = self.own_current_limit
         if self.settings.i_max > limit * (1 + 1e-6):
             return Fault(f"i_max is {self.settings.i_max:g} A, above the current_limit of the drive, {limit:g} A.")
         return None

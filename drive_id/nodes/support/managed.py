@@ -34,7 +34,7 @@ def guard_transitions(node: LifecycleNode) -> None:
 
 
 class ManagedNode(LifecycleNode):
-    """A managed node that configures and activates itself unless ``autostart`` is false.
+    """A managed node that configures itself unless ``autostart`` is false, and activates itself unless ``activate`` is.
 
     Subclasses call :meth:`bring_up` at the end of their constructor, and define :meth:`connect`, :meth:`disconnect` and
     :meth:`rest`. Services and diagnostics are there in every state.
@@ -45,11 +45,12 @@ class ManagedNode(LifecycleNode):
         guard_transitions(self)
         self.paced = PacedServices(self)
         self.active = self._connected = self._finalized = False
-        self._autostart = declare_settings(self, ManagedSettings, read_only=["autostart"]).autostart
+        self._managed = declare_settings(self, ManagedSettings, read_only=ManagedSettings.__dataclass_fields__)
 
     def bring_up(self, ready: str) -> None:
-        """Configure and activate the node if it does so by itself, and log the sentence ``ready``."""
-        if self._autostart and self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
+        """Configure and activate the node as far as it does so by itself; log ``ready`` or what it waits for."""
+        configured = self._managed.autostart and self.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        if configured and self._managed.activate:
             self.trigger_activate()
         self.get_logger().info(ready if self.active else self.inactive())
 

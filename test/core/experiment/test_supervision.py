@@ -434,6 +434,23 @@ def test_a_radius_above_the_limit_of_the_drive_is_refused(bench):
     assert bench.start()[1] == "Not started: i_max is 10 A, above the current_limit of the drive, 9 A."
 
 
+@pytest.mark.parametrize(
+    ("current_limit", "peak", "limit"),
+    [(None, 12.4, np.inf), (None, 12.6, 12.5), (12.0, 12.1, 12.0), (None, 11.1, np.inf), (15.0, 11.6, 11.55)],
+)
+def test_the_limit_of_the_drive_bounds_the_measured_current(current_limit, peak, limit):
+    """By default 1.25 i_max; the drive of 10.5 A trips at 1.1 times that, whatever the parameter allows."""
+    bench = Bench(dataclasses.replace(SETTINGS, current_limit=current_limit))
+    bench.status = {"current_limit": np.nan if peak > 12.0 else 10.5}
+    bench.ticks(3)
+    bench.start()
+    bench.ticks(1)
+    bench.peak = peak
+    bench.ticks(1)
+    wanted = f"The current of phase a is {peak:g} A, above {limit:g} A."
+    assert bench.watched.trip_reason == ("" if np.isinf(limit) else wanted)
+
+
 def test_nothing_exceeds_the_ceiling():
     with pytest.raises(ConfigurationError, match="i_max is 10 A, above current_ceiling, 9 A"):
         dataclasses.replace(SETTINGS, current_ceiling=9.0)
@@ -621,7 +638,7 @@ def codes(name):
 
 
 def test_every_answer_has_its_code(bench):
-    """All of StartExperiment but that of a node that is not active, and of Command those of the publisher."""
+    """All of StartExperiment but that of a node that is not active, and likewise of Command those of the publisher."""
     found = {"start": [], "stop": [], "clear_fault": []}
 
     def ask(what, *further, **options):
@@ -656,7 +673,7 @@ def test_every_answer_has_its_code(bench):
     bench.ticks(100)
     assert ask("stop") == "current_flows"
     assert {*found["start"], "no_clock", "inactive"} == codes("StartExperiment")
-    assert {*found["stop"], *found["clear_fault"], "not_recording"} == codes("Command")
+    assert {*found["stop"], *found["clear_fault"], "inactive", "not_recording"} == codes("Command")
 
 
 def test_a_stop_at_rest_brings_others_to_zero(bench):

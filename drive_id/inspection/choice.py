@@ -252,8 +252,8 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
         options += _by_rotation(u, angle)
     best: Choice | None = None
     for turn, modulus, ratios in options:
-        if best is not None and best.reading.unexplained < _GOOD:
-            break
+        if ratios and best and best.turn == angle.like.turn and best.reading.unexplained < _GOOD:
+            break  # it starts again at each turn
         try:
             samples = _samples(i, u, replace(angle, like=replace(angle.like, turn=turn)), modulus, dc)
         except DataError:

@@ -50,7 +50,7 @@ from drive_id.cli.outputs import beside
 from drive_id.cli.plan import plan_experiment, plan_settings
 from drive_id.cli.report import report_result
 from drive_id.cli.verify import verify_result
-from drive_id.errors import DriveIdError
+from drive_id.errors import DriveIdError, OutputError
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -278,6 +278,8 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
+    except OutputError as error:
+        raise OutputError(f"The result in {output} is complete, but without pictures. {error}") from error
     if not quiet:
         say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 

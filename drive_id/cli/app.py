@@ -279,7 +279,9 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
     except OutputError as error:
-        raise OutputError(f"The result in {output} is complete, but without pictures. {error}") from error
+        why = str(error)
+        said = f"The result in {output} is complete, but without pictures: {why[:1].lower()}{why[1:]}"
+        raise OutputError(said) from error
     if not quiet:
         say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 

@@ -837,7 +837,7 @@ def test_a_report_that_cannot_be_added_leaves_the_result(run, bag, monkeypatch):
 
     monkeypatch.setattr(drive_id.Identification, "save", full)
     refused = run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet")
-    assert_one_sentence(refused, "The result in results is complete, but without pictures. The output")
+    assert_one_sentence(refused, "The result in results is complete, but without pictures: the output")
     assert drive_id.load("results").resistance > 0
 
 

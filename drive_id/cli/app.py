@@ -272,16 +272,19 @@ def fit(
 
 def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *, report: bool, quiet: bool) -> None:
     """Add pictures and report to a result folder."""
+    missing = ""
     try:
         with working(quiet) as tell:
             tell("Writing the report" if report else "Drawing", None)
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
-    except OutputError as error:
-        why = str(error)
-        said = f"The result in {output} is complete, but without pictures: {why[:1].lower()}{why[1:]}"
-        raise OutputError(said) from error
+    except (DriveIdError, ImportError, OSError, MemoryError) as error:
+        missing = str(error).rstrip(".") or "the memory is not sufficient"
+    if missing:  # raised here, where nothing holds what the failed pictures took
+        raise OutputError(
+            f"The result in {output} is complete, but without pictures: {missing[:1].lower()}{missing[1:]}."
+        )
     if not quiet:
         say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 

@@ -826,18 +826,28 @@ def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     assert "report.html" not in tree(Path("results"))
 
 
-def test_a_report_that_cannot_be_added_leaves_the_result(run, bag, monkeypatch):
-    """The disk is full when the pictures are written."""
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OutputError("The output results cannot be written (disk full)."), "the output results cannot be written"),
+        (OSError(24, "Too many open files"), "Too many open files"),
+        (ImportError("x.so: failed to map segment"), "x.so: failed to map"),
+        (MemoryError(), "the memory is not sufficient."),
+    ],
+)
+def test_a_report_that_cannot_be_added_leaves_the_result(run, bag, monkeypatch, error, said):
+    """The computer runs out of something when the pictures are made."""
     save = drive_id.Identification.save
 
-    def full(self, path, **options):
+    def refused(self, path, **options):
         if options.get("draw"):
-            raise OutputError(f"The output {path} cannot be written (No space left on device): make room.")
+            raise error
         return save(self, path, **options)
 
-    monkeypatch.setattr(drive_id.Identification, "save", full)
-    refused = run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet")
-    assert_one_sentence(refused, "The result in results is complete, but without pictures: the output")
+    monkeypatch.setattr(drive_id.Identification, "save", refused)
+    ran = run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet")
+    assert_one_sentence(ran, "The result in results is complete, but without pictures: ")
+    assert said in ran.err
     assert drive_id.load("results").resistance > 0
 
 

@@ -389,6 +389,16 @@ def test_an_outlier_that_makes_a_map_implausible_is_named(tmp_path):
         import_map(Source(tmp_path / "o.csv"))
 
 
+def test_currents_that_differ_by_less_than_numbers_tell_are_refused(tmp_path):
+    """As damage leaves them: some differences are so small that their squares vanish."""
+    rows = _point_rows()
+    rows[:40, 0] = 1e-310 * np.arange(40)
+    rows[:40, 1] = 0.0
+    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
+    with pytest.raises(ConfigurationError, match="not plausible"):
+        import_map(Source(tmp_path / "d.csv"))
+
+
 @pytest.mark.parametrize("axes", [(0,), (1,), (0, 1)])
 def test_descending_axes_are_the_same_map(axes, tmp_path):
     names, arrays = ("i_d", "i_q", "psi_d", "psi_q"), (np.arange(-9.0, 10.0), np.arange(-8.0, 9.0))

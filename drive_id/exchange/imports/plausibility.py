@@ -179,13 +179,16 @@ def large_flux(psi_dq: FloatArray) -> Message | None:
     return Message("import_large_flux", flux=largest, voltage=2 * np.pi * 50 * largest)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _planes(i_dq: FloatArray, psi_dq: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fit a plane to each (M) group of K points; return slopes (M, 2, 2), which of them hold, and values at (M, 2)."""
     offset = i_dq - at[:, None]
     size = np.abs(offset).max(axis=(1, 2), keepdims=True)
     columns = np.concatenate([np.ones_like(offset[..., :1]), offset / size], axis=-1)
     normal = np.einsum("mka,mkb->mab", columns, columns)
-    known = np.linalg.cond(normal) < 1e6  # not points on one line
+    known = np.isfinite(normal).all(axis=(1, 2))  # not points within less than numbers can tell
+    normal[~known] = np.eye(3)
+    known &= np.linalg.cond(normal) < 1e6  # not points on one line
     normal[~known] = np.eye(3)
     found = np.linalg.solve(normal, np.einsum("mka,mkb->mab", columns, psi_dq))
     slopes = np.swapaxes(found[:, 1:], 1, 2) / size

@@ -71,7 +71,7 @@ CASES = (
         for heavier in (0.3, 1.0, 10.0)
     ),
     Case("ipm at 20 Hz", "ipm", swing={"frequency": 20.0}),
-    Case("pmsyrm at 20 Hz", "pmsyrm", swing={"frequency": 20.0}),
+    Case("pmsyrm at 20 Hz, creeping at 60 rpm", "pmsyrm", swing={"frequency": 20.0, "mean_speed": 60.0}),
     *(Case(f"{name} at 60 Hz, creeping at 60 rpm", name, swing=CREEPING) for name in ("ipm", "spm", "pmsyrm")),
     Case("ipm with iron loss, 20 Hz", "ipm", swing={"frequency": 20.0}, drive={"iron_conductance": 0.02}),
     Case("ipm with faulty sensors", "ipm", drive=FAULTS),

@@ -30,6 +30,7 @@ from drive_id.fitting.sources import read_bag
 OFFSET = 0.7  # rad
 SPEED_MAX, FLYWHEEL = 1500.0, 750.0  # rpm
 _RPM = 2 * math.pi / 60
+BEGIN, END = "<!-- live -->", "<!-- end of live -->"
 HEAD = "| live | error of ψ_d / ψ_q | R (z) | bands | J (z) | largest speed, current | warnings |"
 
 
@@ -104,17 +105,26 @@ def row(machine_name: str, heavier: float, folder: Path, time_scale: float) -> s
 
 
 def main() -> None:
-    """Run all and print the table."""
+    """Run all, print the table, and write it into a page."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--machines", nargs="*", default=["ipm", "spm", "pmsyrm"])
     parser.add_argument("--inertias", nargs="*", type=float, default=[0.3, 1.0, 10.0])
     parser.add_argument("--time-scale", type=float, default=1.0, help="below 1 on a computer that is busy otherwise")
+    parser.add_argument("--page", type=Path, help="page whose table to replace (Markdown)")
     options = parser.parse_args()
-    print(HEAD, "|---|---|---|---|---|---|---|", sep="\n", flush=True)
+    lines = [HEAD, "|---|---|---|---|---|---|---|"]
+    print(*lines, sep="\n", flush=True)
     for machine in options.machines:
         for heavier in options.inertias:
             with tempfile.TemporaryDirectory() as folder:
-                print(row(machine, heavier, Path(folder), options.time_scale), flush=True)
+                lines.append(row(machine, heavier, Path(folder), options.time_scale))
+                print(lines[-1], flush=True)
+    if options.page:
+        text = options.page.read_text(encoding="utf-8")
+        before, _, rest = text.partition(BEGIN)
+        options.page.write_text(
+            "\n".join([before + BEGIN, "", *lines, "", END]) + rest.partition(END)[2], encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

@@ -164,6 +164,7 @@ def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, 
         "not one sentence": ran.code in (1, 130) and not sentence,
         "left behind": ran.code in (1, 130)
         and case.limit.name != "full_output"  # of which the result is whole, and cannot be shown
+        and "is complete, but without pictures" not in said
         and case.arguments[0] in _MAKING
         and (folder / "out").exists(),
         "wrong map": bool(wrong),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import multiprocessing
 import os
 import time
@@ -28,7 +27,9 @@ import population_report
 from population_drives import Drive, drive, on_free_shaft, recordings, true_flux
 
 import drive_id
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
+from drive_id.core.result.identification import Mechanics
 from drive_id.errors import DriveIdError
 from drive_id.types import Samples
 
@@ -65,6 +66,8 @@ CAUSES = {
     "harmonics": ("harmonic",),
 }  # fmt: skip
 """By cause: codes of warnings, effects that they name, and names of corrections."""
+MECHANICS = {"J": "inertia", "B": "viscous_friction", "T_c": "friction"}
+"""Mechanics of a free shaft: their symbols and names."""
 _WEAK = {"resistance_vague", "sigma_large", "too_short", "wide_curve", "little_coverage"}
 """Warnings that say what the data leave open, true of any drive."""
 
@@ -107,9 +110,7 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
     wrong = found.resistance - one.resistance()
     row |= {"R": 100 * wrong / one.resistance(), "R_z": wrong / found.sigma_resistance}
     if one.swing is not None and found.mechanics is not None:
-        true_inertia = one.settings[0].inertia or math.nan
-        wrong = found.mechanics.inertia - true_inertia
-        row |= {"J": 100 * wrong / true_inertia, "J_z": wrong / found.mechanics.sigma_inertia}
+        row |= _mechanics(one.settings[0], found.mechanics)
     row["corrected"] = {
         entry.name: [entry.value, entry.sigma]
         for entry in found.calibrations
@@ -117,6 +118,30 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
     }
     row["not_reciprocal"] = any(warning.code == "not_reciprocal" for warning in found.warnings)
     return row
+
+
+def _mechanics(true: SimulationSettings, found: Mechanics) -> Row:
+    """Compare inertia and frictions with the truth: percent, and standard errors."""
+    out: Row = {}
+    for name, own in MECHANICS.items():
+        value, sigma = getattr(found, own), getattr(found, f"sigma_{own}")
+        exact = getattr(true, "coulomb_friction" if own == "friction" else own)
+        if value is not None and exact:
+            out |= {name: 100 * (value / exact - 1), f"{name}_z": (value - exact) / sigma}
+    return out
+
+
+def mechanics_lines(rows: Sequence[Row], method: str) -> list[str]:
+    """Return rows of a table: how often the standard errors of the mechanics hold, over drives that obey the model."""
+    out = ["| of free shafts that obey the model | median error | rms of z | within 1.96 |", "|---|---|---|---|"]
+    for name in MECHANICS:
+        fits = [row["fits"][method] for row in rows if row["well_posed"] and name in row["fits"].get(method, {})]
+        z = np.abs([fit[f"{name}_z"] for fit in fits])
+        if len(z):
+            size = float(np.median(np.abs([fit[name] for fit in fits])))
+            rms, share = float(np.sqrt(np.mean(z**2))), 100 * float(np.mean(z < BAND))
+            out.append(f"| {name} | {size:.2g} % | {rms:.2f} | {share:.0f} % of {len(z)} |")
+    return out
 
 
 def measured(seed: int, number: int, methods: Sequence[str], cache: Path | None, free_shaft: bool = False) -> Row:
@@ -272,7 +297,7 @@ def line_of(row: Row) -> str:
         if "psi_d" in fit:
             cells.append(
                 f"{method} {fit['psi_d']:.3f}/{fit['psi_q']:.3f} % R {fit['R']:+.1f} % ({fit['R_z']:+.1f}) "
-                + (f"J {fit['J']:+.2f} % ({fit['J_z']:+.1f}) " if "J" in fit else "")
+                + "".join(f"{name} {fit[name]:+.2f} % ({fit[f'{name}_z']:+.1f}) " for name in MECHANICS if name in fit)
                 + f"band {fit['band']:.2f} {len(fit['warnings'])}w {fit['seconds']:.1f}s {verdicts}"
             )
         else:
@@ -318,6 +343,8 @@ def main() -> None:
     verdicts = {(row["number"], method): judged(row, method) for row in chosen for method in methods}
     command = f'make population ARGS="--count {options.count} --seed {options.seed}"'
     lines = [*population_report.page(chosen, methods, verdicts, command)]
+    if options.free_shaft:
+        lines += ["", *mechanics_lines(chosen, methods[0])]
     if options.page:
         options.page.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     print("\n".join(lines))

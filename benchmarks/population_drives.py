@@ -21,6 +21,7 @@ from drive_id.bench.swing import Swing
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.free_shaft import plan_free_shaft
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
+from drive_id.errors import ConfigurationError
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import FloatArray, Samples
 
@@ -260,7 +261,10 @@ def drive(seed: int, number: int) -> Drive:
 
 
 def on_free_shaft(one: Drive) -> Drive:
-    """Return the drive without load machine, its swing as planned from rough data; of two recordings, the first."""
+    """Return the drive without load machine, its swing as planned from rough data; of two recordings, the first.
+
+    A drive for which no swing can be planned is returned with its load machine.
+    """
     rng = np.random.default_rng([one.seed, one.number, 1])
     first, machine_map = one.settings[0], one.machine.to_map("")
     bandwidth = float(rng.uniform(100.0, 150.0))
@@ -268,7 +272,10 @@ def on_free_shaft(one: Drive) -> Drive:
     fastest = max(abs(first.speeds[0]), _SLOWEST_SWING)
     settings = PlanSettings(**rough, speed_min=1.0, speed_max=fastest, duration=one.seconds)
     torque = largest_torque(build_machine(machine_map, replace(first, i_max=one.i_max)))
-    plan = plan_free_shaft(settings, torque / float(np.exp(rng.uniform(np.log(300.0), np.log(12_000.0)))))
+    try:
+        plan = plan_free_shaft(settings, torque / float(np.exp(rng.uniform(np.log(300.0), np.log(12_000.0)))))
+    except ConfigurationError:
+        return one
     changes: Changes = {
         "free_shaft": True,
         "inertia": plan.inertia,
@@ -277,7 +284,7 @@ def on_free_shaft(one: Drive) -> Drive:
         "cogging_torque": torque * float(rng.choice([0.0, rng.uniform(2e-3, 0.01)])),
         "speed_observer": float(rng.choice([0.0, 60.0, 100.0, 200.0])),
         "speed_ripple": 0.0,
-        "current_bandwidth": bandwidth,
+        "current_bandwidth": plan.bandwidth,
         "controller_inductance": float(rng.uniform(0.7, 1.2)),
         "controller_flux": float(rng.uniform(0.85, 1.1)),
     }

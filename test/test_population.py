@@ -57,6 +57,17 @@ def test_a_part_of_the_population_on_free_shafts(population, number):
     assert abs(fit["J"]) < 0.5
 
 
+@pytest.mark.usefixtures("population")
+@pytest.mark.parametrize("number", [37, 67])
+def test_a_planned_swing_keeps_below_the_trips(number):
+    """A reluctance machine and one of weak magnets that tripped before plans expected poor current controllers."""
+    import free_shaft_trips
+
+    found = free_shaft_trips.outcome(SEED, number, 4.0)
+    assert found.good
+    assert found.reason == ""
+
+
 def test_drives_depend_on_seed_and_number_alone(population):
     assert population.drive(3, 17) == population.drive(3, 17)
     assert population.drive(3, 17) != population.drive(4, 17)

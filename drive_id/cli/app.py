@@ -50,7 +50,7 @@ from drive_id.cli.outputs import beside
 from drive_id.cli.plan import plan_experiment, plan_settings
 from drive_id.cli.report import report_result
 from drive_id.cli.verify import verify_result
-from drive_id.errors import DriveIdError
+from drive_id.errors import DriveIdError, OutputError
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -272,12 +272,19 @@ def fit(
 
 def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *, report: bool, quiet: bool) -> None:
     """Add pictures and report to a result folder."""
+    missing = ""
     try:
         with working(quiet) as tell:
             tell("Writing the report" if report else "Drawing", None)
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
+    except (DriveIdError, ImportError, OSError, MemoryError) as error:
+        missing = str(error).rstrip(".") or "the memory is not sufficient"
+    if missing:  # raised here, where nothing holds what the failed pictures took
+        raise OutputError(
+            f"The result in {output} is complete, but without pictures: {missing[:1].lower()}{missing[1:]}."
+        )
     if not quiet:
         say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 

@@ -34,6 +34,7 @@ LARGEST_DUTY = 1.17
 """Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
 _MOST_TRIED = 12
 """Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
+_LONGEST = 2.0**62  # ns, which stamps hold
 _GOOD = 0.15
 """Share of the voltage, unexplained, that a right choice hardly exceeds."""
 _NAME = 0.1
@@ -162,7 +163,8 @@ def time_column(table: Table) -> tuple[str, str] | None:
         said = re.search(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$", name.lower())
         units = [said.group(1).replace("µ", "u")] if said else ["s", "ms", "us", "ns"]
         for unit in units:
-            if _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
+            fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
+            if fits and _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
                 return name, unit
     name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
     steps = np.diff(x)
@@ -252,8 +254,8 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
         options += _by_rotation(u, angle)
     best: Choice | None = None
     for turn, modulus, ratios in options:
-        if best is not None and best.reading.unexplained < _GOOD:
-            break
+        if ratios and best and best.turn == angle.like.turn and best.reading.unexplained < _GOOD:
+            break  # it starts again at each turn
         try:
             samples = _samples(i, u, replace(angle, like=replace(angle.like, turn=turn)), modulus, dc)
         except DataError:

@@ -21,6 +21,7 @@ from drive_bags import blocks_of, changed, with_arrays, wrapped, write_blocks
 
 import drive_id
 from drive_id.cli import app as cli
+from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import Topics, write_recording
 from drive_id.quantity import measured
@@ -823,6 +824,31 @@ def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     }
     assert run("fit", bag, *JOINT, "--output", "results", "--quiet").code == 0
     assert "report.html" not in tree(Path("results"))
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OutputError("The output results cannot be written (disk full)."), "the output results cannot be written"),
+        (OSError(24, "Too many open files"), "Too many open files"),
+        (ImportError("x.so: failed to map segment"), "x.so: failed to map"),
+        (MemoryError(), "the memory is not sufficient."),
+    ],
+)
+def test_a_report_that_cannot_be_added_leaves_the_result(run, bag, monkeypatch, error, said):
+    """The computer runs out of something when the pictures are made."""
+    save = drive_id.Identification.save
+
+    def refused(self, path, **options):
+        if options.get("draw"):
+            raise error
+        return save(self, path, **options)
+
+    monkeypatch.setattr(drive_id.Identification, "save", refused)
+    ran = run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet")
+    assert_one_sentence(ran, "The result in results is complete, but without pictures: ")
+    assert said in ran.err
+    assert drive_id.load("results").resistance > 0
 
 
 def test_a_report_is_refused_in_one_sentence(run, fitted):

@@ -35,7 +35,7 @@ def transient(inverter):
 
 
 @pytest.mark.parametrize(
-    ("name", "inverter", "accuracy"), [("fmu", "none", 2e-5), ("fmu-2", "none", 2e-5), ("fmu", "dead_time", 2e-4)]
+    ("name", "inverter", "accuracy"), [("fmu", "none", 2e-5), ("fmu-2", "none", 2e-5), ("fmu", "dead_time", 4e-5)]
 )
 def test_currents_of_a_transient(name, inverter, accuracy, tmp_path):
     found, samples = transient(inverter)

@@ -371,6 +371,55 @@ def test_an_outlier_is_told(tmp_path):
     )
 
 
+def test_fluxes_that_may_be_in_milliweber_are_told(tmp_path):
+    """A machine of 4 mWb: its map could be that of a large machine."""
+    largest = np.hypot(*_point_rows()[:, 2:].T).max()
+    for milliweber, codes in ((1.9e3, []), (4.0e3, ["import_large_flux"])):
+        rows = _point_rows(1e-3 * milliweber / largest)
+        np.savetxt(tmp_path / "m.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
+        assert [warning.code for warning in import_map(Source(tmp_path / "m.csv")).warnings] == codes
+
+
+def test_an_outlier_that_makes_a_map_implausible_is_named(tmp_path):
+    rows = _point_rows()
+    rows[130, 3] -= 20 * np.abs(rows[:, 3]).max()
+    np.savetxt(tmp_path / "o.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
+    place = rf"which is for one point. The flux linkage at i_d = {rows[130, 0]:.4g} A, i_q = {rows[130, 1]:.4g} A"
+    with pytest.raises(ConfigurationError, match=place):
+        import_map(Source(tmp_path / "o.csv"))
+
+
+def test_currents_that_differ_by_less_than_numbers_tell_are_refused(tmp_path):
+    """As damage leaves them: some differences are so small that their squares vanish."""
+    rows = _point_rows()
+    rows[:40, 0] = 1e-310 * np.arange(40)
+    rows[:40, 1] = 0.0
+    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
+    with pytest.raises(ConfigurationError, match="not plausible"):
+        import_map(Source(tmp_path / "d.csv"))
+
+
+@pytest.mark.parametrize("axes", [(0,), (1,), (0, 1)])
+def test_descending_axes_are_the_same_map(axes, tmp_path):
+    names, arrays = ("i_d", "i_q", "psi_d", "psi_q"), (np.arange(-9.0, 10.0), np.arange(-8.0, 9.0))
+    psi = flux(*np.meshgrid(*arrays, indexing="ij"))
+    turned = [axis[::-1] if k in axes else axis for k, axis in enumerate(arrays)] + [np.flip(x, axes) for x in psi]
+    np.savez(tmp_path / "m.npz", **dict(zip(names, turned, strict=True)))
+    found = import_map(Source(tmp_path / "m.npz")).flux_map
+    assert np.all(np.diff(found.i_d) > 0)
+    np.testing.assert_allclose(found.psi_dq(-7.5, 6.0), flux(-7.5, 6.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["i_d", "psi_d", "psi_q"])
+def test_complex_values_are_refused(name, tmp_path):
+    i_d, i_q = np.arange(-9.0, 10.0), np.arange(-8.0, 9.0)
+    psi_d, psi_q = flux(*np.meshgrid(i_d, i_q, indexing="ij"))
+    arrays = {"i_d": i_d, "i_q": i_q, "psi_d": psi_d, "psi_q": psi_q}
+    np.savez(tmp_path / "m.npz", **{**arrays, name: arrays[name] + 1j})
+    with pytest.raises(ConfigurationError, match=f"'{name}' in .* is of type complex128: it must hold real numbers"):
+        import_map(Source(tmp_path / "m.npz"))
+
+
 def test_fluxes_over_the_rotor_position_have_one_shape(tmp_path):
     i_d, i_q = np.arange(-4.0, 5.0), np.arange(-4.0, 5.0)
     psi = np.zeros((9, 9, 12))

@@ -247,6 +247,13 @@ KINDS = {
     "counts": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4096, 4096)},
     "counts backwards": lambda s: {"theta": None, "omega": None, "enc": counts(s, 8192, 8192, -1)},
     "a 16-bit count of 10000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 10_000, 65_536)},
+    "a 16-bit count of 4096 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4096, 65_536)},
+    "a 16-bit count that starts again once": lambda s: {
+        "theta": None,
+        "omega": None,
+        "enc": counts(s, 4096, 65_536, start=50_000),
+    },
+    "a 16-bit count of 4000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4000, 65_536)},
     "alpha and beta": lambda s: dq_names(s, np.zeros(len(s)), ("alpha", "beta")),
     "d and q": lambda s: dq_names(s, s.angle, ("d", "q")),
     "two currents": lambda _: {"ic": None},
@@ -402,6 +409,9 @@ def test_angles_and_counts():
     assert angle_like(np.mod(0.011 * k, 1.0)).unit == "rev"
     found = angle_like(np.floor(np.mod(17.3 * k, 4096)))
     assert (found.unit, found.turn, found.certain) == ("counts", 4096, True)
+    once = angle_like(np.floor(np.mod(17.3 * k + 40_000, 65_536)))
+    assert (once.unit, once.turn, once.wraps, once.certain) == ("counts", 65_536, True, True)
+    assert angle_like(np.floor(17.3 * k) - 30_000 * (k > 2000)) is None  # a fall that no counter makes
     reversing = 0.03 * np.where(k < 1800, k, 1800 - 0.7 * (k - 1800))
     noise = 1e-3 * np.random.default_rng(0).normal(size=3000)
     assert angle_like(np.mod(reversing + noise, 2 * np.pi) - np.pi).unit == "rad"
@@ -413,6 +423,10 @@ def test_angles_and_counts():
     assert is_count(np.delete(k, [5, 6, 900]))
     assert not is_count(2 * k)
     assert (4096, 3) in likely_counts(30.0, 40_960.0)
+    likely = likely_counts(33.4, 34_133.0)  # 4 pole pairs and 4096 counts
+    assert (1024, 1) in likely
+    ratios = [count / pole_pairs for count, pole_pairs in likely]
+    assert len(set(ratios)) == len(ratios)
 
 
 def csv_text(table, separator=",", decimal="."):

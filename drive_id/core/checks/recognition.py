@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,10 @@ def angle_like(x: FloatArray) -> AngleLike | None:
         turn = float(np.median(np.abs(steps[wraps]))) + float(np.median(np.abs(small)))
         good = steady >= _STEADY and against.mean() >= _STEADY
         return _in_unit(turn, x) if good or _reverses_seldom(steps, wraps) else None
+    if wraps.sum() == 1 and steady >= _MONOTONE:
+        turn = float(np.abs(steps[wraps])[0]) + float(np.median(np.abs(small)))
+        found = _in_unit(turn, x) if np.sign(steps[wraps])[0] == -np.sign(np.median(moving)) else None
+        return found if found is not None and found.unit == "counts" and found.certain else None
     if steady < _MONOTONE or np.abs(steps).max() > _UNEVEN * np.median(np.abs(steps)) + 2:
         return None
     whole = bool(np.all(x == np.rint(x))) and spread > _MANY
@@ -106,6 +111,8 @@ def is_count(x: FloatArray) -> bool:
 def likely_counts(turns: float, moved: float) -> list[tuple[int, int]]:
     """Return usual counts per revolution, each with the pole pairs by which they explain the electrical turns.
 
+    Of those with the same ratio, which nothing in the log tells apart, that with the fewest pole pairs.
+
     Parameters
     ----------
     turns : float
@@ -116,9 +123,12 @@ def likely_counts(turns: float, moved: float) -> list[tuple[int, int]]:
     pairs = [(count, turns * count / moved) for count in _FULL_COUNTS]
     good = [(count, round(abs(p)), abs(abs(p) - round(abs(p))) / max(abs(p), 1)) for count, p in pairs]
     likely = sorted(
-        (away, pole_pairs, count) for count, pole_pairs, away in good if 1 <= pole_pairs <= 24 and away < 0.03
+        (round(away, 9), pole_pairs, count) for count, pole_pairs, away in good if 1 <= pole_pairs <= 24 and away < 0.03
     )
-    return [(count, pole_pairs) for _, pole_pairs, count in likely]
+    by_ratio: dict[Fraction, tuple[int, int]] = {}
+    for _, pole_pairs, count in likely:
+        by_ratio.setdefault(Fraction(count, pole_pairs), (count, pole_pairs))
+    return list(by_ratio.values())
 
 
 def rotation_of(z: NDArray[np.complex128]) -> float:

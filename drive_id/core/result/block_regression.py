@@ -8,6 +8,9 @@ import numpy as np
 
 from drive_id.types import FloatArray
 
+_LARGEST_LEVERAGE = 0.98
+"""Of a block, beyond which its residual is all rounding."""
+
 
 def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:
     """Merge the products of neighbouring blocks to about the number wanted."""
@@ -49,12 +52,21 @@ class BlockRegression:
 
     @classmethod
     def of_series(
-        cls, data: FloatArray, response: int, columns: list[int], cosines: int, more: FloatArray | None = None
+        cls,
+        data: FloatArray,
+        response: int,
+        columns: list[int],
+        cosines: int,
+        more: FloatArray | None = None,
+        *,
+        block: int = 1,
     ) -> BlockRegression:
         """Solve for the columns of equidistant rows (N, C).
 
         The covariance is the equally weighted cosine estimate: the mean periodogram of the scores at the ``cosines``
-        lowest frequencies k / 2 N. What repeats faster than these is no scatter of the mean.
+        lowest frequencies k / 2 N. What repeats faster than these is no scatter of the mean. The residuals are those
+        of rows that had no part in the solution, one block of neighbours left out at a time (CR3): a few rows of large
+        leverage, as from the run-up of a shaft, draw the solution to their errors and so hide these.
 
         Parameters
         ----------
@@ -65,10 +77,17 @@ class BlockRegression:
             At least 1, below N.
         more : (M, K) float, optional
             Products of the columns chosen with independent errors of the response, one standard error each.
+        block : int
+            Rows whose errors are correlated.
         """
-        total, count = data.T @ data, len(data)
+        total, count, chosen = data.T @ data, len(data), data[:, columns]
         coefficients, inverse = _solved(total, response, columns)
-        scores = data[:, columns] * (data[:, response] - data[:, columns] @ coefficients)[:, None]
+        residual = data[:, response] - chosen @ coefficients
+        for first in range(0, count, block):
+            rows = slice(first, first + block)
+            shares, modes = np.linalg.eigh(chosen[rows] @ inverse @ chosen[rows].T)
+            residual[rows] = modes @ (modes.T @ residual[rows] / (1 - np.minimum(shares, _LARGEST_LEVERAGE)))
+        scores = chosen * residual[:, None]
         waves = np.cos(np.pi * np.arange(1, cosines + 1)[:, None] * (np.arange(count) + 0.5) / count)
         amplitudes = np.sqrt(2 / cosines) * waves @ scores
         if more is not None:

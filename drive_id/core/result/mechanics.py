@@ -42,6 +42,8 @@ _OUTSIDE = 0.05
 """Share of a bell in which the current may lie beyond the data of the map, where its continuation is taken."""
 _RESTING = 0.02
 """Speed relative to the largest one at which a shaft rests: friction then is what holds it."""
+_NEAR_REST = 0.1
+"""The same below which friction need not be Coulomb's: its change of sign takes some speed, and may have a peak."""
 _EXPLAINED = 0.9
 """Share of the torque's energy that the motion must explain to be that of a free shaft."""
 _SIGNIFICANT = 30.0
@@ -87,9 +89,10 @@ def with_mechanics(
     return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
 
 
-_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _IRON, _HARMONICS = range(9)
+_TORQUE, _MAP, _INERTIA, _DISC, _VISCOUS, _FRICTION, _LOAD, _IRON, _SLOW, _HARMONICS = range(10)
 """Columns: torque of the map, its standard error, mechanical acceleration, the same times the added inertia, mechanical
-speed, direction, 1, speed times the variation of the squared flux, and then the harmonics; all under a bell."""
+speed, direction, 1, speed times the variation of the squared flux, direction where the shaft is slow, and then the
+harmonics; all under a bell."""
 _PER_ORDER = 12
 """Columns of each order: cosine and sine, of cogging, and the same times i_d, i_q, i_d^2, i_d i_q and i_q^2, for the
 ripple of the flux harmonics."""
@@ -163,6 +166,8 @@ def _fitted(
     base = [_INERTIA, *([_DISC] if two_discs and inertia is None else []), *_of_speeds(data[:, _VISCOUS])]
     if _VISCOUS in base and np.std(data[:, _IRON]) > _LEAST_VARIATION * np.std(data[:, _VISCOUS]):
         base.append(_IRON)
+    if data[:, _SLOW].any():
+        base.append(_SLOW)
     turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
     looked = [
         column
@@ -177,7 +182,7 @@ def _fitted(
         of_map = np.diag(np.sqrt((data[:, _MAP] ** 2).sum() * squares))
     of_map = np.vstack([of_map, _COMMON * data[:, _TORQUE] @ data[:, columns]])
     cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
-    solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map)
+    solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map, block=_BELLS)
     energy = solution.total[_TORQUE, _TORQUE]
     explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
     coefficient, sigma = solution.estimate(_INERTIA)
@@ -255,7 +260,8 @@ def _of_speeds(speed: FloatArray) -> list[int]:
     """Return the columns of friction and load that speeds (N,), rad/s, tell from each other."""
     size = np.abs(speed)
     low, high = np.percentile(size, [5, 95])
-    reversed_ = speed.min() < -0.2 * high and speed.max() > 0.2 * high
+    slowest, fastest = np.percentile(speed, [5, 95])  # not those of a run-up
+    reversed_ = slowest < -0.2 * high and fastest > 0.2 * high
     return [_FRICTION, *([_VISCOUS] if high > _SAME_SPEED * low else []), *([_LOAD] if reversed_ else [])]
 
 
@@ -330,6 +336,7 @@ class _Motion:
         angle = np.unwrap(run.angle)
         speed = np.gradient(angle, period) / pole_pairs
         steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
+        slow = np.abs(steady) < _NEAR_REST * np.abs(steady).max()
         torque, sigma, outside, squares = _torque(flux_map, flux, run, pole_pairs)
         usual = np.mean((flux_map.psi_d**2 + flux_map.psi_q**2)[flux_map.inside])
         i_d, i_q = frames.to_dq(run.i_abc, run.angle).T
@@ -348,6 +355,7 @@ class _Motion:
         columns += [
             np.ones(len(acceleration), np.float64),
             under(wide, speed * (squares / usual - 1)),
+            under(wide, np.where(slow, np.sign(steady), 0.0)),
             *(under(wide, wave) for wave in waves),
         ]
         size = under(wide, np.abs(steady))

@@ -15,7 +15,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of
 from drive_id.exchange.imports.gridding import Gridded, gridded
-from drive_id.exchange.imports.plausibility import check_plausible, outlier, torque_ratio
+from drive_id.exchange.imports.plausibility import check_plausible, large_flux, outlier, torque_ratio
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
@@ -115,7 +115,7 @@ def _result(
     if pairs is None and ratio is not None:
         pairs = float(round(ratio))
         statements.append(Message("torque_of_pole_pairs", pole_pairs=round(ratio)))
-    odd = outlier(points.i_dq, points.mean_psi_dq)
+    warnings = [outlier(points.i_dq, points.mean_psi_dq), large_flux(points.mean_psi_dq)]
     i_max = scalars.get("i_max", _reach(found.flux_map))
     drive = IdentifiedDrive(
         method=IMPORTED.name,
@@ -127,7 +127,7 @@ def _result(
         inverter_current=np.array([-i_max, 0.0, i_max]),
         inverter_voltage=np.zeros(3),
         flux_map=found.flux_map,
-        report=replace(_report(found.flux_map, i_max, len(points.i_dq)), warnings=(odd,) if odd else ()),
+        report=replace(_report(found.flux_map, i_max, len(points.i_dq)), warnings=tuple(filter(None, warnings))),
         harmonics=found.harmonics,
         statements=tuple(statements),
     )

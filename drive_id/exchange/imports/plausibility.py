@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,6 +28,8 @@ _TORQUE = 0.1
 _INDUCTANCE = (1e-6, 5.0)  # H
 _LARGEST_FLUX = 50.0
 """Wb; ship drives reach 30, and 50 mWb are a small machine."""
+_LARGE_FLUX = 2.0
+"""Wb; at 50 Hz it induces 628 V, more than an inverter on 1000 V gives."""
 _OFF_NEIGHBOURS = 5.0  # distance of an outlier from the plane through its neighbours, by the distances of those
 _OFF = 0.03  # the same by the largest flux
 _TIME_CONSTANT = (3e-5, 20.0)  # s
@@ -76,9 +79,13 @@ def check_plausible(points: MapPoints, conventions: Conventions, transposed: Cal
     ConfigurationError
         When the map is implausible.
     """
-    found = faults(converted(points, conventions))
+    ours = converted(points, conventions)
+    found = faults(ours)
     if not found:
         return
+    odd = outlier(ours.i_dq, ours.mean_psi_dq)
+    if odd is not None and not faults(_without(ours, odd)):
+        raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}, which is for one point. {odd}")
     hint = _hint(points, conventions, transposed())
     raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}; {hint}.")
 
@@ -104,6 +111,14 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
             "units (--current-scale, --flux-scale)"
         )
     return "no choice of axes, signs and order makes it plausible: check the scales, and which columns are read"
+
+
+def _without(points: MapPoints, odd: Message) -> MapPoints:
+    """Return the points without an outlier and those beside it, which it may be taken for."""
+    away = (points.i_dq - [odd.values["i_d"], odd.values["i_q"]]) / np.ptp(points.i_dq, axis=0)
+    kept = np.argsort(np.hypot(*away.T))[_NEIGHBOURS:]
+    torque = None if points.torque is None else points.torque[kept]
+    return replace(points, i_dq=points.i_dq[kept], psi_dq=points.psi_dq[kept], torque=torque)
 
 
 def _usable(points: MapPoints, conventions: Conventions) -> bool:
@@ -156,13 +171,24 @@ def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
     return Message("import_outlier", i_d=d, i_q=q, off=off[worst])
 
 
+def large_flux(psi_dq: FloatArray) -> Message | None:
+    """Describe fluxes (N, 2), Wb, that are larger than those of most machines, as if in mWb; None for usual ones."""
+    largest = float(np.hypot(*psi_dq.T).max())
+    if largest <= _LARGE_FLUX:
+        return None
+    return Message("import_large_flux", flux=largest, voltage=2 * np.pi * 50 * largest)
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _planes(i_dq: FloatArray, psi_dq: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fit a plane to each (M) group of K points; return slopes (M, 2, 2), which of them hold, and values at (M, 2)."""
     offset = i_dq - at[:, None]
     size = np.abs(offset).max(axis=(1, 2), keepdims=True)
     columns = np.concatenate([np.ones_like(offset[..., :1]), offset / size], axis=-1)
     normal = np.einsum("mka,mkb->mab", columns, columns)
-    known = np.linalg.cond(normal) < 1e6  # not points on one line
+    known = np.isfinite(normal).all(axis=(1, 2))  # not points within less than numbers can tell
+    normal[~known] = np.eye(3)
+    known &= np.linalg.cond(normal) < 1e6  # not points on one line
     normal[~known] = np.eye(3)
     found = np.linalg.solve(normal, np.einsum("mka,mkb->mab", columns, psi_dq))
     slopes = np.swapaxes(found[:, 1:], 1, 2) / size

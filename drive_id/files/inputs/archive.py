@@ -10,6 +10,7 @@ import io
 import json
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -23,7 +24,7 @@ from drive_id.files.inputs.input_file import reason, shown_size
 
 DAMAGED = (
     OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, RecursionError,
-    NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
+    NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError,
 )  # fmt: skip
 """What reading a damaged archive, and what is made of its arrays, may raise."""
 _LONGEST_REASON = 120

@@ -84,7 +84,7 @@ def free_shaft_tree(plan: FreeShaftPlan) -> dict[str, Any]:
     """Return a plan for a free shaft as plain values; speeds mechanical, rad/s, errors percent."""
     names = (
         "inertia", "added_inertia", "share", "acceleration", "speed_max", "mean_speed", "frequency", "duration",
-        "swing",
+        "bandwidth", "swing",
     )  # fmt: skip
     flux, inertia = plan.expected
     return {

@@ -74,6 +74,22 @@ def test_a_flywheel_that_never_reverses_has_one_friction_with_its_load():
     assert found.friction == pytest.approx(1.27 + 1.0, rel=0.1)
 
 
+def test_the_load_is_not_told_by_the_run_up_of_a_flywheel():
+    """Its first swings reverse, which is too little to tell a load from friction."""
+    found = fitted(swung(10.0, 10 * INERTIA, Swing(speed_max=600.0, mean_speed=300.0)))
+    assert found.load is None
+    assert found.friction is None or abs(found.friction - 1.27) < 3 * found.sigma_friction
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_friction_that_changes_its_sign_slowly_is_not_taken_for_less(seed):
+    """Within 0.1 rad/s of rest the simulated friction is less than Coulomb's, and the swing reaches 5 rad/s only."""
+    swing = Swing(speed_max=100.0, frequency=25.0)
+    found = fitted(swung(8.0, 5 * INERTIA, swing, coulomb_friction=6.4, seed=seed))
+    assert found.friction == pytest.approx(6.4, rel=0.01)
+    assert abs(found.friction - 6.4) < 2 * found.sigma_friction
+
+
 def test_a_load_is_told_from_friction_where_the_shaft_reverses():
     found = fitted(swung(load_torque=2.0))
     assert found.load == pytest.approx(2.0, rel=0.1)

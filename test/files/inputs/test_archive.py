@@ -17,13 +17,21 @@ def saved(**arrays: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def member(shape: tuple[int, ...], kind: str, content: bytes, method: int = zipfile.ZIP_DEFLATED) -> bytes:
-    """Return an npz whose one array declares a shape and holds other content."""
+def member(
+    shape: tuple[int, ...],
+    kind: str,
+    content: bytes,
+    method: int = zipfile.ZIP_DEFLATED,
+    *,
+    unended: bool = False,
+) -> bytes:
+    """Return an npz whose one array declares a shape and holds other content; its header may be a text without end."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", method) as archive:
         header = io.BytesIO()
         np.lib.format.write_array_header_1_0(header, {"descr": kind, "fortran_order": False, "shape": shape})
-        archive.writestr("x.npy", header.getvalue() + content)
+        said = header.getvalue().replace(b"'shape'", b"'''ape'") if unended else header.getvalue()
+        archive.writestr("x.npy", said + content)
     return stream.getvalue()
 
 
@@ -71,6 +79,7 @@ def test_incompressible_content_of_any_size():
         member((1,), "|O", bytes(8)),
         member((1,), "<f8", bytes(8), zipfile.ZIP_LZMA),
         member((1,), "<f8", bytes(8), zipfile.ZIP_BZIP2),
+        member((1,), "<f8", bytes(8), unended=True),
         saved(x=np.zeros(3))[:-30],
         b"",
         b"PK\5\6" + b"\xff" * 18,

@@ -26,8 +26,12 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
 
     Numbers that need the resistance or the DC-link voltage are left out where it is unknown.
     """
-    machine, gains = table.machine, ControlGains.of(table, options)
-    found, curve = table.result, _drop(table)
+    return with_drop(table, options, *_thinned(table.machine.inverter_current, table.machine.inverter_voltage))
+
+
+def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, voltage: FloatArray) -> bytes:
+    """Write the header of :func:`write` with the inverter's drop at these phase currents, A, and voltages, V, (C,)."""
+    machine, gains, found = table.machine, ControlGains.of(table, options), table.result
     slope = (found.drive.magnet_coefficient or (0.0, 0.0))[0]
     held = REFERENCE_TEMPERATURE if found.provenance.temperature is None else found.provenance.temperature
     assumed = "" if found.provenance.temperature is not None else ", assumed: no temperature was recorded"
@@ -52,12 +56,12 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
         for name, (value, unit) in constants.items()
         if value is not None and math.isfinite(value)
     ]
-    sizes = {"ND": len(table.i_d), "NQ": len(table.i_q), "NC": len(curve[0])}
+    sizes = {"ND": len(table.i_d), "NQ": len(table.i_q), "NC": len(current)}
     lines += [*(f"#define DRIVE_ID_{name} {size}" for name, size in sizes.items()), ""]
     lines += _array("drive_id_i_d", "[DRIVE_ID_ND]", table.i_d[None, :], "A")
     lines += _array("drive_id_i_q", "[DRIVE_ID_NQ]", table.i_q[None, :], "A")
-    lines += _array("drive_id_drop_current", "[DRIVE_ID_NC]", curve[0][None, :], "A, of a phase")
-    lines += _array("drive_id_drop_voltage", "[DRIVE_ID_NC]", curve[1][None, :], "V")
+    lines += _array("drive_id_drop_current", "[DRIVE_ID_NC]", current[None, :], "A, of a phase")
+    lines += _array("drive_id_drop_voltage", "[DRIVE_ID_NC]", voltage[None, :], "V")
     maps = {"psi_d": (table.psi[0], "Wb"), "psi_q": (table.psi[1], "Wb")}
     maps |= {"l_dd": (gains.l_dd, "H"), "l_qq": (gains.l_qq, "H")}
     for name, (values, unit) in maps.items():
@@ -70,9 +74,8 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
     return template.substitute(name=name, source=source, content="\n".join(lines)).encode("ascii")
 
 
-def _drop(table: MapTable) -> tuple[FloatArray, FloatArray]:
-    """Return phase currents (C,), A, and the identified drop (C,), V: as few points as straight lines need."""
-    current, voltage = table.machine.inverter_current, table.machine.inverter_voltage
+def _thinned(current: FloatArray, voltage: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return of phase currents, A, and the identified drop, V, (C,), as few points as straight lines need."""
     kept = [0, len(current) - 1]
     enough = _DROP_ERROR * float(np.abs(voltage).max())
     while len(kept) < min(_DROP_POINTS, len(current)):

@@ -82,7 +82,8 @@ def _fmu(table: MapTable, options: ExportOptions, version: int) -> bytes:
     table.machine.known_pole_pairs()
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)
-    header = c_header.write(replace(table, filled=True), options).decode("ascii")
+    drop = table.machine.inverter_current, table.machine.inverter_voltage
+    header = c_header.with_drop(replace(table, filled=True), options, *drop).decode("ascii")
     code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", "fmi.h", f"fmi{version}.c")}
     listed = _listed(variables)
     token = hashlib.sha256("".join([header, listed, *code.values()]).encode()).hexdigest()[:32]

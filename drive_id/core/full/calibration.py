@@ -134,11 +134,28 @@ def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     resistance = fit.solution.resistance + fit.drop_slope
     offset, sigma_offset = -voltage / resistance, sigma / abs(resistance)
     shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
+    traced = _traced(fit, SENSOR_ORDERS[0], i_dq) if shown else None
+    if traced is not None and _between(traced, offset, -voltage / fit.solution.resistance):
+        return _entries("current_offset", "A", (traced.value, traced.sigma), i_max, applied=True)
     if not shown or _flux_agrees(fit, offset, sigma_offset, i_dq):
         return _entries("current_offset", "A", (offset, sigma_offset), i_max, applied=shown)
     none = _entries("current_offset", "A", (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
     height = float(np.sqrt(fit.total_voltage)) / fit.duration
     return none + _entries("voltage_offset", "V", (voltage, sigma), height, applied=True)
+
+
+def _between(traced: _Traced, least: FloatArray, most: FloatArray) -> bool:
+    """Tell whether an offset traced in the flux is certain and beyond that by the voltage, but not by more than may be.
+
+    Where speed and current vary together, as on a free shaft, the slope of the drop does not act on a constant voltage
+    with its mean: the offset is that for the mean slope, ``least``, to that for none, ``most``, (2,), A.
+    """
+    certain = np.hypot(*traced.value) > _SIGNIFICANCE * np.hypot(*traced.sigma)
+    span = most - least
+    share = float(np.clip((traced.value - least) @ span / max(span @ span, np.finfo(np.float64).tiny), 0.0, 1.0))
+    away = (float(np.hypot(*(traced.value - each))) for each in (least, least + share * span))
+    allowed = _AGREEMENT * np.hypot(*traced.value)
+    return bool(certain and next(away) > allowed and next(away) < allowed + _SIGNIFICANCE * np.hypot(*traced.sigma))
 
 
 def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:

@@ -51,6 +51,9 @@ _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
 _NEAR_ZERO = 0.02
 """Currents relative to i_max below which the steep inverter curve amplifies current noise."""
+_AT_REST = 5.0
+"""Duration of a window relative to the median from which on the rotor nearly rests: there a misfit of the inverter's
+curve adds up for longer, and the start of a free shaft would stand out."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER = 10.0
@@ -373,9 +376,9 @@ def residual_statistics(
     changes : (size, B) float
         Change of the estimate by each batch.
     energy : (B,) float
-        Comparable energy of each batch, (Vs)^2: the mean square residual of windows away from zero current, 0 without
-        any, divided by their mean square inductance where that is above average: residuals by current noise are
-        proportional to it.
+        Comparable energy of each batch, (Vs)^2: the mean square residual of windows away from zero current and from
+        rest, 0 without any, divided by their mean square inductance where that is above average: residuals by current
+        noise are proportional to it.
     time : (B,) float
         s.
     misfit : LackOfFit
@@ -383,6 +386,7 @@ def residual_statistics(
     model, kept = sums.model, sums.kept()
     through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
     covariance = solution.white_covariance  # cached before the threads start
+    longest = _AT_REST * float(np.median(np.concatenate([segment.duration for segment in kept])))
 
     def evaluated(segments: Sequence[Windows]) -> tuple[list[list[_Batch]], GroupSums]:
         batches, groups = [], GroupSums(solution.basis.shape[1])
@@ -390,6 +394,7 @@ def residual_statistics(
             rows = model.design_times(segment, through, solution.spec.orders)
             squares = squared_inductances(model, solution.estimate, segment)
             away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
+            away &= segment.duration < longest
             batches.append(_batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0)))
             groups.add(segment, rows, noise.variance * squares, model.i_max)
         return batches, groups

@@ -13,7 +13,7 @@ from scipy import sparse
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
-from drive_id.core.full.delay import DelayJump, delay_jump
+from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.effect_search import EffectSearch, Taken
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
@@ -22,7 +22,7 @@ from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import Windows
+from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
 from drive_id.core.numerics.threads import in_threads, one_blas_thread
 from drive_id.types import BoolArray, FloatArray
@@ -74,9 +74,9 @@ class Assessment:
     ----------
     changes : (size, B) float
         First-order change of the estimate when each batch's residuals are left out; then the bias by the penalties, the
-        bound on the bias by current noise, what is uncertain of the current between samples, the changes by the lack of
-        fit, and last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the covariance of
-        the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
+        bound on the bias by current noise, what is uncertain of the current between samples and of a delay, the changes
+        by the lack of fit, and last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the
+        covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
     misfit : LackOfFit
         Residuals beyond noise.
     speeds : (N,) float
@@ -296,6 +296,7 @@ def fit_full(
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
+        biases.append(_by_delay(solver, uncertain, selection))
         changes = np.column_stack([batches, *biases, misfit.changes, _among_curves(solver, solution)])
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
@@ -330,6 +331,18 @@ def fit_full(
         outlying_time=float(times[energy.argmax()]),
         jump=jump,
     )
+
+
+def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
+    """Return the change (size,) of the estimate by a standard error of a delay that is no half or whole sample.
+
+    At a constant speed it turns all fluxes, and the residuals hardly change.
+    """
+    delay = Delay(solution.spec.delay, 0.0)
+    if delay.value != selection.delay or delay.physical:
+        return np.zeros(solver.model.size)
+    other = float(np.clip(delay.value + selection.sigma_delay, -MOST_DELAY, MOST_DELAY))
+    return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 
 def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:

@@ -141,6 +141,17 @@ def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     assert abs(plain.solution.resistance - 0.02) < 1e-3
 
 
+def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
+    """A delay of no half or whole sample, by which the fluxes turn, is not known exactly."""
+    once, twice = (np.roll(samples.u_abc, -shift, axis=0) for shift in (1, 2))
+    fit = fitted(replace(samples, u_abc=0.3 * once + 0.7 * twice))
+    assert fit.spec.delay == pytest.approx(1.7, abs=0.1)
+    form = np.zeros(fit.model.size)
+    form[fit.model.map] = fit.model.flux.rows(np.zeros((1, 2))).sparse(fit.model.flux.parameters).toarray()[1]
+    turned = fit.selection.sigma_delay * np.abs(fit.speeds).mean() * samples.sample_period
+    assert fit.sigma(form) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
+
+
 @pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])
 def test_voltages_that_slip_within_a_recording_are_refused(samples, late, word):
     u_abc, half = samples.u_abc.copy(), len(samples) // 2

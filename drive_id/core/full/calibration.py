@@ -10,6 +10,7 @@ from scipy.sparse.linalg import lsqr
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
+from drive_id.core.full.delay import Delay
 from drive_id.core.full.effect_search import SENSORS
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, RESISTANCE, SENSOR_ORDERS
@@ -27,8 +28,6 @@ _LEAST_SHOWN = 5e-4
 """Flux harmonic of an offset, relative to the largest flux, below which nothing can be traced: that of the misfit."""
 _LEAST_EXPLAINED = 0.5
 """Share of the flux's harmonic 2 that gains must explain to be its cause, rather than the machine."""
-_DECIMATED = -0.23
-"""Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
@@ -251,8 +250,8 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
         return entry(delay, "voltage_delay.none")
     if abs(used) >= MOST_DELAY:
         return entry(used, "voltage_delay.limit", doubtful=True)
-    every = 1 / (1 + 2 * used) if -0.5 < used < _DECIMATED else 0.0
-    if every > 1:
+    every = Delay(used, sigma).decimation
+    if every:
         return entry(used, "voltage_delay.decimated", doubtful=True, every=max(2, every))
     return entry(used, "voltage_delay")
 

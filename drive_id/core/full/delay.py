@@ -25,6 +25,8 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a physical delay from a half or a whole sample, samples."""
+_DECIMATED = -0.23
+"""Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
 _SEGMENT = 0.25
 """Time over which a delay is averaged to find where it jumps, s."""
 _LEAST_JUMP = 0.2
@@ -68,6 +70,11 @@ class Delay:
         """The half or whole numbers of samples on both sides, 0 excluded."""
         halves = math.floor(2 * self.value), math.ceil(2 * self.value)
         return tuple(each / 2 for each in halves if each)
+
+    @property
+    def decimation(self) -> float:
+        """The n of a log with every n-th sample only, which gives a delay of -(n - 1) / 2n; 0 for other delays."""
+        return 1 / (1 + 2 * self.value) if -0.5 < self.value < _DECIMATED else 0.0
 
     @property
     def physical(self) -> bool:

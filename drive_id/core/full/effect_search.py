@@ -135,7 +135,7 @@ def search_effects(
     start = _settled(sums, solution.spec, columns)
     search = _greedy(sums, start, noise, allowed, turn)
     delay = Delay(search.solution.spec.delay, search.sigma_delay)
-    if turn > 0 and delay.value != solution.spec.delay and not delay.physical:
+    if turn > 0 and delay.value != solution.spec.delay and not (delay.physical or delay.decimation):
         for value in delay.between:
             delayed = _settled(sums, replace(solution.spec, delay=value), columns)
             saving = 1.0 - delayed[2].sum_of_squares / start[2].sum_of_squares

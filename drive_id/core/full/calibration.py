@@ -152,9 +152,9 @@ def _between(traced: _Traced, least: FloatArray, most: FloatArray) -> bool:
     certain = np.hypot(*traced.value) > _SIGNIFICANCE * np.hypot(*traced.sigma)
     span = most - least
     share = float(np.clip((traced.value - least) @ span / max(span @ span, np.finfo(np.float64).tiny), 0.0, 1.0))
-    away = (float(np.hypot(*(traced.value - each))) for each in (least, least + share * span))
+    beyond, outside = (float(np.hypot(*(traced.value - each))) for each in (least, least + share * span))
     allowed = _AGREEMENT * np.hypot(*traced.value)
-    return bool(certain and next(away) > allowed and next(away) < allowed + _SIGNIFICANCE * np.hypot(*traced.sigma))
+    return bool(certain and beyond > allowed and outside < allowed + _SIGNIFICANCE * np.hypot(*traced.sigma))
 
 
 def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:

@@ -201,9 +201,8 @@ class EffectColumns:
         """Tell whether the effects of a variant move a current by so much that the slope of the map there differs."""
         cells = self.model.resolution
         least = _BENDS * min(float(np.diff(cells.d).min()), float(np.diff(cells.q).min()))
-        turned = ((windows, np.exp(1j * windows.angle)) for windows in kept)
         return bool(spec.effects) and any(
-            float(np.abs(self._sum(self._currents(windows, turn))).max(initial=0.0)) > least for windows, turn in turned
+            float(np.abs(self._shift(windows)).max(initial=0.0)) > least for windows in kept
         )
 
     def moved(self, windows: Windows) -> Windows:
@@ -213,10 +212,14 @@ class EffectColumns:
         nonlinear fit even where an effect moves the current by more than the map bends over, as iron loss does in a
         machine whose bridges saturate at small currents.
         """
-        measured, shift = windows.measured, self._sum(self._currents(windows, np.exp(1j * windows.angle)))
+        measured, shift = windows.measured, self._shift(windows)
         inside = self.model.contains(replace(windows, i_dq=frames.as_pairs(measured + shift)))
         shift = np.where(inside[:, None], shift, 0.0)
         return replace(windows, i_dq=frames.as_pairs(measured + shift), moved=shift, effects=None)
+
+    def _shift(self, windows: Windows) -> ComplexArray:
+        """Return by how much the effects at the estimate move the currents (N, 2) in the map, A."""
+        return self._sum(self._currents(windows, np.exp(1j * windows.angle)))
 
     def _currents(self, windows: Windows, turn: ComplexArray) -> dict[str, list[ComplexArray]]:
         """Return the currents (N, 2) that each effect adds to that of the map, per unit."""

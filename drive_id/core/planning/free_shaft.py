@@ -226,11 +226,10 @@ def _plans(
     share = _BANDWIDTH_SHARE if held > _MAGNETS else _SALIENT_SHARE
     fastest = min(FASTEST_SWING, max(share * bandwidth, SLOWEST_SWING))
     plans = [
-        _planned(settings, machine, torque, inertia, float(part) * speed_max, float(highest))
+        _planned(settings, machine, torque, inertia, float(part) * speed_max, float(highest), bandwidth)
         for highest in np.geomspace(fastest, SLOWEST_SWING, _FREQUENCIES)
         for part in np.linspace(1.0, _LEAST_PART, _PARTS)
     ]
-    plans = [replace(plan, bandwidth=bandwidth) for plan in plans]
     if held < _LEAST_HELD:
         plans = [replace(plan, mean_speed=0.0, unheld=plan.mean_speed != 0.0) for plan in plans]
     most, found = _VOLTAGE_SHARE * machine.largest_voltage, False
@@ -255,9 +254,15 @@ def _held_torque(machine: RoughMachine) -> float:
 
 
 def _planned(
-    settings: PlanSettings, machine: RoughMachine, torque: float, inertia: float, speed_max: float, fastest: float
+    settings: PlanSettings,
+    machine: RoughMachine,
+    torque: float,
+    inertia: float,
+    speed_max: float,
+    fastest: float,
+    bandwidth: float,
 ) -> FreeShaftPlan:
-    """Plan for a highest mechanical speed, rad/s, and a highest frequency of the swing, Hz."""
+    """Plan for a highest mechanical speed, rad/s, a highest frequency of the swing, and a bandwidth, both Hz."""
     wanted = swing_frequency(torque / inertia, speed_max)
     duration = settings.duration or min(_DURATION, settings.duration_max)
     frequency = min(wanted, fastest)
@@ -275,7 +280,7 @@ def _planned(
     share = inertia / total
     return FreeShaftPlan(
         settings, machine, total, total - inertia, share, torque / total, speed_max, mean_speed, frequency, duration,
-        settings.current_bandwidth,
+        bandwidth,
     )  # fmt: skip
 
 

@@ -128,9 +128,9 @@ class _Traced:
 
 def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     """Attribute a constant voltage to an offset of the currents or, if the flux contradicts, of the voltages."""
-    voltage, changes = fit.solution.estimate[CONSTANT], fit.changes[CONSTANT]
+    voltage, changes = fit.solution.estimate[CONSTANT], fit.assessment.changes[CONSTANT]
     sigma = np.sqrt(np.sum(changes**2, axis=1))
-    resistance = fit.solution.resistance + fit.drop_slope
+    resistance = fit.solution.resistance + fit.assessment.drop_slope
     offset, sigma_offset = -voltage / resistance, sigma / abs(resistance)
     shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
     traced = _traced(fit, SENSOR_ORDERS[0], i_dq) if shown else None
@@ -139,7 +139,7 @@ def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
     if not shown or _flux_agrees(fit, offset, sigma_offset, i_dq):
         return _entries("current_offset", "A", (offset, sigma_offset), i_max, applied=shown)
     none = _entries("current_offset", "A", (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
-    height = float(np.sqrt(fit.total_voltage)) / fit.duration
+    height = float(np.sqrt(fit.total_voltage)) / fit.assessment.duration
     return none + _entries("voltage_offset", "V", (voltage, sigma), height, applied=True)
 
 
@@ -200,8 +200,8 @@ def _effects(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, Fl
     if order == SENSOR_ORDERS[0]:
         vector = np.broadcast_to(np.eye(2), (len(i_dq), 2, 2))
     else:
-        fast = np.abs(fit.speeds) > 0.1 * np.abs(fit.speeds).max()
-        effect = effect + fit.solution.resistance * float(np.mean(1 / fit.speeds[fast])) * _QUARTER
+        fast = np.abs(fit.assessment.speeds) > 0.1 * np.abs(fit.assessment.speeds).max()
+        effect = effect + fit.solution.resistance * float(np.mean(1 / fit.assessment.speeds[fast])) * _QUARTER
         vector = _products_with(i_dq * np.array([1.0, -1.0]))
     cosine = np.einsum("nab,nbc->nac", -effect, vector)
     sine = np.einsum("nab,bc,ncd->nad", effect, _QUARTER, vector)  # e^{-j h theta} = cos h theta - j sin h theta
@@ -230,7 +230,7 @@ def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
     found = amplitudes(fit.solution.estimate[columns][:, None])
     value = np.linalg.lstsq(regressors, found)[0]
     left = float(np.sum((found - regressors @ value) ** 2) / np.sum(found**2))
-    moves = np.linalg.lstsq(regressors, amplitudes(fit.changes[columns]))[0][:2]
+    moves = np.linalg.lstsq(regressors, amplitudes(fit.assessment.changes[columns]))[0][:2]
     return _Traced(value[:2, 0], np.sqrt(np.sum(moves**2, axis=1)), 1.0 - left)
 
 
@@ -330,7 +330,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         if abs(change) < _SETTLED:
             break
     slope = slope_at(angle)
-    moves = form(angle, slope) @ fit.changes[fit.model.map]
+    moves = form(angle, slope) @ fit.assessment.changes[fit.model.map]
     sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
     asymmetry = float(np.sqrt(np.mean(difference(angle) ** 2))) / size

@@ -37,14 +37,14 @@ _MOST_NAMED = 2
 
 def misfit_warning(fit: FullFit) -> Message | None:
     """Describe residuals above noise: size, region and likely cause; None if they are small."""
-    misfit = fit.misfit
+    misfit = fit.assessment.misfit
     beyond = fit.solution.residual_rms**2 * (1 - misfit.ratio**-2)
     if misfit.ratio < LEAST_TOLD or beyond < _NEGLIGIBLE**2 * fit.total_voltage:
         return None
     d, q = misfit.i_dq
     values = {"ratio": misfit.ratio, "worst": misfit.worst, "i_d": d, "i_q": q}
-    if fit.outlying > _OUTLYING:
-        return Message("misfit.time", time=fit.outlying_time, **values)
+    if fit.assessment.outlying > _OUTLYING:
+        return Message("misfit.time", time=fit.assessment.outlying_time, **values)
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return Message("misfit.small_currents", low=misfit.low, **values)
     return _with_cause("misfit", fit, **values)
@@ -57,7 +57,7 @@ def not_reciprocal_warning(fit: FullFit) -> Message:
 
 def _with_cause(code: str, fit: FullFit, **values: float) -> Message:
     """Name the causes that would explain most of the squared residuals, if that is much."""
-    causes = fit.misfit.causes
+    causes = fit.assessment.misfit.causes
     largest = max(causes.values(), default=0.0)
     if largest <= _SUSPICIOUS:
         return Message(code, **values)
@@ -76,7 +76,7 @@ def effect_entries(fit: FullFit, *, several_speeds: bool) -> list[Calibration]:
 
 def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibration]:
     columns = fit.model.effect(taken.name)
-    value, sigma = fit.solution.estimate[columns], fitted_sigma(fit.changes[columns])
+    value, sigma = fit.solution.estimate[columns], fitted_sigma(fit.assessment.changes[columns])
     name = taken.name.split("_lag_")[0] + ("_lag" if "_lag_" in taken.name else "")
     rivals = ",".join(taken.rivals) or None
     return [
@@ -159,7 +159,7 @@ def _magnet(found: _Evaluated) -> Iterator[_Shown]:
     first = found.fit.model.effect(found.name).start
     for k in range(forms.shape[1]):
         forms[first + 2 * k : first + 2 * k + 2, k] = 1.0, slope
-    changes, sigmas = forms.T @ found.fit.solution.estimate, fitted_sigma(forms.T @ found.fit.changes)
+    changes, sigmas = forms.T @ found.fit.solution.estimate, fitted_sigma(forms.T @ found.fit.assessment.changes)
     for k, (x, dx) in enumerate(zip(changes, sigmas, strict=True)):
         if not found.fit.met(found.name, 2 * k):
             continue

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise, zip_longest
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -109,18 +108,21 @@ class Assessment:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FullFit(Assessment):
+class FullFit:
     """The fitted model.
 
     Parameters
     ----------
     selection : Selection
         The selected model and its alternatives.
+    assessment : Assessment
+        Of the windows of this fit, or of an earlier one, see :func:`fit_again`.
     """
 
     model: FullModel
     solution: FullSolution
     selection: Selection
+    assessment: Assessment
 
     @property
     def spec(self) -> ModelSpec:
@@ -140,7 +142,7 @@ class FullFit(Assessment):
     @property
     def shared_resistance(self) -> float:
         """Change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
-        return float(abs(self.changes[RESISTANCE, -1])) if self.spec.wide else 0.0
+        return float(abs(self.assessment.changes[RESISTANCE, -1])) if self.spec.wide else 0.0
 
     def met(self, effect: str, column: int) -> bool:
         """Tell whether the data have any of a column of an effect."""
@@ -149,7 +151,7 @@ class FullFit(Assessment):
 
     def sigma(self, form: FloatArray) -> float:
         """Return the standard error of a linear function (size,) of the estimate."""
-        return float(sigma(form @ self.changes))
+        return float(sigma(form @ self.assessment.changes))
 
     def white_sigma(self, rows: BasisRows) -> FloatArray:
         """Return the standard errors (N, 2) of fluxes B gamma under white residuals, Wb."""
@@ -198,10 +200,10 @@ class EarlierFit:
         Whether its currents were those in the map, see :meth:`~drive_id.core.full.effects.EffectColumns.moved`.
     remains : bool
         Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
-    left : mapping of str to float
-        See :class:`~drive_id.core.full.selection.Selection` and ``EffectSearch``.
-    assessment : dict
-        The fields of its :class:`Assessment`.
+    advantage : float
+        See :class:`~drive_id.core.full.selection.Selection`.
+    columns, taken, delay, sigma_delay, left
+        See :class:`~drive_id.core.full.effect_search.EffectSearch`.
     """
 
     orders: tuple[int, ...]
@@ -209,13 +211,13 @@ class EarlierFit:
     moved: bool
     remains: bool
     spec: ModelSpec
+    advantage: float
     columns: EffectColumns
     taken: tuple[Taken, ...]
     delay: float
     sigma_delay: float
-    advantage: float
     left: Mapping[str, float]
-    assessment: Mapping[str, Any]
+    assessment: Assessment
 
     @classmethod
     def of(cls, fit: FullFit) -> EarlierFit | None:
@@ -223,7 +225,6 @@ class EarlierFit:
         if np.isfinite(fit.crossings) or not fit.spec.reciprocal:
             return None
         search = fit.selection.search
-        of_search = {name: getattr(search, name) for name in ("columns", "taken", "delay", "sigma_delay", "left")}
         return cls(
             orders=fit.model.orders,
             cells=fit.model.cells,
@@ -231,8 +232,12 @@ class EarlierFit:
             remains=search.sums.effects is not None,
             spec=fit.spec,
             advantage=fit.selection.advantage,
-            assessment={entry.name: getattr(fit, entry.name) for entry in fields(Assessment)},
-            **of_search,
+            columns=search.columns,
+            taken=search.taken,
+            delay=search.delay,
+            sigma_delay=search.sigma_delay,
+            left=search.left,
+            assessment=fit.assessment,
         )
 
 
@@ -256,7 +261,7 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     )
     selection = Selection(solver, plain, earlier.delay, earlier.sigma_delay, earlier.advantage, search)
     solution, _ = correct_attenuation(solver, plain, noise)
-    return FullFit(model=sums.model, solution=solution, selection=selection, **earlier.assessment)
+    return FullFit(model=sums.model, solution=solution, selection=selection, assessment=earlier.assessment)
 
 
 @one_blas_thread()
@@ -316,12 +321,9 @@ def fit_full(
         jump = delay_jump(every, sums.model.residuals(every, solution.estimate))
     durations = np.concatenate([windows.duration for windows in kept])
     tiny = np.finfo(np.float64).tiny
-    return FullFit(
-        model=sums.model,
-        solution=solution,
+    assessment = Assessment(
         changes=changes,
         misfit=misfit,
-        selection=selection,
         speeds=speeds,
         drop_slope=_drop_slope(sums.model, solution, kept),
         turn=float(np.median(np.abs(speeds) * durations)),
@@ -331,6 +333,7 @@ def fit_full(
         outlying_time=float(times[energy.argmax()]),
         jump=jump,
     )
+    return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)
 
 
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:

@@ -92,7 +92,7 @@ class FullMethod:
             earlier,
             angle_variance=evidence.angle_variance,
         )
-        if (jump := fit.jump) is not None:
+        if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
         points = grid.reshape(-1, 2)
@@ -103,13 +103,14 @@ class FullMethod:
         warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
         earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
         if scaled.any():
-            fit = replace(fit, changes=np.column_stack([scaled, fit.changes]))
+            changes = np.column_stack([scaled, fit.assessment.changes])
+            fit = replace(fit, assessment=replace(fit.assessment, changes=changes))
             frame = replace(frame, fit=fit)
             sigma = _sigma(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
-        outlying = fit.outlying > _OUTLYING_BATCH and fit.outlying_share > _LEAST_OUTLYING
+        outlying = fit.assessment.outlying > _OUTLYING_BATCH and fit.assessment.outlying_share > _LEAST_OUTLYING
         unknowns = fit.solution.basis.shape[1]
         share = information.windows / (information.windows + information.outside)
         return Estimate(
@@ -133,7 +134,7 @@ class FullMethod:
             condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
             residual_rms=fit.solution.residual_rms,
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
-            outlying_time=fit.outlying_time if outlying else None,
+            outlying_time=fit.assessment.outlying_time if outlying else None,
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
@@ -175,7 +176,7 @@ class TrueFrame:
 
     def sigma(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
-        model, changes = self.fit.model, self.fit.changes[self.fit.model.map]
+        model, changes = self.fit.model, self.fit.assessment.changes[self.fit.model.map]
         rows, consistent = model.flux.rows(rotated(i_dq, -self.angle)), np.empty((len(i_dq), 2))
         for start in range(0, len(i_dq), _POINTS):  # in batches: memory grows with points times time batches
             part = slice(start, start + _POINTS)
@@ -198,7 +199,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
-    found += effect_entries(fit, several_speeds=several_speeds(fit.speeds))
+    found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)
@@ -221,7 +222,7 @@ def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
     sigma = np.full(grid.shape, np.nan)
     sigma[inside] = white * np.sqrt(local[inside])
-    missed = frame.fit.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
+    missed = frame.fit.assessment.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
     if missed.any() and np.isnan(frame.fit.crossings):
         sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
     return sigma
@@ -278,23 +279,23 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
     forms = np.zeros((fit.model.size, len(current)))
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
-    return drops, fitted_sigma(forms.T @ fit.changes)
+    return drops, fitted_sigma(forms.T @ fit.assessment.changes)
 
 
 def _error_modes(
     frame: TrueFrame, grid: FloatArray, inside: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
 ) -> ErrorModes | None:
     """Return the joint errors; ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A."""
-    fit = frame.fit
+    fit, changes = frame.fit, frame.fit.assessment.changes
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
-    curve = np.zeros((len(current), fit.changes.shape[1]))
+    curve = np.zeros((len(current), changes.shape[1]))
     if fit.spec.inverter:
-        curve += shapes @ fit.changes[columns].mean(axis=1)
-    others = np.concatenate([fit.changes[[RESISTANCE]], curve[-1:], curve])
+        curve += shapes @ changes[columns].mean(axis=1)
+    others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
     errors = np.concatenate([[fit.sigma_resistance], drops[-1:], drops])
     rows = fit.model.flux.rows(rotated(grid[inside], -frame.angle))
     return error_modes(
-        fit.changes[fit.model.map], rows, sigma, inside, (others, errors), lambda psi: rotated(psi, frame.angle)
+        changes[fit.model.map], rows, sigma, inside, (others, errors), lambda psi: rotated(psi, frame.angle)
     )
 
 
@@ -306,8 +307,9 @@ def _on_map(
         yield misfit
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
-    if fit.turn < _LEAST_TURN * share * WINDOW_ANGLE and fit.duration > _LEAST_TURN * share * LONGEST_WINDOW:
-        yield Message("slow_rotation", turn=fit.turn)
+    turn, duration = fit.assessment.turn, fit.assessment.duration
+    if turn < _LEAST_TURN * share * WINDOW_ANGLE and duration > _LEAST_TURN * share * LONGEST_WINDOW:
+        yield Message("slow_rotation", turn=turn)
     grid = evidence.visits.grid()
     chosen = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if chosen.any():
@@ -337,7 +339,7 @@ def _statements(
     evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
-    several = several_speeds(fit.speeds)
+    several = several_speeds(fit.assessment.speeds)
     relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
     by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)

@@ -90,7 +90,7 @@ def test_noise_forbids_fine_cells():
 
 
 def test_bands_include_what_the_model_cannot_follow(smooth):
-    assert not smooth.misfit.missed.any()
+    assert not smooth.assessment.misfit.missed.any()
     found = identify([record(whirling_flux, duration=4.0, noise=0.1)], SETTINGS).flux_map
     grid = found.grid()
     inside = found.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= 285.0)

@@ -26,7 +26,7 @@ import drive_id
 from drive_id.bench.machines import machine_map
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
-from drive_id.files.machines.maps import write_machine
+from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.results import information
 from drive_id.files.write.writer import write_recording
@@ -92,7 +92,10 @@ def make_corpus(folder: Path) -> None:
     drive_id.fit(folder / "ours", method="joint", output=folder / "result")
     for picture in (folder / "result").glob("*.png"):
         picture.unlink()
-    write_machine(folder / "machine.npz", machine_map("ipm"))
+    machine = machine_map("ipm")
+    arrays = {"id": machine.i_d, "iq": machine.i_q, "psi_d": machine.psi_d, "psi_q": machine.psi_q}
+    scalars = {"R": machine.resistance, "pole_pairs": machine.pole_pairs}
+    (folder / "machine.npz").write_bytes(npz_bytes(arrays | scalars))
     (folder / "signals.yaml").write_text(_SIGNALS, encoding="utf-8")
     (folder / "config.yaml").write_text("method: joint\nsplines_d: 8\ni_max: 180.0\nharmonic_orders: [6, 12]\n")
 

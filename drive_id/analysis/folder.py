@@ -20,6 +20,7 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
+from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.results.folder import replace_folder
 from drive_id.quantity import measured, plain
 from drive_id.result.result import InverterCurve, Result
@@ -196,12 +197,10 @@ def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) 
         See :func:`~drive_id.files.results.folder.replace_folder`.
     """
     text = json.dumps(analysis_tree(analysis), indent=1, allow_nan=False) + "\n"
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **analysis.maps.arrays())  # type: ignore[arg-type]  # numpy types them as bool
     files = {name: _csv(columns) for name, columns in tables(analysis).items()}
     replace_folder(
         directory,
-        {**files, "maps.npz": stream.getvalue(), MARKER: text.encode()},
+        {**files, "maps.npz": npz_bytes(analysis.maps.arrays()), MARKER: text.encode()},
         marker=MARKER,
         kind=FORMAT,
         force=force,

@@ -1,4 +1,4 @@
-"""Arrays of ``.npz`` files, read only after what they declare was found to be affordable.
+"""Arrays of ``.npz`` files, read only after what they declare was found to be affordable, and written.
 
 A zip archive of some kB can declare and unpack gigabytes. So all sizes are added up first, and each array's header is
 compared with the size of its member before memory is taken for the array.
@@ -13,7 +13,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,6 +38,13 @@ _LARGEST_DIRECTORY = 1 << 20
 _END = b"PK\5\6"  # of the end record of a zip archive
 _END_SIZE = 22  # bytes, without its comment
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def npz_bytes(arrays: Mapping[str, Any], *, compressed: bool = True) -> bytes:
+    """Return the content of an ``.npz`` file."""
+    stream = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(stream, **arrays)
+    return stream.getvalue()
 
 
 def damage(error: Exception) -> str:

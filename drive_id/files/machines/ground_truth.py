@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 
 from drive_id.errors import BagError, ConfigurationError, OutputError
-from drive_id.files.inputs.archive import DAMAGED, read_arrays
+from drive_id.files.inputs.archive import DAMAGED, npz_bytes, read_arrays
 from drive_id.types import GroundTruth
 
 _ARRAYS = ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage")
@@ -20,13 +19,11 @@ _ERRORS = (ConfigurationError, *DAMAGED)
 
 def encode_truth(truth: GroundTruth) -> bytes:
     """Return the ground truth as the content of an ``.npz`` file."""
-    stream = io.BytesIO()
     arrays = {name: np.asarray(getattr(truth, name), float) for name in _ARRAYS}
     numbers = {name: np.asarray(getattr(truth, name)) for name in _NUMBERS}
     details = np.asarray(json.dumps(truth.details, sort_keys=True))
     texts = {"machine": np.asarray(truth.machine), "details": details}
-    np.savez_compressed(stream, **{**arrays, **numbers, **texts})  # type: ignore[arg-type]  # numpy types them as bool
-    return stream.getvalue()
+    return npz_bytes(arrays | numbers | texts)
 
 
 def decode_truth(data: bytes, where: str) -> GroundTruth:

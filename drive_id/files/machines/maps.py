@@ -8,13 +8,12 @@ An ``.npz`` file holds ``id``, ``iq`` (1-D, A) and ``psi_d``, ``psi_q`` (indexed
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drive_id.errors import ConfigurationError, OutputError
+from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import check_input, open_input, reason
 from drive_id.files.machines.syre import read_syre
@@ -74,51 +73,6 @@ def read_machine(
     given = {"R": resistance, "pole_pairs": pole_pairs, "i_max": i_max, "u_dc": u_dc}
     values |= {key: np.asarray(value) for key, value in given.items() if value is not None}
     return _build(path, values)
-
-
-def write_machine(path: str | os.PathLike[str], machine_map: MachineMap) -> None:
-    """Write a machine file (``.npz``), all of it or nothing.
-
-    Parameters
-    ----------
-    path : path
-        Ending in ``.npz``; an existing file is replaced.
-
-    Raises
-    ------
-    OutputError
-        When the name does not end in ``.npz`` or the file cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise OutputError(f"Machine file '{path}' must end in .npz: choose such a name.")
-    values: dict[str, Any] = {
-        "id": machine_map.i_d,
-        "iq": machine_map.i_q,
-        "psi_d": machine_map.psi_d,
-        "psi_q": machine_map.psi_q,
-        "R": machine_map.resistance,
-        "pole_pairs": machine_map.pole_pairs,
-        "i_max": machine_map.i_max,
-        "u_dc": machine_map.u_dc,
-    }
-    if machine_map.theta is not None:
-        values |= {
-            "theta_e_deg": np.degrees(machine_map.theta),
-            "psi_d_theta": machine_map.psi_d_theta,
-            "psi_q_theta": machine_map.psi_q_theta,
-        }
-    temporary = None
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as stream:
-            temporary = Path(stream.name)
-            np.savez_compressed(stream, **values)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise OutputError(f"Machine file '{path}' cannot be written: {error.strerror or error}.") from error
 
 
 def _read_npz(path: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -14,7 +13,7 @@ from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.residuals import AngleBins, TimeBins
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import ResultError
-from drive_id.files.inputs.archive import read_arrays
+from drive_id.files.inputs.archive import npz_bytes, read_arrays
 from drive_id.types import FloatArray
 
 DIAGNOSTICS = "diagnostics.npz"
@@ -43,9 +42,7 @@ def diagnostics_bytes(diagnostics: Diagnostics) -> bytes:
     for found in diagnostics.comparisons:
         if found.psi_d is not None and found.psi_q is not None:
             arrays |= _prefixed(found.method, {"psi_d": found.psi_d, "psi_q": found.psi_q})
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return npz_bytes(arrays)
 
 
 def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | None:

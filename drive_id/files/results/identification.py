@@ -6,7 +6,6 @@ All three are written and read here. Numbers that are not finite are null in the
 
 from __future__ import annotations
 
-import io
 import json
 import platform
 from collections.abc import Mapping
@@ -32,7 +31,7 @@ from drive_id.core.result.identification import (
     TorqueFit,
 )
 from drive_id.errors import DriveIdError, ResultError
-from drive_id.files.inputs.archive import DAMAGED, damage, read_arrays
+from drive_id.files.inputs.archive import DAMAGED, damage, npz_bytes, read_arrays
 from drive_id.files.inputs.input_file import read_input, read_text_input
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
@@ -294,7 +293,7 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
     arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
     modes = identification.error_modes
     joint = {} if modes is None else {name: np.float32(getattr(modes, name[6:])) for name in _MODES}
-    return _npz(arrays | scalars | texts | joint)
+    return npz_bytes(arrays | scalars | texts | joint)
 
 
 def _harmonics(identification: IdentifiedDrive) -> bytes:
@@ -302,13 +301,7 @@ def _harmonics(identification: IdentifiedDrive) -> bytes:
     found = identification.harmonics
     arrays = {name: np.array([getattr(harmonic, name) for harmonic in found]) for name in _AMPLITUDES}
     order = np.array([harmonic.order for harmonic in found])
-    return _npz({"order": order, "i_d": identification.flux_map.i_d, "i_q": identification.flux_map.i_q, **arrays})
-
-
-def _npz(arrays: Mapping[str, Any]) -> bytes:
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return npz_bytes({"order": order, "i_d": identification.flux_map.i_d, "i_q": identification.flux_map.i_q, **arrays})
 
 
 def _curve(identification: IdentifiedDrive) -> dict[str, Any]:

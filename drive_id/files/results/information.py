@@ -25,7 +25,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import SavedSums, below, prefixed
 from drive_id.errors import DriveIdError, InformationError
-from drive_id.files.inputs.archive import DAMAGED, LARGEST, read_arrays, unpacked_limit
+from drive_id.files.inputs.archive import DAMAGED, LARGEST, npz_bytes, read_arrays, unpacked_limit
 from drive_id.files.inputs.input_file import open_input, reason
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent, replace_file
@@ -129,12 +129,10 @@ def encode_information(accumulated: Accumulated) -> bytes:
         arrays["truth"] = np.frombuffer(encode_truth(accumulated.truth), np.uint8)
     header[_DIGEST] = _digest(header, arrays)
     arrays["header"] = np.array(json.dumps(header))
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]  # numpy types them as bool
-    if sum(max(array.nbytes, 8 * array.size) for array in arrays.values()) > unpacked_limit(stream.tell()):
-        stream = io.BytesIO()  # the sums of so many splines are nearly all zero: whoever reads them would refuse
-        np.savez(stream, **arrays)  # type: ignore[arg-type]  # as above
-    return stream.getvalue()
+    content = npz_bytes(arrays)
+    if sum(max(array.nbytes, 8 * array.size) for array in arrays.values()) > unpacked_limit(len(content)):
+        return npz_bytes(arrays, compressed=False)  # sums of so many splines are nearly all zero: readers would refuse
+    return content
 
 
 def decode_information(data: bytes, where: str) -> StoredInformation:

@@ -1,12 +1,10 @@
-"""Archives of arrays in memory: ``.mat`` and ``.npz``."""
+"""MATLAB files in memory."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 
 def mat_bytes(variables: Mapping[str, Any]) -> bytes:
@@ -15,11 +13,4 @@ def mat_bytes(variables: Mapping[str, Any]) -> bytes:
 
     stream = io.BytesIO()
     savemat(stream, dict(variables), oned_as="row", do_compression=True, long_field_names=True)
-    return stream.getvalue()
-
-
-def npz_bytes(arrays: Mapping[str, Any]) -> bytes:
-    """Return a compressed npz archive."""
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
     return stream.getvalue()

@@ -6,7 +6,7 @@ import numpy as np
 
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.exchange.exports.writers.archives import npz_bytes
+from drive_id.files.inputs.archive import npz_bytes
 
 
 def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # a Writer

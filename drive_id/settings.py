@@ -46,8 +46,15 @@ def setting(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+class Checked:
+    """Base of settings dataclasses, whose fields are checked when one is made."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 def check(settings: object) -> None:
-    """Check finiteness, bounds and choices of all fields; call it from ``__post_init__``.
+    """Check finiteness, bounds and choices of all fields, see :class:`Checked`.
 
     Raises
     ------

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 _SIX_STEP = 1.1027
 """Fundamental of six-step operation, 2/pi u_dc, over the largest sinusoidal voltage, u_dc / sqrt(3), rounded up."""
 
 
 @dataclass(frozen=True)
-class AnalysisSettings:
+class AnalysisSettings(Checked):
     """Settings of an analysis."""
 
     u_dc: tuple[float, ...] = setting(
@@ -45,6 +45,3 @@ class AnalysisSettings:
         10, "torques on each side of zero in the field-weakening table", minimum=1, maximum=200
     )
     speed_points: int = setting(31, "speeds of the tables", minimum=3, maximum=1001)
-
-    def __post_init__(self) -> None:
-        check(self)

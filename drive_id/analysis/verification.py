@@ -25,7 +25,7 @@ from drive_id.core.result.identification import TorqueFit
 from drive_id.core.result.torque import fit_torque
 from drive_id.errors import CoverageError
 from drive_id.result.result import Result
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
@@ -43,7 +43,7 @@ _FLUX = 0.3
 
 
 @dataclass(frozen=True)
-class VerificationLimits:
+class VerificationLimits(Checked):
     """What passes; None: not judged."""
 
     rms_in_sigma: float | None = setting(
@@ -57,9 +57,6 @@ class VerificationLimits:
     drop: float | None = setting(None, "largest difference of the inverter's drop", unit="%", minimum=0.0)
     torque: float | None = setting(None, "largest difference of the measured torque", unit="%", minimum=0.0)
     coverage: float = setting(20.0, "least share of the map's disc that is recorded", unit="%", minimum=0.0)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 Message = TypeVar("Message")
 _OVERTAKEN = 0.03
@@ -16,7 +16,7 @@ _OVERTAKEN = 0.03
 
 
 @dataclass(frozen=True)
-class FaultSettings:
+class FaultSettings(Checked):
     """Faults of the simulated drive; they begin and end while it runs."""
 
     clock_offset: float = setting(
@@ -40,9 +40,6 @@ class FaultSettings:
     loss: float = setting(0.0, "Share of messages that are lost, both ways", minimum=0.0, maximum=1.0)
     disorder: float = setting(0.0, "Share of messages that others overtake, both ways", minimum=0.0, maximum=1.0)
     trip: bool = setting(False, "The drive reports a fault and switches off")
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class Channel(Generic[Message]):

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects, ShaftEffects
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS
 
 INVERTERS = ("none", "tanh", "dead_time", "two_stage", "switching")
 
 
 @dataclass(frozen=True)
-class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEffects):
+class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEffects, Checked):
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
@@ -110,7 +110,7 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if not self.speeds:
             raise ConfigurationError("speeds is empty: give at least one speed in rpm.")
         if self.segment_durations and len(self.segment_durations) != len(self.speeds):
@@ -160,7 +160,7 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
 
 
 @dataclass(frozen=True)
-class BenchSettings:
+class BenchSettings(Checked):
     """Settings of the simulated bench."""
 
     machine: str = setting("ipm", "Shipped machine by name, or a machine file (.npz, SyR-e .mat)")
@@ -183,6 +183,3 @@ class BenchSettings:
     )
     frame_id: str = setting("drive", "Name of the drive in the message headers")
     truth_file: str = setting("", "File for the ground truth of the simulated machine (.npz); empty: none")
-
-    def __post_init__(self) -> None:
-        check(self)

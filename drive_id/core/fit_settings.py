@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 from drive_id.errors import ConfigurationError
 from drive_id.origins import METHODS, ORIGINS
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class FitSettings(Checked):
     """Settings of a fit."""
 
     method: str = setting(
@@ -168,7 +168,7 @@ class FitSettings:
         return replace(self, temperatures=self.temperatures[one], u_dc=self.u_dc[one], u_dc_reference=reference)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.temperatures and self.u_dc and len(self.temperatures) != len(self.u_dc):
             raise ConfigurationError(
                 f"There are {len(self.temperatures)} temperatures and {len(self.u_dc)} DC-link voltages: give both for "

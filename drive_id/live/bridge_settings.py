@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)
-class BridgeSettings:
+class BridgeSettings(Checked):
     """Signals file and blocks of the bridge."""
 
     signals: str = setting("", "Signals file that names the bench's topics and fields; required")
@@ -19,6 +19,3 @@ class BridgeSettings:
         5000, "Messages of each topic that may wait while the node is busy", minimum=1, maximum=1_000_000
     )
     frame_id: str = setting("drive", "Name of the drive in the headers")
-
-    def __post_init__(self) -> None:
-        check(self)

@@ -25,7 +25,7 @@ from drive_id.nodes.support.runtime import run
 from drive_id.ros.bench import Bench
 from drive_id.ros.bench import Progress as Step
 from drive_id.ros.first_start import Commissioned, commission
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way
@@ -33,7 +33,7 @@ _PATIENCE = 3.0  # s for the drive to be brought to rest at the end of the proce
 
 
 @dataclass(frozen=True)
-class CommissioningSettings:
+class CommissioningSettings(Checked):
     """Folder of the files, and patience."""
 
     output_directory: str = setting(
@@ -45,9 +45,6 @@ class CommissioningSettings:
     timeout: float = setting(
         60.0, "For each step, and for all nodes to be ready", unit="s", minimum=1.0, maximum=3600.0
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from drive_id.core.experiment.first_start import FirstStart
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)
-class Encoder:
+class Encoder(Checked):
     """The electrical angle, for the control and on ``resolver``: direction * pole pairs * raw angle - offset."""
 
     encoder_offset: float = setting(
@@ -21,7 +21,7 @@ class Encoder:
     encoder_pole_pairs: int = setting(1, "Electrical turns per turn of the raw angle", minimum=1, maximum=100)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.encoder_direction == 0:
             raise ConfigurationError("encoder_direction is 0: it must be 1 or -1.")
 

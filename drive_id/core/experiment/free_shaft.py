@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray
 
 SLOWEST_SWING, FASTEST_SWING = 5.0, 60.0
@@ -63,7 +63,7 @@ def swing_frequency(acceleration: float, speed_max: float, mean_speed: float = 0
 
 
 @dataclass(frozen=True)
-class FreeShaft:
+class FreeShaft(Checked):
     """Torque that reverses with i_q and so leaves the mean speed alone, while i_d slowly sweeps the disc.
 
     ``i_q = I cos(x'), i_d = I sin(x') sin(2 pi f_d t)`` with ``x' = x - beta sin(x)``, ``x = 2 pi f_q t``: the skew
@@ -74,9 +74,6 @@ class FreeShaft:
     i_max: float = setting(100.0, "amplitude", unit="A", minimum=1e-3)
     frequency: float = setting(5.0, "frequency of i_q", unit="Hz", minimum=0.1, maximum=1000.0)
     run_time: float = setting(20.0, "duration, ramps included", unit="s", minimum=1e-2)
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def ramp_time(self) -> float:
@@ -202,7 +199,7 @@ class SpeedFeedback:
 
 
 @dataclass(frozen=True)
-class RotatingVector:
+class RotatingVector(Checked):
     """For a first start: zero current, then a vector in the stator frame that turns slowly, forwards and backwards.
 
     At each of two currents: align at angle 0, turn ``turns`` forwards, wait, turn back, and go to zero current.
@@ -219,9 +216,6 @@ class RotatingVector:
     """Time at zero current before, for the offsets, s."""
     RISE_TIME = 0.5
     """Time of each ramp of the amplitude and of the speed of the vector, s."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def way(self) -> float:

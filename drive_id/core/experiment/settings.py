@@ -16,7 +16,7 @@ from drive_id.core.experiment.free_shaft import (
 )
 from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Trajectory
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 FREE_SHAFT, FIRST_START = "free_shaft", "first_start"
 TRAJECTORIES = ("lissajous", "stair", "spiral", FREE_SHAFT, FIRST_START)
@@ -25,7 +25,7 @@ _LONGEST_RAMP = 10.0  # s
 
 
 @dataclass(frozen=True)
-class ExperimentSettings:
+class ExperimentSettings(Checked):
     """Settings of the trajectory publisher."""
 
     trajectory: str = setting(
@@ -194,7 +194,7 @@ class ExperimentSettings:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.speed_min is not None and self.speed_max is not None and self.speed_min >= self.speed_max:
             raise ConfigurationError(
                 f"speed_min is {self.speed_min:g} rad/s and speed_max {self.speed_max:g} rad/s: the band must not be "

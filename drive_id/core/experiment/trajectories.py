@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray
 
 
@@ -33,7 +33,7 @@ class Trajectory(Protocol):
 
 
 @dataclass(frozen=True)
-class Lissajous:
+class Lissajous(Checked):
     """The paper's constrained Lissajous figure (double-sine sweep) in the current disc."""
 
     i_max: float = setting(100.0, "radius of the current disc", unit="A", minimum=1e-3)
@@ -45,9 +45,6 @@ class Lissajous:
         "smooth: the signed root, the same disc without kinks",
         choices=("smooth", "printed"),
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def duration(self) -> float:
@@ -71,16 +68,13 @@ class Lissajous:
 
 
 @dataclass(frozen=True)
-class Stair:
+class Stair(Checked):
     """Operating points on a square grid in the disc, held one by one and joined by straight ramps."""
 
     i_max: float = setting(100.0, "radius of the current disc", unit="A", minimum=1e-3)
     points: int = setting(9, "grid points per axis", minimum=3, maximum=101)
     dwell_time: float = setting(0.2, "time at each operating point", unit="s", minimum=1e-3)
     slew_rate: float = setting(10000.0, "|di/dt| from point to point", unit="A/s", minimum=1.0)
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @cached_property
     def operating_points(self) -> FloatArray:
@@ -124,15 +118,12 @@ class Stair:
 
 
 @dataclass(frozen=True)
-class Spiral:
+class Spiral(Checked):
     """A spiral with equally spaced turns from zero current to the rim and back."""
 
     i_max: float = setting(100.0, "radius of the current disc", unit="A", minimum=1e-3)
     turns: float = setting(10.0, "turns from the centre to the rim", minimum=0.5, maximum=1000.0)
     duration: float = setting(10.0, "time out and back", unit="s", minimum=1e-2)
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def slope(self) -> float:

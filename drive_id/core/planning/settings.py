@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray, MachineMap
 
 _RIM_NODES = 720
 
 
 @dataclass(frozen=True)
-class PlanSettings:
+class PlanSettings(Checked):
     """Rough data of the drive, limits of the bench, and the wanted accuracy."""
 
     i_max: float | None = setting(None, "Radius of the current disc to map", unit="A", minimum=1e-3)
@@ -51,7 +51,7 @@ class PlanSettings:
     duration_max: float = setting(60.0, "Longest duration of the experiment", unit="s", minimum=2.0, maximum=1e5)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.speed_min > self.speed_max:
             raise ConfigurationError(
                 f"speed_min is {self.speed_min:g} rpm and speed_max {self.speed_max:g} rpm: give a range that is not "

@@ -11,7 +11,7 @@ import numpy as np
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.field_path import parse_field_path
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS, FloatArray
 
 STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
@@ -52,7 +52,7 @@ def terms_of(entry: Field) -> tuple[tuple[str, float], ...]:
 
 
 @dataclass(frozen=True)
-class TimeSource:
+class TimeSource(Checked):
     """Where the time of the samples of a signal comes from; part of every section."""
 
     topic: str = setting("", "Bags: name of the topic; without a leading slash it is searched for in all namespaces")
@@ -81,7 +81,7 @@ class TimeSource:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.stamp_bits is not None and self.stamp in NAMED_STAMPS:
             raise ConfigurationError("stamp_bits is given without a field that counts ticks: name it by stamp.")
         if self.stamp not in NAMED_STAMPS:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)
-class IdentificationSettings:
+class IdentificationSettings(Checked):
     """Folders of recordings and results, and what is kept of the live samples."""
 
     data_directory: str = setting(
@@ -47,6 +47,3 @@ class IdentificationSettings:
         50.0, "Rate of operating_point while somebody listens; 0: none", unit="Hz", minimum=0.0, maximum=1000.0
     )
     frame_id: str = setting("drive", "Name of the drive in the header of the flux map")
-
-    def __post_init__(self) -> None:
-        check(self)

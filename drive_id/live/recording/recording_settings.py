@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)
-class RecordingSettings:
+class RecordingSettings(Checked):
     """Where and how live samples are recorded; the fields' metadata describe them."""
 
     data_directory: str = setting(
@@ -51,4 +51,4 @@ class RecordingSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extra_topics", tuple(self.extra_topics))  # a list, as files hold it
-        check(self)
+        super().__post_init__()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
@@ -117,6 +118,17 @@ class FreeShaftPlan:
     def swing(self) -> float:
         """Amplitude of the speed, mechanical, rad/s."""
         return self.acceleration / (2 * math.pi * self.frequency)
+
+    @cached_property
+    def course(self) -> _Course:
+        """Currents, fluxes and speed over some periods of the swing, by the rough machine."""
+        figure, step = self.figure, 1 / (_STEPS * self.frequency)
+        i_dq = figure(figure.ramp_time + step * np.arange(_PERIODS * _STEPS, dtype=np.float64))
+        psi = self.machine.flux(i_dq)
+        swing = np.cumsum(psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0])
+        swing -= swing.mean()
+        speed = self.machine.pole_pairs * (abs(self.mean_speed) + self.swing * swing / np.abs(swing).max())
+        return _Course(step, i_dq, psi, speed)
 
     @property
     def expected(self) -> tuple[float, float]:
@@ -293,19 +305,9 @@ class _Course(NamedTuple):
     speed: FloatArray
 
 
-def _course(plan: FreeShaftPlan) -> _Course:
-    figure, step = plan.figure, 1 / (_STEPS * plan.frequency)
-    i_dq = figure(figure.ramp_time + step * np.arange(_PERIODS * _STEPS, dtype=np.float64))
-    psi = plan.machine.flux(i_dq)
-    swing = np.cumsum(psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0])
-    swing -= swing.mean()
-    speed = plan.machine.pole_pairs * (abs(plan.mean_speed) + plan.swing * swing / np.abs(swing).max())
-    return _Course(step, i_dq, psi, speed)
-
-
 def _swing_voltage(plan: FreeShaftPlan) -> float:
     """Return the largest amplitude ``|R i + omega J psi + dpsi/dt|`` of a swing, V: the currents change as it turns."""
-    step, i_dq, psi, speed = _course(plan)
+    step, i_dq, psi, speed = plan.course
     u_d, u_q = (plan.machine.resistance * i_dq + np.gradient(psi, step, axis=0)).T
     return float(np.hypot(u_d - speed * psi[:, 1], u_q + speed * psi[:, 0]).max())
 
@@ -325,7 +327,7 @@ def _strayed(plan: FreeShaftPlan, inductance: float, magnet: float) -> tuple[flo
     an assumed flux psi' and an observed speed omega', leaves a voltage v, and by it a current v H(s) / L with
     ``H = s / (s^2 + a k s + a_i a k)``.
     """
-    machine, (step, i_dq, psi, speed) = plan.machine, _course(plan)
+    machine, (step, i_dq, psi, speed) = plan.machine, plan.course
     s = 2j * np.pi * np.fft.rfftfreq(len(speed), step)
 
     def filtered(signal: FloatArray, response: NDArray[np.complexfloating]) -> FloatArray:

@@ -174,7 +174,7 @@ def _reply(settings: FitSettings, repeats: int, minutes: float) -> tuple[Row, ..
     known = of_snapshot(live.snapshot(), None).conclusion
     spent += _feed(live, iter(messages[most:]), streams)
     actions = {
-        "without a fit in the background": lambda: live.snapshot().identify(),
+        "without a fit in the background": lambda: live.snapshot().conclude().drive,
         "after a fit of the first 90 %": lambda: live.snapshot().conclude(known),
     }
     costs = in_turns(actions, repeats)

@@ -32,9 +32,9 @@ _FLUX_TOLERANCE = 3e-8
 """Largest error per integration step from the bend of the inverter curve, relative to the largest flux."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedBlock:
-    """A block of a simulated experiment.
+    """A block of a simulated experiment, or all of it.
 
     Parameters
     ----------
@@ -54,30 +54,18 @@ class SimulatedBlock:
     course: Course | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Simulation:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Simulation(SimulatedBlock):
     """A simulated experiment and its ground truth.
 
     Parameters
     ----------
-    samples : Samples
-        As measured and logged by the drive.
     machine : Machine
         Whose ``mean_flux`` is the truth at any current.
-    i_dq_true : (N, 2) float
-        True phase currents at the samples in the true rotor frame, A.
-    angle_true : (N,) float
-        True electrical angle at the samples, rad.
-    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
-        Inner quantities at the samples, of a drive with effects.
     """
 
-    samples: Samples
     truth: GroundTruth
     machine: Machine
-    i_dq_true: FloatArray
-    angle_true: FloatArray
-    course: Course | None = None
 
 
 class Drive:
@@ -208,7 +196,7 @@ class Drive:
             )
         known: dict[str, Any] = scalars
         samples = dataclasses.replace(samples, **known) if known else samples
-        return SimulatedBlock(samples, i_dq, angle, inner)
+        return SimulatedBlock(samples=samples, i_dq_true=i_dq, angle_true=angle, course=inner)
 
     def truth(self) -> GroundTruth:
         """Return the ground truth of this drive."""
@@ -375,7 +363,14 @@ def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_referen
     start = (float(reference[0, 0]), float(reference[0, 1]))
     drive = Drive(machine, settings, i_dq_start=start, duration=len(reference) * settings.sample_period)
     block = drive.step_block(reference)
-    return Simulation(block.samples, drive.truth(), machine, block.i_dq_true, block.angle_true, block.course)
+    return Simulation(
+        samples=block.samples,
+        i_dq_true=block.i_dq_true,
+        angle_true=block.angle_true,
+        course=block.course,
+        truth=drive.truth(),
+        machine=machine,
+    )
 
 
 def build_machine(machine_map: MachineMap, settings: SimulationSettings) -> Machine:

@@ -13,9 +13,6 @@ from drive_id.bench.parameters import HISTORY, Controller, DriveState, PhaseDrop
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
-_FINEST = 1024
-_SQRT3 = math.sqrt(3.0)
-
 
 @compiled()
 def evaluate(

@@ -11,7 +11,7 @@ from drive_id.bench.effects import largest_torque, shaft_of
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.free_shaft import FASTEST_SWING, SLOWEST_SWING, FreeShaft, SpeedFeedback, swing_frequency
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 from drive_id.types import MachineMap, Samples
 
 _TICK = 0.01  # s, at which the feedback acts
@@ -21,7 +21,7 @@ _RPM = 2 * np.pi / 60
 
 
 @dataclass(frozen=True)
-class Swing:
+class Swing(Checked):
     """What a free shaft does in a simulation."""
 
     speed_max: float = setting(1500.0, "Highest mechanical speed planned, either way", unit="rpm", minimum=1.0)
@@ -32,7 +32,7 @@ class Swing:
     amplitude: float = setting(0.95, "Relative to i_max", minimum=1e-3, maximum=1.0)
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if abs(self.mean_speed) >= self.speed_max:
             raise ConfigurationError(
                 f"mean_speed is {self.mean_speed:g} rpm: it must be below speed_max, {self.speed_max:g} rpm."
@@ -83,4 +83,6 @@ def simulate_swing(machine_map: MachineMap, settings: SimulationSettings, swing:
     i_dq, angle = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("i_dq_true", "angle_true"))
     courses = [block.course for block in blocks if block.course is not None]
     course = np.concatenate(courses).view(np.recarray)
-    return Simulation(samples, drive.truth(), machine, i_dq, angle, course)
+    return Simulation(
+        samples=samples, i_dq_true=i_dq, angle_true=angle, course=course, truth=drive.truth(), machine=machine
+    )

@@ -9,7 +9,6 @@ from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion, concluded
-from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
@@ -75,10 +74,6 @@ class Snapshot:
     def validation(self) -> tuple[Samples, ...]:
         """Return the excerpt of the trajectory, to be simulated for the MAD and to be drawn."""
         return self.gathered.excerpt.samples()
-
-    def identify(self) -> IdentifiedDrive:
-        """Return the drive of :meth:`conclude`."""
-        return self.conclude().drive
 
     def conclude(self, earlier: Conclusion | None = None) -> Conclusion:
         """Fit; call it once.

@@ -69,7 +69,7 @@ def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
     settings = replace(SETTINGS, method=method)
     part = replace(samples, **{n: getattr(samples, n)[:12_345] for n in ("stamp", "i_abc", "u_abc", "angle", "speed")})
     for snapshot, recording in ((second, samples), (first, part)):  # the older one last: later samples are not in it
-        found, expected = snapshot.identify(), identify([recording], settings)
+        found, expected = snapshot.conclude().drive, identify([recording], settings)
         assert_same(found, expected)
         assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=1e-6)
         assert snapshot.join.last_stamp == recording.stamp[-1]
@@ -88,7 +88,7 @@ def test_optional_signals_arrive_beside_the_others(samples, tmp_path):
     values = identifier.health("", [()] * 3).values
     assert (values["shaft_torque: samples"], values["unreadable messages"]) == ("100", "1")
     snapshot = identifier.live.snapshot("")
-    assert_same(snapshot.identify(), identify([samples], SETTINGS))
+    assert_same(snapshot.conclude().drive, identify([samples], SETTINGS))
     (kept,) = snapshot.validation()
     assert len(kept) == len(samples)
     np.testing.assert_allclose(kept.shaft_torque[11_000:19_901], np.arange(11_000, 19_901))
@@ -122,7 +122,7 @@ def test_the_mad_is_taken_over_the_trajectory_not_over_the_rest_behind_it(tmp_pa
     live = LiveEvidence(settings)
     feed(live, stream, block=500)
     snapshot = live.snapshot()
-    report, truth = snapshot.identify().report, expected.drive.report
+    report, truth = snapshot.conclude().drive.report, expected.drive.report
     assert (report.mad_d, report.mad_q) == pytest.approx((truth.mad_d, truth.mad_q), rel=0.03)
     (kept,) = snapshot.validation()
     assert len(kept) == pytest.approx(sum(len(part) for part in expected.excerpts), rel=0.05)
@@ -153,7 +153,7 @@ def test_a_rest_between_two_trajectories_divides_the_excerpt_only(monkeypatch):
     live = LiveEvidence(SETTINGS)
     feed(live, stream)
     snapshot = live.snapshot()
-    assert snapshot.identify().report.gaps == 0
+    assert snapshot.conclude().drive.report.gaps == 0
     (kept,) = snapshot.validation()
     assert len(kept.run_starts) == 2
     assert kept.duration == pytest.approx(4.0, abs=0.5)
@@ -181,7 +181,7 @@ def test_memory_does_not_grow(samples, monkeypatch):
         kept = sum(len(part) for part in live.snapshot().validation())
         sizes.append(kept + sum(len(track.stamp) for track in live.join.tracks))
     assert max(sizes) < 6000
-    assert live.snapshot().identify().report.gaps == 2
+    assert live.snapshot().conclude().drive.report.gaps == 2
 
 
 def spoiled(samples):
@@ -209,7 +209,7 @@ def test_live_samples_get_the_errors_of_recorded_ones(samples):
         feed(live, wrong)
         snapshot = live.snapshot()
         with pytest.raises(type(expected.value)) as found:
-            snapshot.identify()
+            snapshot.conclude()
         assert str(found.value) == str(expected.value)
 
 
@@ -239,10 +239,10 @@ def test_an_i_max_far_from_the_live_currents_is_named(samples):
     live = LiveEvidence(replace(SETTINGS, i_max=50.0))
     feed(live, samples)
     with pytest.raises(CoverageError, match=r"i_max is 50 A but the recording reaches 300\.\d A"):
-        live.snapshot().identify()
+        live.snapshot().conclude()
     live = LiveEvidence(replace(SETTINGS, i_max=600.0))
     feed(live, samples)
-    warnings = live.snapshot().identify().report.warnings
+    warnings = live.snapshot().conclude().drive.report.warnings
     assert any("i_max is 600 A but the currents reach only 300" in text for text in warnings)
 
 
@@ -254,10 +254,10 @@ def test_settings_that_shape_the_sums_forget_the_samples(samples):
     assert live.configure(SETTINGS)
     feed(live, samples, 0, 3000)
     assert not live.configure(replace(SETTINGS, method="psm"))
-    assert live.snapshot().identify().method == "psm"
+    assert live.snapshot().conclude().drive.method == "psm"
     assert live.configure(replace(SETTINGS, splines_d=9))
     with pytest.raises(EmptyTopicError):
-        live.snapshot().identify()
+        live.snapshot().conclude()
     with pytest.raises(ConfigurationError, match="method is 'best'"):
         live.snapshot("best")
 
@@ -269,7 +269,7 @@ def test_settings_of_the_solution_keep_the_samples(samples):
     feed(live, samples, 0, len(samples))
     for change in ({"method": "joint"}, {"method": "full"}, {"maps": "free"}, {"calibrate_delay": False}):
         assert not live.configure(replace(live.settings, **change)), change
-    assert live.snapshot().identify().method == "full"
+    assert live.snapshot().conclude().drive.method == "full"
     assert live.configure(replace(full, harmonic_orders=(6, 12)))
     assert live.configure(replace(full, temperatures=(20.0,)))
 
@@ -279,7 +279,7 @@ def test_live_samples_are_the_first_recording_of_the_conditions(samples):
     cold = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=()))
     for live in (warm, cold):
         feed(live, samples, 0, len(samples))
-    hot, as_is = (live.snapshot().identify().resistance for live in (warm, cold))
+    hot, as_is = (live.snapshot().conclude().drive.resistance for live in (warm, cold))
     assert hot * (1 + 3.93e-3 * 80.0) == pytest.approx(as_is, rel=1e-3)
     warm.configure(replace(warm.settings, temperatures=(20.0, 30.0)))
     with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recordings"):

@@ -118,7 +118,7 @@ def test_no_fit_without_new_samples_and_never_two_of_the_same(samples, refits, c
 def test_the_fit_is_that_of_a_request(samples, refits):
     live = fed(samples, 30_000)
     found = refits.job(live)(silent)
-    requested = live.snapshot().identify()
+    requested = live.snapshot().conclude().drive
     np.testing.assert_array_equal(found.drive.flux_map.psi_d, requested.flux_map.psi_d)
     np.testing.assert_array_equal(found.drive.flux_map.sigma_q, requested.flux_map.sigma_q)
     assert found.drive.report == requested.report

@@ -184,7 +184,7 @@ def _figures(
 def _figures_over_speed(model: MachineModel, of_speed: SpeedRange) -> dict[str, Figure]:
     """Return what the DC link limits; the largest torque is that at standstill."""
     motoring, sigma_torque = of_speed.motoring, of_speed.sigma_torque
-    supported = model.inside(motoring.i_dq[:, 0], motoring.i_dq[:, 1])
+    supported = motoring.inside(model)
     possible = bool(np.isfinite(motoring.torque).any())
     power = int(np.nanargmax(motoring.mechanical)) if possible else 0
     efficiency = of_speed.references.efficiency
@@ -279,8 +279,7 @@ def _statements(
 
 
 def _inside(model: MachineModel, points: Operation) -> BoolArray:
-    d, q = points.i_dq[..., 0], points.i_dq[..., 1]
-    return (model.inside(d, q) | ~np.isfinite(d)).ravel()
+    return (points.inside(model) | ~np.isfinite(points.i_dq[..., 0])).ravel()
 
 
 def _on_support(name: str, inside: BoolArray) -> str:

@@ -186,7 +186,7 @@ def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) 
     With the gradients of torque, voltage and current by the map's current, the torque changes to first order by its own
     change minus the change of an active voltage limit times its multiplier.
     """
-    known = model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+    known = points.inside(model)
     torque, voltage = [], []
     for other in operations_with_errors(model, points):
         torque.append(other.torque - points.torque)

@@ -279,7 +279,7 @@ def _references(model: MachineModel, entry: SpeedRange) -> Columns:
         "sigma_voltage": errors.voltage,
         "sigma_losses": errors.losses,
         "sigma_efficiency": errors.efficiency,
-        "inside": _inside(model, points),
+        "inside": points.inside(model),
         "u_dc": np.full(points.torque.shape, entry.u_dc),
     }
     limit = {"limit": entry.limits.names(_flat(points))}
@@ -309,7 +309,7 @@ def _envelope(model: MachineModel, entry: SpeedRange) -> Columns:
         "electrical_power": points.power,
         "efficiency": points.efficiency,
         "braking_torque": entry.braking.torque,
-        "inside": _inside(model, points),
+        "inside": points.inside(model),
         "u_dc": np.full(len(points.speed), entry.u_dc),
     }
 
@@ -319,10 +319,6 @@ def _compensation(analysis: Analysis) -> Columns:
     sigma = np.full(len(curve.current), np.nan) if curve.sigma is None else curve.sigma
     phases = {} if curve.phases is None else dict(zip(("phase_a", "phase_b", "phase_c"), curve.phases.T, strict=True))
     return {"current": curve.current, "voltage": curve.voltage, "sigma_voltage": sigma, **phases}
-
-
-def _inside(model: MachineModel, points: Operation) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    return model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
 
 
 def _joined(parts: Sequence[Columns]) -> Columns:

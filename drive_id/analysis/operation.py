@@ -83,6 +83,10 @@ class Operation:
         """Return some of the points along the first axis."""
         return Operation(**{entry.name: getattr(self, entry.name)[rows] for entry in fields(self)})
 
+    def inside(self, model: MachineModel) -> BoolArray:
+        """Tell at which points (...) the map rests on data."""
+        return model.inside(self.i_dq[..., 0], self.i_dq[..., 1])
+
     @property
     def current(self) -> FloatArray:
         """Amplitude of the stator current (...), A."""
@@ -122,7 +126,7 @@ class OperationErrors:
     @classmethod
     def of(cls, model: MachineModel, points: Operation) -> OperationErrors:
         """Propagate the errors of a model to its operating points; NaN outside the data."""
-        known = model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+        known = points.inside(model)
         changes: dict[str, list[FloatArray]] = {
             name: [] for name in ("torque", "voltage", "losses", "power", "efficiency")
         }

@@ -67,11 +67,7 @@ def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTrut
         axes.set_yticks([])
         _say(axes, textwrap.fill(identification.origin.no_inverter, 40))
         return
-    sigma = identification.sigma_inverter_voltage
-    if sigma is None:
-        height, sigma_height = identification.voltage_error, identification.sigma_voltage_error
-        sigma = np.abs(voltage / height) * sigma_height if height and np.isfinite(sigma_height) else None
-    if sigma is not None and np.isfinite(sigma).all():
+    if (sigma := identification.sigma_drop) is not None:
         label = f"±1.96 σ ≤ {_Z * sigma.max():.2g} V"
         axes.fill_between(
             current, voltage - _Z * sigma, voltage + _Z * sigma, color=DARK, alpha=0.3, linewidth=0, label=label

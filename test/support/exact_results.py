@@ -31,7 +31,7 @@ def exact_result(machine, *, sigma=np.nan, drop=None, **changes):
         "inverter_current": current,
         "inverter_voltage": np.zeros(201) if drop is None else drop(current),
         "flux_map": flux_map,
-        "report": FitReport(0, 0, 0, 0, 0, 0, 0, 1.0, 0.0, np.nan, np.nan, 1.0, ()),
+        "report": FitReport(samples_read=0, samples_used=0, condition=1.0, residual_rms=0.0, coverage=1.0),
     }
     known = Provenance({}, FitSettings(), machine=machine.name, pole_pairs=machine.pole_pairs, u_dc=machine.u_dc)
     return Identification(IdentifiedDrive(**fields | changes), known)

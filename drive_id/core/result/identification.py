@@ -282,9 +282,9 @@ class HarmonicMap:
     psi_q_sin: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FitReport:
-    """How well the data determine the model.
+    """How well the data determine the model; what does not apply has its default.
 
     Parameters
     ----------
@@ -311,17 +311,17 @@ class FitReport:
 
     samples_read: int
     samples_used: int
-    gaps: int
-    rows: int
-    parameters: int
-    rank: int
-    unseen: int
-    condition: float
-    residual_rms: float
-    mad_d: float
-    mad_q: float
+    gaps: int = 0
+    rows: int = 0
+    parameters: int = 0
+    rank: int = 0
+    unseen: int = 0
+    condition: float = np.inf
+    residual_rms: float = np.nan
+    mad_d: float = np.nan
+    mad_q: float = np.nan
     coverage: float
-    warnings: tuple[Message, ...]
+    warnings: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -494,6 +494,14 @@ class IdentifiedDrive(Parameters):
     def origin(self) -> Origin:
         """What results of this method hold, and the words for it."""
         return ORIGINS[self.method]
+
+    @property
+    def sigma_drop(self) -> FloatArray | None:
+        """Standard error of the inverter's curve (C,), V: of each current, or in proportion; None where unknown."""
+        sigma, height = self.sigma_inverter_voltage, self.voltage_error
+        if sigma is None and height and np.isfinite(self.sigma_voltage_error):
+            sigma = np.abs(self.inverter_voltage / height) * self.sigma_voltage_error
+        return sigma if sigma is not None and np.isfinite(sigma).all() else None
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (N, 2), Wb, at currents (N, 2), A, of the fitted function where it is known."""

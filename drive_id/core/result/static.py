@@ -67,15 +67,11 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
     report = FitReport(
         samples_read=points.samples,
         samples_used=int(fit.points.count.sum()),
-        gaps=0,
         rows=2 * len(fit.points),
         parameters=len(fit.posterior.mean),
         rank=len(fit.posterior.mean),
-        unseen=0,
         condition=fit.condition,
         residual_rms=float(np.sqrt(np.mean(fit.residual**2))),
-        mad_d=float("nan"),
-        mad_q=float("nan"),
         coverage=coverage,
         warnings=tuple(_warnings(fit, coverage, i_max)),
     )

@@ -158,18 +158,4 @@ def _report(flux_map: FluxMap, i_max: float, points: int) -> FitReport:
     i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
     disc = np.hypot(i_d, i_q) <= i_max
     covered = np.isfinite(flux_map.psi_dq(i_d[disc], i_q[disc])[0])
-    return FitReport(
-        samples_read=points,
-        samples_used=points,
-        gaps=0,
-        rows=0,
-        parameters=0,
-        rank=0,
-        unseen=0,
-        condition=np.inf,
-        residual_rms=np.nan,
-        mad_d=np.nan,
-        mad_q=np.nan,
-        coverage=float(covered.mean()),
-        warnings=(),
-    )
+    return FitReport(samples_read=points, samples_used=points, coverage=float(covered.mean()))

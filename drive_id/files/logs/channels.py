@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from drive_id.files.logs.column_log import OWN_TIME, ROWS, Column, ColumnGroup, Rows, shares
 
-_NUMBERS = "iufb"
-
 
 def _parts(
     groups: Sequence[ColumnGroup], wanted: Sequence[Column], rows: int, read: Callable[[Column, slice], NDArray[Any]]

@@ -378,7 +378,7 @@ def _identification(
         inverter_current=np.array(curve["current"], np.float64),
         inverter_voltage=np.array(curve["voltage"], np.float64),
         flux_map=flux_map,
-        report=FitReport(**report, warnings=()),
+        report=FitReport(**report),
         sigma_inverter_voltage=_array(curve.get("sigma_voltage")),
         phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
         harmonics=harmonics,

@@ -112,14 +112,11 @@ def _inverter(result: Result) -> dict[str, Any] | None:
     curve = result.inverter_curve
     if not result.origin.inverter or not np.any(curve.voltage):
         return None
-    sigma = curve.sigma
-    if sigma is None and result.voltage_error and np.isfinite(result.sigma_voltage_error):
-        sigma = np.abs(curve.voltage / result.voltage_error) * result.sigma_voltage_error
-    known = sigma is not None and bool(np.isfinite(sigma).all())
+    sigma = result.drive.sigma_drop
     return {
         "current": _listed(curve.current),
         "voltage": _listed(curve.voltage),
-        "sigma": _listed(sigma) if sigma is not None and known else None,
+        "sigma": None if sigma is None else _listed(sigma),
         "phases": None if curve.phases is None else [_listed(phase) for phase in curve.phases.T],
     }
 

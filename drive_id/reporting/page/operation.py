@@ -132,7 +132,7 @@ def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     torque = np.nanmax(ends[0].torque) * np.arange(1, _TORQUES + 1) / _TORQUES
     points = references(model, limits, torque, *ends)
     kept = torque <= ends[0].torque[:, None] * (1 + _SAME)
-    known = kept & model.inside(points.i_dq[..., 0], points.i_dq[..., 1])
+    known = kept & points.inside(model)
     efficiency = np.where(known, points.efficiency, np.nan)
     return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
 

@@ -19,6 +19,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
 import numpy as np
+from reporting import write_between
 
 import drive_id
 from drive_id.bench.drive import Simulation, build_machine
@@ -29,7 +30,6 @@ from drive_id.errors import DriveIdError
 from drive_id.fitting.simulated import load_machine
 
 BAND = 1.96
-BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 FAULTS = {
     "resolver_offset": math.radians(1.0),
     "voltage_delay": 1.0,
@@ -201,11 +201,8 @@ def main() -> None:
         for sentence in sentences:
             print(f"    {sentence}", flush=True)
     if options.page:
-        text = options.page.read_text(encoding="utf-8")
-        before, _, rest = text.partition(BEGIN)
-        after = rest.partition(END)[2]
-        figures = "\n".join([BEGIN, "", *lines, "", "What was said:", "", *said, "", END])
-        options.page.write_text(before + figures + after, encoding="utf-8")
+        text = "\n".join([*lines, "", "What was said:", "", *said])
+        write_between(options.page, "benchmarks/free_shaft.py", text)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from node_processes import NodeProcess
+from reporting import write_between
 
 from drive_id.bench.drive import build_machine
 from drive_id.bench.effects import DEFAULT_ACCELERATION, largest_torque
@@ -30,7 +31,6 @@ from drive_id.fitting.sources import read_bag
 OFFSET = 0.7  # rad
 SPEED_MAX, FLYWHEEL = 1500.0, 750.0  # rpm
 _RPM = 2 * math.pi / 60
-BEGIN, END = "<!-- live -->", "<!-- end of live -->"
 HEAD = "| live | error of ψ_d / ψ_q | R (z) | bands | J (z) | largest speed, current | warnings |"
 
 
@@ -120,11 +120,7 @@ def main() -> None:
                 lines.append(row(machine, heavier, Path(folder), options.time_scale))
                 print(lines[-1], flush=True)
     if options.page:
-        text = options.page.read_text(encoding="utf-8")
-        before, _, rest = text.partition(BEGIN)
-        options.page.write_text(
-            "\n".join([before + BEGIN, "", *lines, "", END]) + rest.partition(END)[2], encoding="utf-8"
-        )
+        write_between(options.page, "benchmarks/free_shaft_live.py", "\n".join(lines))
 
 
 if __name__ == "__main__":

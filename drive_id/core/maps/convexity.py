@@ -8,9 +8,9 @@ from itertools import combinations
 from math import comb
 
 import numpy as np
-from scipy import linalg
 
 from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
+from drive_id.core.numerics.normal_equations import solved
 from drive_id.types import FloatArray, IntArray
 
 _FASTER = 20.0
@@ -144,7 +144,7 @@ def barrier_minimum(
     for _ in range(_MOST_STEPS):
         gradient, weights = _log_barrier(h)
         ascent = normal @ w - right + mu * forms.pulled(gradient)
-        step = _newton_step(normal + mu * forms.curvature(weights), ascent)
+        step = -solved(normal + mu * forms.curvature(weights), ascent)
         along = forms.hessians(step)
         decrement = -float(ascent @ step)
         size = min(1.0, _SHARE_OF_WAY * _largest_step(h, along))
@@ -157,13 +157,6 @@ def barrier_minimum(
                 break
             mu /= _FASTER
     return w
-
-
-def _newton_step(matrix: FloatArray, slope: FloatArray) -> FloatArray:
-    scale = 1 / np.sqrt(np.diag(matrix))
-    scaled = matrix * scale[:, None] * scale
-    scaled[np.diag_indices(len(scaled))] += 1e-13
-    return np.asarray(-scale * linalg.cho_solve(linalg.cho_factor(scaled, lower=True), scale * slope))
 
 
 def _log_barrier(h: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,12 +17,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline, bent_edges
 from drive_id.core.maps.convexity import HessianForms, barrier_minimum
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.maps.support import Support
+from drive_id.core.numerics.normal_equations import solved
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -46,7 +47,6 @@ _BEYOND = 3.0
 """The same relative to that of the roughness: weak enough not to move the map within the points."""
 _SITES = 2
 _STEP = 0.05
-_ROUNDING = 1e-13
 _FOLDS = 5
 _SEED = 20
 
@@ -329,7 +329,7 @@ class _Problem:
         """Return the coefficients that minimize without constraints."""
         normal, right = self._all
         count = len(self.points.i)
-        return _solved(self._matrix(normal, weight, count), right / (2 * count))
+        return solved(self._matrix(normal, weight, count), right / (2 * count))
 
     def convex(self, weight: float, start: FloatArray, forms: HessianForms, least: float) -> FloatArray:
         """Return the coefficients that minimize among those of a convex co-energy."""
@@ -351,7 +351,7 @@ class _Problem:
             rows, psi = self.rows[np.repeat(left_out, 2)], self.points.psi[left_out].ravel()
             count = int((~left_out).sum())
             for k, weight in enumerate(candidates):
-                w = _solved(self._matrix(normal - own_normal, weight, count), (right - own_right) / (2 * count))
+                w = solved(self._matrix(normal - own_normal, weight, count), (right - own_right) / (2 * count))
                 errors[k] += self.points.weights[left_out].ravel() @ (rows @ w - psi) ** 2
         return errors
 
@@ -396,14 +396,6 @@ def _selected(points: _Points, reach: float, cells: int, smoothness: float | Non
         finer = best * _FINER
         best = float(finer[problem.errors(finer).argmin()])
     return problem, best
-
-
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    scale = 1 / np.sqrt(np.diag(matrix))
-    scaled = matrix * scale[:, None] * scale
-    scaled[np.diag_indices(len(scaled))] += _ROUNDING
-    factor = linalg.cho_factor(scaled, lower=True, overwrite_a=True)
-    return np.asarray(scale * linalg.cho_solve(factor, scale * right))
 
 
 def _rms(distances: FloatArray) -> float:

@@ -98,6 +98,12 @@ def increased(matrix: FloatArray, by: sparse.csr_array) -> FloatArray:
     return matrix
 
 
+def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solution (K,) of symmetric positive definite equations (K, K)."""
+    factor, scale = factorize(normal)
+    return np.asarray(linalg.cho_solve((factor, True), right / scale, check_finite=False) / scale)
+
+
 def factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lower Cholesky factor of the symmetric matrix scaled to a unit diagonal, and the scale."""
     diagonal = np.diag(normal)

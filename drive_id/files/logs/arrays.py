@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from drive_id.errors import TruncatedBagError
 from drive_id.files.inputs.matlab import check_unpacked_size
-from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows, shares
+from drive_id.files.logs.column_log import Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64
@@ -20,7 +19,7 @@ _NAMED_DATA = (("Name", "Data"), ("label", "values"))
 """Fields that hold name and values in the structs of measurement tools."""
 
 
-class MatLog:
+class MatLog(SlicedLog):
     """A MATLAB file of version 5, held in memory as a whole; fields of structs are ``log.i_a``."""
 
     kind = "mat"
@@ -72,20 +71,15 @@ class MatLog:
         for field, entry in fields.items():
             self._take(f"{name}.{field}", entry)
 
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
-        lengths = {column.name: len(self._arrays[column.name]) for column in wanted}
-        for at, progress in shares(lengths, rows):
-            yield Rows({column: self._arrays[column.name][at[column.name]] for column in wanted}, progress)
+    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
+        return self._arrays[column.name][at]
 
     def close(self) -> None:
         """Do nothing: the file is closed."""
 
 
-class Hdf5Log:
+class Hdf5Log(SlicedLog):
     """An HDF5 file; its groups and datasets are named by their path, ``log/i_a``, in MATLAB files ``log.i_a``."""
-
-    bounded = True
 
     def __init__(self, path: Path, *, matlab: bool) -> None:
         import h5py  # noqa: PLC0415  # takes as long to load as a bag
@@ -134,17 +128,11 @@ class Hdf5Log:
             self._where[own] = (dataset, k, axis)
             self._lengths[own] = (str(item.dtype), item.shape[axis])
 
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
-        lengths = {column.name: self._lengths[column.name][1] for column in wanted}
-        for at, progress in shares(lengths, rows):
-            yield Rows({column: self._slice(column.name, at[column.name]) for column in wanted}, progress)
-
-    def _slice(self, name: str, at: slice) -> NDArray[Any]:
-        dataset, k, axis = self._where[name]
+    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
+        dataset, k, axis = self._where[column.name]
         item = self._file[dataset]
         if item.dtype.names:
-            return np.asarray(item.fields(name.rpartition(".")[2])[at])
+            return np.asarray(item.fields(column.name.rpartition(".")[2])[at])
         if k is None:
             return np.asarray(item[at])
         return np.asarray(item[at, k] if axis == 0 else item[k, at])

@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.files.logs.column_log import OWN_TIME, ROWS, Column, ColumnGroup, Rows, shares
+from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, SlicedLog
 
 
-def _parts(
-    groups: Sequence[ColumnGroup], wanted: Sequence[Column], rows: int, read: Callable[[Column, slice], NDArray[Any]]
-) -> Iterator[Rows]:
-    """Yield the wanted columns part by part, each read by its group's rows."""
-    lengths = {group.name: group.rows or 0 for group in groups if group.name in {c.group for c in wanted}}
-    for at, progress in shares(lengths, rows):
-        yield Rows({column: read(column, at[column.group]) for column in wanted}, progress)
-
-
-class MdfLog:
+class MdfLog(SlicedLog):
     """An MDF file, version 3 or 4; each channel group has its own time, that of its master channel."""
 
     kind = "mdf"
-    bounded = True
 
     def __init__(self, path: Path) -> None:
         from asammdf import MDF  # noqa: PLC0415  # takes seconds to load
@@ -51,10 +41,6 @@ class MdfLog:
             groups.append(ColumnGroup(name, columns, int(info.cycles_nr), master is not None))
         self.groups = tuple(groups)
 
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Return the wanted columns part by part."""
-        return _parts(self.groups, wanted, rows, self._slice)
-
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         number, count = self._numbers[column.group], at.stop - at.start
         if column.name == OWN_TIME:
@@ -70,11 +56,10 @@ class MdfLog:
         self._stream.close()
 
 
-class TdmsLog:
+class TdmsLog(SlicedLog):
     """A TDMS file; a group has its own time if its channels are waveforms."""
 
     kind = "tdms"
-    bounded = True
 
     def __init__(self, path: Path) -> None:
         from nptdms import TdmsFile  # noqa: PLC0415  # takes as long to load as a bag
@@ -95,10 +80,6 @@ class TdmsLog:
                     timed = timed or "wf_increment" in channel.properties
             groups.append(ColumnGroup(group.name, columns, rows, timed))
         self.groups = tuple(groups)
-
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Return the wanted columns part by part."""
-        return _parts(self.groups, wanted, rows, self._slice)
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         group = self._file[column.group]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -130,13 +130,23 @@ def same_name(one: str, other: str) -> bool:
     return one.strip("/").replace("/", ".") == other.strip("/").replace("/", ".")
 
 
-def shares(lengths: Mapping[str, int], rows: int) -> Iterator[tuple[dict[str, slice], float]]:
-    """Yield for each part the rows of each group, by name: all groups advance by the same share of their length."""
-    longest = max(lengths.values(), default=0)
-    count = max(-(-longest // rows), 1)
-    for part in range(count):
-        at = {name: slice(n * part // count, n * (part + 1) // count) for name, n in lengths.items()}
-        yield at, (part + 1) / count
+class SlicedLog:
+    """A log whose library reads any rows of a column."""
+
+    bounded = True
+    groups: tuple[ColumnGroup, ...]
+
+    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
+        """Yield the wanted columns part by part: all groups advance by the same share of their length."""
+        lengths = {group.name: group.rows or 0 for group in self.groups if group.name in {c.group for c in wanted}}
+        count = max(-(-max(lengths.values(), default=0) // rows), 1)
+        for part in range(count):
+            at = {name: slice(n * part // count, n * (part + 1) // count) for name, n in lengths.items()}
+            yield Rows({column: self._slice(column, at[column.group]) for column in wanted}, (part + 1) / count)
+
+    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
+        """Return some rows of a column."""
+        raise NotImplementedError
 
 
 def missing_library(path: Path, kind: str, error: ImportError) -> NotABagError:

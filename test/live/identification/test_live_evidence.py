@@ -227,7 +227,7 @@ def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, me
         lambda: identify([jumping], settings),
         lambda: fit_bags(Sources([tmp_path / "bag"]), None, settings),
         lambda: fit_bags(Sources([tmp_path / "bag"]), None, replace(settings, i_max=None)),
-        live.snapshot().identify,
+        live.snapshot().conclude,
     )
     for way in ways:
         with pytest.raises(DataError, match=r"jumps in 1 places, the first at 0\.700000 s by 2\.00 rad") as found:

@@ -11,25 +11,20 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, real
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
-from drive_id.files.inputs.matlab import check_unpacked_size
+from drive_id.files.inputs.matlab import load_matlab
 from drive_id.files.machines.syre import read_syre
 from drive_id.types import FloatArray
 
 
 def read_syre_model(source: Source) -> MapPoints:
     """Read SyR-e's ``motorModel``, in the axes of the file."""
-    values = read_syre(source.path)
+    values, axis = read_syre(source.path)
     names = {"R": "resistance", "pole_pairs": "pole_pairs", "i_max": "i_max", "u_dc": "u_dc"}
     scalars = known_scalars({ours: values[name] for name, ours in names.items() if name in values}, source.scalars)
     turning = "psi_d_theta" in values
     psi = (values["psi_d_theta"], values["psi_q_theta"]) if turning else (values["psi_d"], values["psi_q"])
     i_dq, psi_dq = of_grid(values["id"], values["iq"], *psi)
     theta = np.radians(values["theta_e_deg"]) if turning else None
-    axis = str(getattr(load(source)["motorModel"].data, "axisType", "SR")).lower()
-    if axis == "sr":  # back from the axes of the magnet, in which read_syre returns it
-        back = np.array([[0.0, 1.0], [-1.0, 0.0]])
-        i_dq, psi_dq = i_dq @ back.T, np.einsum("ab,nbh->nah", back, psi_dq)
-        theta = None if theta is None else theta + np.pi / 2
     return MapPoints(i_dq, psi_dq, theta, scalars=scalars, axis=axis, machine=source.path.stem).complete()
 
 
@@ -99,18 +94,7 @@ def read_motor_cad(source: Source) -> MapPoints:
 
 def load(source: Source) -> Mapping[str, Any]:
     """Return the variables of a ``.mat`` file up to version 7; raises ConfigurationError when it cannot be read."""
-    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
-
-    try:
-        check_unpacked_size(source.path)
-        content: Mapping[str, Any] = loadmat(source.path, squeeze_me=True, struct_as_record=False)
-    except NotImplementedError as error:
-        raise ConfigurationError(f"'{source.path}' has MATLAB's version 7.3: save it with '-v7'.") from error
-    except MemoryError:
-        raise
-    except Exception as error:  # scipy raises many types on damaged files
-        raise ConfigurationError(f"'{source.path}' is damaged or not a MATLAB file: export it again.") from error
-    return content
+    return load_matlab(source.path, f"'{source.path}'")
 
 
 def _stacked(source: Source, values: Mapping[str, Any], names: tuple[str, str]) -> FloatArray:

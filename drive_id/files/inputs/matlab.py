@@ -1,11 +1,14 @@
-"""What files of MATLAB's versions 5 to 7 unpack to."""
+"""Files of MATLAB's versions 5 to 7, read only after what they unpack to was found to be affordable."""
 
 from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.archive import unpacked_limit
 from drive_id.files.inputs.input_file import read_input, shown_size
 
@@ -16,6 +19,25 @@ _COMPRESSED = 15  # miCOMPRESSED
 _LARGEST = 1 << 27  # bytes
 _MOST_MATRICES = 50_000  # scipy makes an object of each
 _DEEPEST = 20  # structs within structs
+
+
+def load_matlab(path: Path, shown: str, names: Sequence[str] | None = None) -> Mapping[str, Any]:
+    """Return the variables of a file of a map, all of them or those with these names.
+
+    Raises ConfigurationError when it cannot be read, with a sentence that begins with ``shown``.
+    """
+    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
+
+    try:
+        check_unpacked_size(path)
+        content: Mapping[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=names)
+    except NotImplementedError as error:
+        raise ConfigurationError(f"{shown} has MATLAB's version 7.3: save it with '-v7'.") from error
+    except MemoryError:
+        raise
+    except Exception as error:  # scipy raises many types on damaged files
+        raise ConfigurationError(f"{shown} is damaged or not a MATLAB file: export it again.") from error
+    return content
 
 
 def check_unpacked_size(path: Path, limit: int | None = None) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import check_input, open_input, reason
-from drive_id.files.machines.syre import read_syre
+from drive_id.files.machines.syre import read_syre, sr_to_pm
 from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
@@ -67,7 +67,8 @@ def read_machine(
     if path.suffix.lower() == ".npz":
         values = _read_npz(path)
     elif path.suffix.lower() == ".mat":
-        values = read_syre(path)
+        values, axis = read_syre(path)
+        values = sr_to_pm(values) if axis == "sr" else values
     else:
         raise ConfigurationError(f"Machine file '{path}' must end in .npz, or .mat for one of SyR-e.")
     given = {"R": resistance, "pole_pairs": pole_pairs, "i_max": i_max, "u_dc": u_dc}

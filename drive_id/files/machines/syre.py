@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from drive_id.errors import ConfigurationError
-from drive_id.files.inputs.matlab import check_unpacked_size
+from drive_id.files.inputs.matlab import load_matlab
 
 _OVER_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 
 
-def read_syre(path: Path) -> dict[str, Any]:
+def read_syre(path: Path) -> tuple[dict[str, Any], str]:
     """Read the flux map of a SyR-e file: the map over rotor position if there is one, else the averaged map.
 
     Parameters
@@ -28,26 +28,17 @@ def read_syre(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    dict of str to array
-        Under the names of our ``.npz`` files, with the magnet on +d and indexed [id, iq, theta].
+    values : dict of str to array
+        Under the names of our ``.npz`` files, in the axes of the file and indexed [id, iq, theta].
+    axis : str
+        ``pm`` or ``sr``, see :func:`sr_to_pm`.
 
     Raises
     ------
     ConfigurationError
         When the file is not a SyR-e file with a flux map.
     """
-    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
-
-    try:
-        check_unpacked_size(path)
-        content = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=["motorModel"])
-    except NotImplementedError as error:
-        raise ConfigurationError(f"Machine file '{path}' has MATLAB's version 7.3: save it with '-v7'.") from error
-    except MemoryError:
-        raise
-    except Exception as error:  # scipy raises many types on damaged files
-        raise ConfigurationError(f"Machine file '{path}' is damaged or not a MATLAB file: export it again.") from error
-    model = content.get("motorModel")
+    model = load_matlab(path, f"Machine file '{path}'", ["motorModel"]).get("motorModel")
     data = getattr(model, "data", None)
     flat, turning = getattr(model, "FluxMap_dq", None), getattr(model, "FluxMap_dqt", None)
     if data is None or not (hasattr(flat, "Id") or hasattr(turning, "th")):
@@ -61,13 +52,11 @@ def read_syre(path: Path) -> dict[str, Any]:
         raise ConfigurationError(
             f"A flux map in machine file '{path}' lacks a field or has a wrong shape: {error}."
         ) from error
-    if str(getattr(data, "axisType", "SR")) == "SR":
-        values = _sr_to_pm(values)
     for key, field in (("R", "Rs"), ("pole_pairs", "p"), ("i_max", "Imax"), ("u_dc", "Vdc")):
         value = np.asarray(getattr(data, field, np.nan))
         if value.size == 1 and value.dtype.kind in "fiu" and float(value) > 0:
             values[key] = value
-    return values
+    return values, str(getattr(data, "axisType", "SR")).lower()
 
 
 def _syre_flat(flat: Any) -> dict[str, Any]:
@@ -97,7 +86,7 @@ def _syre_turning(turning: Any) -> dict[str, Any]:
     return values
 
 
-def _sr_to_pm(values: dict[str, Any]) -> dict[str, Any]:
+def sr_to_pm(values: dict[str, Any]) -> dict[str, Any]:
     """Turn the axes by 90 degrees, i_pm = J i_sr: i_d = -i_q^sr, i_q = i_d^sr, and the fluxes alike."""
     turned = {"id": -values["iq"][::-1], "iq": values["id"]}
     for suffix in ("", "_theta"):
@@ -106,4 +95,4 @@ def _sr_to_pm(values: dict[str, Any]) -> dict[str, Any]:
             turned[f"psi_q{suffix}"] = np.swapaxes(values[f"psi_d{suffix}"], 0, 1)[::-1]
     if "theta_e_deg" in values:
         turned["theta_e_deg"] = values["theta_e_deg"] - 90.0
-    return turned
+    return values | turned

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
+from drive_id.version import VERSION
 
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
 _LEAST_ANGLES = 4
@@ -209,7 +209,7 @@ class MapTable:
         since = f" of {result.provenance.date}" if result.provenance.date else ""
         off, largest = self.interpolation_error, float(np.nanmax(np.hypot(*self.psi)))
         return (
-            f"Written by drive_id {_version()}: result{since} by method {result.method}. Units: A and V "
+            f"Written by drive_id {VERSION}: result{since} by method {result.method}. Units: A and V "
             f"(peak), Wb, H, ohm, Nm. Between the points, bilinear interpolation is off by at most {off:.2g} Wb "
             f"({100 * off / largest:.2g} % of the largest flux)."
         )
@@ -246,13 +246,6 @@ class MapTable:
                 "The result does not tell the resistance, which this format needs: import the map with --resistance."
             )
         return self.machine.resistance
-
-
-def _version() -> str:
-    try:
-        return version("drive_id")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 def plain(text: str) -> str:

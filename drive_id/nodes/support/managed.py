@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from drive_id.health import Health, Level
-from drive_id.live.managed_settings import ManagedSettings
 from drive_id.nodes.support.deferred_service import PacedServices
 from drive_id.nodes.support.parameters import declare_settings
+from drive_id.settings import Checked, setting
+
+
+@dataclass(frozen=True)
+class ManagedSettings(Checked):
+    """Who brings a managed node up."""
+
+    autostart: bool = setting(True, "Configure the node at its start, without a lifecycle manager")
+    activate: bool = setting(True, "Activate it as well; false: it subscribes and waits to be activated")
 
 
 def guard_transitions(node: LifecycleNode) -> None:

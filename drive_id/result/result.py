@@ -224,7 +224,7 @@ class Result:
         """Figures of the fit by name, as in ``identification.json``; NaN where unknown.
 
         ``nrmse_d``, ``nrmse_q`` (against a ground truth), ``mad_d``, ``mad_q`` (A), ``coverage``, ``residual_rms`` (V)
-        and the counts of :class:`~drive_id.core.result.identification.FitReport`.
+        and the counts of :class:`~drive_id.core.methods.parameters.FitReport`.
         """
         nrmse_d, nrmse_q = self.provenance.nrmse or (math.nan, math.nan)
         report = {name: value for name, value in asdict(self.drive.report).items() if name != "warnings"}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive
+from drive_id.core.methods.parameters import FitReport
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
 

@@ -32,6 +32,7 @@ from drive_id.core.methods.method import (
     SimulationModel,
 )
 from drive_id.core.methods.paper import regression_sums
+from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
@@ -126,13 +127,14 @@ class FullMethod:
             sigma=sigma,
             simulation=simulation,
             positive_definite=fit.passive,
-            samples_used=round((evidence.samples - evidence.idle) * share),
-            rows=2 * information.windows,
-            parameters=unknowns,
-            rank=unknowns,
-            unseen=0,
-            condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
-            residual_rms=fit.solution.residual_rms,
+            report=FitReport(
+                samples_used=round((evidence.samples - evidence.idle) * share),
+                rows=2 * information.windows,
+                parameters=unknowns,
+                rank=unknowns,
+                condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
+                residual_rms=fit.solution.residual_rms / evidence.sample_period,
+            ),
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
             outlying_time=fit.assessment.outlying_time if outlying else None,
             warnings=warnings,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits
 from drive_id.core.maps.flux_models import TensorSpline
-from drive_id.core.methods.parameters import Parameters
+from drive_id.core.methods.parameters import FitReport, Parameters
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.messages import Message
@@ -58,6 +58,10 @@ class Gathered(Protocol):
     @property
     def turn(self) -> float:
         """Root mean square of the angle turned per sample, rad."""
+
+    @property
+    def sample_period(self) -> float:
+        """Of the samples, s."""
 
     @property
     def noise_variance(self) -> float:
@@ -110,12 +114,10 @@ class Estimate(Parameters):
         Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
     positive_definite : callable
         Tells (N,) at which currents (N, 2), A, the inductance matrix is positive definite.
-    samples_used, rows, parameters, rank, unseen : int
-        See ``FitReport``.
-    residual_rms : float
-        Of the integrated voltage, Vs.
+    report : FitReport
+        As far as the method knows it.
     unexplained : float
-        The same, over the rms of all integrated voltages.
+        Rms residual over the rms of all integrated voltages.
     outlying_time : float or None
         Where samples stand out from all others, in time of data, s.
     warnings : tuple of Message
@@ -130,13 +132,7 @@ class Estimate(Parameters):
     sigma: FloatArray
     simulation: SimulationModel
     positive_definite: Callable[[FloatArray], BoolArray]
-    samples_used: int
-    rows: int
-    parameters: int
-    rank: int
-    unseen: int
-    condition: float
-    residual_rms: float
+    report: FitReport
     unexplained: float
     outlying_time: float | None
     warnings: tuple[Message, ...]

@@ -14,6 +14,7 @@ from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline, extend
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, MethodSums, SimulationModel
+from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
@@ -96,13 +97,15 @@ class PaperMethod:
             sigma=error,
             simulation=SimulationModel(spline, gamma, {}, (scale * tanh, solution.voltage_error * np.tanh(tanh))),
             positive_definite=partial(_positive_definite, model, solution.gamma),
-            samples_used=information.rows // 2,
-            rows=information.rows,
-            parameters=len(solution.columns),
-            rank=solution.rank,
-            unseen=int((np.diag(total)[-model.parameters :] == 0).sum()),
-            condition=solution.condition,
-            residual_rms=solution.residual_rms,
+            report=FitReport(
+                samples_used=information.rows // 2,
+                rows=information.rows,
+                parameters=len(solution.columns),
+                rank=solution.rank,
+                unseen=int((np.diag(total)[-model.parameters :] == 0).sum()),
+                condition=solution.condition,
+                residual_rms=solution.residual_rms / evidence.sample_period,
+            ),
             unexplained=float(solution.residual_rms / rms),
             outlying_time=_outlying_time(blocks, information.block_duration, solution),
             warnings=(*_on_noise(evidence), *self._on_inverter(evidence, solution, spread, inside)),

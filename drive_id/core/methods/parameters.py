@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
@@ -12,6 +14,48 @@ if TYPE_CHECKING:  # a stored result is read without scipy
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitReport:
+    """How well the data determine the model: by the method, and completed by what all methods share.
+
+    Parameters
+    ----------
+    samples_read, samples_used : int
+        Samples in the recordings, and in the regression (not those before a gap, beyond the map's range, or at rest).
+    gaps : int
+        Interruptions within recordings; nothing is integrated across them.
+    rows : int
+        Rows of the regression, two per pair of samples.
+    parameters, rank : int
+        Unknowns, and how many of them the data determine.
+    unseen : int
+        Flux parameters without any data (corner functions outside the disc).
+    condition : float
+        Condition number of the column-scaled regression within its rank.
+    residual_rms : float
+        RMS residual of the mean voltage over a sample, V.
+    mad_d, mad_q : float
+        Mean absolute deviation of simulated (open-loop) from measured currents, A; NaN when the simulation diverged.
+    coverage : float
+        Share of the disc of radius ``i_max`` with data, 0 to 1.
+    warnings : tuple of Message
+    """
+
+    samples_read: int = 0
+    samples_used: int = 0
+    gaps: int = 0
+    rows: int = 0
+    parameters: int = 0
+    rank: int = 0
+    unseen: int = 0
+    condition: float = np.inf
+    residual_rms: float = np.nan
+    mad_d: float = np.nan
+    mad_q: float = np.nan
+    coverage: float = np.nan
+    warnings: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,7 +15,7 @@ from drive_id.core.methods.method import Estimate
 from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.corrected import corrected_pieces
-from drive_id.core.result.identification import FitReport, FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import because, condemned, review
 from drive_id.core.validation.current_simulation import simulate_current
@@ -84,16 +84,10 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     judged = mad if complete else (0.0, 0.0)
     if impossible := condemned(evidence, estimate, flux_map, judged, method.limits):
         raise UnexplainedError(impossible)
-    report = FitReport(
+    report = replace(
+        estimate.report,
         samples_read=evidence.samples,
-        samples_used=estimate.samples_used,
         gaps=evidence.gaps,
-        rows=estimate.rows,
-        parameters=estimate.parameters,
-        rank=estimate.rank,
-        unseen=estimate.unseen,
-        condition=estimate.condition,
-        residual_rms=estimate.residual_rms / evidence.sample_period,
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drive_id.core.methods.parameters import Parameters
+from drive_id.core.methods.parameters import FitReport, Parameters
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.messages import Message
 from drive_id.origins import ORIGINS, Origin
 from drive_id.types import BoolArray, FloatArray, IntArray, ranges_table
 
@@ -280,48 +279,6 @@ class HarmonicMap:
     psi_d_sin: FloatArray
     psi_q_cos: FloatArray
     psi_q_sin: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitReport:
-    """How well the data determine the model; what does not apply has its default.
-
-    Parameters
-    ----------
-    samples_read, samples_used : int
-        Samples in the recordings, and in the regression (not those before a gap, beyond the map's range, or at rest).
-    gaps : int
-        Interruptions within recordings; nothing is integrated across them.
-    rows : int
-        Rows of the regression, two per pair of samples.
-    parameters, rank : int
-        Unknowns, and how many of them the data determine.
-    unseen : int
-        Flux parameters without any data (corner functions outside the disc).
-    condition : float
-        Condition number of the column-scaled regression within its rank.
-    residual_rms : float
-        RMS residual of the mean voltage over a sample, V.
-    mad_d, mad_q : float
-        Mean absolute deviation of simulated (open-loop) from measured currents, A; NaN when the simulation diverged.
-    coverage : float
-        Share of the disc of radius ``i_max`` with data, 0 to 1.
-    warnings : tuple of Message
-    """
-
-    samples_read: int
-    samples_used: int
-    gaps: int = 0
-    rows: int = 0
-    parameters: int = 0
-    rank: int = 0
-    unseen: int = 0
-    condition: float = np.inf
-    residual_rms: float = np.nan
-    mad_d: float = np.nan
-    mad_q: float = np.nan
-    coverage: float
-    warnings: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from drive_id.core.full.calibration import Calibration
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.maps.support import Support
 from drive_id.core.methods.method import CURVE_POINTS
-from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive, LinearMachine
+from drive_id.core.methods.parameters import FitReport
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive, LinearMachine
 from drive_id.core.steady.effects import DELAY, IRON_LOSS
 from drive_id.core.steady.fit import (
     DISTINCT,

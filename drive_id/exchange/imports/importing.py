@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import FitReport, FluxMap, IdentifiedDrive
+from drive_id.core.methods.parameters import FitReport
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of

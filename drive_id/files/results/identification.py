@@ -19,10 +19,10 @@ import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.methods.parameters import FitReport
 from drive_id.core.result.diagnostics import Diagnostics
 from drive_id.core.result.identification import (
     Cogging,
-    FitReport,
     FluxMap,
     HarmonicMap,
     IdentifiedDrive,

@@ -57,15 +57,7 @@ def _parabolas(x: FloatArray, half: int, period: float) -> tuple[FloatArray, Flo
     """Return value and slope of the parabola around each of equally spaced samples (N,)."""
     if len(x) < max(2 * half + 1, _FEWEST):
         return x, np.gradient(x, period) if len(x) > 1 else np.zeros(len(x))
-    at = np.arange(-half, half + 1.0)
-    powers = np.vander(at, 3, increasing=True)
-    weights = np.linalg.pinv(powers)
-    value = np.convolve(x, weights[0][::-1], "valid")
-    slope = np.convolve(x, weights[1][::-1], "valid") / period
-    first, last = weights @ x[: 2 * half + 1], weights @ x[-2 * half - 1 :]
-    edge = powers[:half], powers[-half:]
-    slopes = [np.column_stack([np.zeros(half), np.ones(half), 2 * part[:, 1]]) for part in edge]
-    return (
-        np.concatenate([edge[0] @ first, value, edge[1] @ last]),
-        np.concatenate([slopes[0] @ first / period, slope, slopes[1] @ last / period]),
-    )
+    from scipy.signal import savgol_filter  # noqa: PLC0415  # few logs have a coarse angle
+
+    value, slope = (savgol_filter(x, 2 * half + 1, 2, deriv=order, delta=period) for order in (0, 1))
+    return value, slope

@@ -75,11 +75,6 @@ def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, re
     return int(resting[-1]) if len(resting) else rest
 
 
-def difference_square(i_dq: FloatArray) -> float:
-    """Return the sum of squared fourth differences, see :mod:`drive_id.core.numerics.scans`."""
-    return float(np.sum(np.diff(i_dq, n=4, axis=0) ** 2))
-
-
 def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
     """Evaluate B-splines by the Cox-de Boor recursion, see :mod:`drive_id.core.numerics.bspline`."""
     edges = knots[degree : len(knots) - degree]

@@ -17,7 +17,7 @@ from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.registry import method_named
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
-from drive_id.core.numerics.scans import difference_square, mark_rests
+from drive_id.core.numerics.scans import mark_rests
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
 from drive_id.temperature import REFERENCE_TEMPERATURE
@@ -108,7 +108,7 @@ class Evidence:
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
         self._angle_square += (len(samples) - continues) * samples.angle_error**2
         for run in samples.runs():
-            self._difference_square += difference_square(i_dq[run])
+            self._difference_square += float(np.sum(np.diff(i_dq[run], 4, axis=0) ** 2))
             self._differences += 2 * max(run.stop - run.start - 4, 0)
 
     def next_recording(self) -> None:
@@ -243,7 +243,11 @@ class Evidence:
 
     @property
     def noise_variance(self) -> float:
-        """Variance of white noise in i_d and i_q each, from fourth differences, A^2."""
+        """Variance of white noise in i_d and i_q each, A^2.
+
+        The squared fourth differences of white noise are 70 times its variance; a ripple of few samples per period
+        gives little.
+        """
         return self._difference_square / max(self._differences, 1) / 70
 
     @property

@@ -1,4 +1,4 @@
-"""Single passes over long arrays without temporaries: order, shifts, rests, second differences."""
+"""Single passes over long arrays without temporaries: order and rests."""
 
 from __future__ import annotations
 
@@ -51,19 +51,3 @@ def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, re
         rest = rest + 1 if math.hypot(i_dq[k, 0], i_dq[k, 1]) < least else 0
         idle[k] = rest * period > longest
     return rest
-
-
-@compiled("const f8[:, ::1]")
-def difference_square(i_dq: FloatArray) -> float:
-    """Return the sum of the squared fourth differences of the currents (N, 2) of one run, A^2.
-
-    White noise of variance s^2 gives 70 s^2 for each; a ripple of few samples per period gives little.
-    """
-    total = 0.0
-    for k in range(4, len(i_dq)):
-        for axis in range(2):
-            outer = i_dq[k, axis] + i_dq[k - 4, axis]
-            inner = i_dq[k - 1, axis] + i_dq[k - 3, axis]
-            difference = outer - 4.0 * inner + 6.0 * i_dq[k - 2, axis]
-            total += difference * difference
-    return total

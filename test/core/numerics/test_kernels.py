@@ -61,12 +61,6 @@ def test_rests(rest, count):
     np.testing.assert_array_equal(*marks)
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
-def test_fourth_differences(count):
-    i_dq = currents(count)[:count]
-    assert oracles.difference_square(i_dq) == pytest.approx(scans.difference_square(i_dq), rel=1e-12)
-
-
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
     gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
     axes, table = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0))

@@ -129,7 +129,8 @@ class FluxMap:
             See :meth:`psi_dq`.
         """
         _, cells = self._located(i_d, i_q, outside)
-        return cells.mean(self.sigma_d), cells.mean(self.sigma_q)
+        sigma_d, sigma_q = (np.where(cells.inside, cells.mean(x), np.nan)[()] for x in (self.sigma_d, self.sigma_q))
+        return sigma_d, sigma_q
 
     def continued(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_d, psi_q (..., 2), Wb, at currents (..., 2), A, also outside the data; constant beyond the grid.
@@ -150,10 +151,7 @@ class FluxMap:
 
     def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
-        (m, t), (n, s) = self._between(i_d, i_q)
-        low = (1 - s) * values[m, n] + s * values[m, n + 1]
-        high = (1 - s) * values[m + 1, n] + s * values[m + 1, n + 1]
-        return np.asarray((1 - t) * low + t * high)
+        return self._held(i_d, i_q).mean(values)
 
     def ripple(self, harmonics: Sequence[HarmonicMap], i_dq: FloatArray, angle: FloatArray) -> FloatArray:
         """Return the flux (..., 2), Wb, of harmonics on this grid at currents (..., 2), A, and angles (...), rad."""
@@ -169,23 +167,17 @@ class FluxMap:
 
         ``(collected(w, i) * values).sum() == w @ sampled(values, i)``, for any number of values at the cost of one.
         """
-        (m, t), (n, s) = self._between(*i_dq.T)
-        columns, count = len(self.i_q), self.psi_d.size
+        cells, count = self._held(*i_dq.T), self.psi_d.size
         out = np.zeros((count, weights.shape[1]))
-        for d, q, share in ((0, 0, (1 - t) * (1 - s)), (0, 1, (1 - t) * s), (1, 0, t * (1 - s)), (1, 1, t * s)):
-            place = (m + d) * columns + n + q
+        for place, share in zip(cells.corners.T, cells.weights.T, strict=True):
             for c in range(weights.shape[1]):
                 out[:, c] += np.bincount(place, share * weights[:, c], count)
         return out.reshape(*self.psi_d.shape, -1)
 
-    def _between(self, i_d: FloatArray, i_q: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-        """Return for each axis the grid line below currents and the part of the cell beyond it; held at the ends."""
-        places = []
-        for x, axis in ((i_d, self.i_d), (i_q, self.i_q)):
-            at = np.interp(x, axis, np.arange(len(axis)))
-            line = np.minimum(at.astype(np.int64), len(axis) - 2)
-            places.append((line, at - line))
-        return places
+    def _held(self, i_d: FloatArray, i_q: FloatArray) -> _Cells:
+        """Return the cells of currents, beyond the axes those at their end."""
+        held = [np.clip(x, axis[0], axis[-1]) for x, axis in ((i_d, self.i_d), (i_q, self.i_q))]
+        return _Cells.of(self, np.stack(held, axis=-1))
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
@@ -226,34 +218,33 @@ class _Cells:
 
     Parameters
     ----------
-    corners_d, corners_q : (..., 4) int
-        Indices.
+    corners : (..., 4) int
+        Of the grid points, row by row.
     weights : (..., 4) float
     inside : (...) bool
+        The map has data at all corners that count.
     """
 
-    corners_d: IntArray
-    corners_q: IntArray
+    corners: IntArray
     weights: FloatArray
     inside: BoolArray
 
     @classmethod
     def of(cls, flux_map: FluxMap, i_dq: FloatArray) -> _Cells:
-        places = [_place(axis, i_dq[..., k]) for k, axis in enumerate((flux_map.i_d, flux_map.i_q))]
-        (d, t_d), (q, t_q) = places
-        within = (t_d >= 0) & (t_d <= 1) & (t_q >= 0) & (t_q <= 1)  # False for NaN
-        corners_d, corners_q = np.stack([d, d, d + 1, d + 1], axis=-1), np.stack([q, q + 1, q, q + 1], axis=-1)
-        shares_d, shares_q = np.stack([1 - t_d, t_d], axis=-1), np.stack([1 - t_q, t_q], axis=-1)
-        weights = (shares_d[..., :, None] * shares_q[..., None, :]).reshape(*within.shape, 4)
-        supported = flux_map.inside[corners_d, corners_q] | (weights == 0)
-        return cls(corners_d, corners_q, weights, within & supported.all(axis=-1))
+        (d, t), (q, s) = (_place(axis, i_dq[..., k]) for k, axis in enumerate((flux_map.i_d, flux_map.i_q)))
+        columns = len(flux_map.i_q)
+        first = d * columns + q
+        corners = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
+        weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s], axis=-1)
+        within = (t >= 0) & (t <= 1) & (s >= 0) & (s <= 1)  # False for NaN
+        supported = flux_map.inside.ravel()[corners] | (weights == 0)
+        return cls(corners, weights, within & supported.all(axis=-1))
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Return values (D, Q) interpolated bilinearly, NaN where not inside; corners without weight are ignored."""
-        at_corners = np.where(self.weights > 0, values[self.corners_d, self.corners_q], 0.0)
+        """Return values (D, Q) interpolated bilinearly; corners without weight are ignored."""
         with np.errstate(invalid="ignore"):
-            mean = np.where(self.weights > 0, self.weights * at_corners, 0.0).sum(axis=-1)
-        return np.where(self.inside, mean, np.nan)[()]
+            parts = np.where(self.weights != 0, self.weights * values.ravel()[self.corners], 0.0)
+        return np.asarray(parts.sum(axis=-1))
 
 
 def _place(axis: FloatArray, x: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -22,6 +22,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+NANOSECONDS = 1_000_000_000
+"""Of a second: stamps are whole numbers of them."""
 _LARGEST = 1e39
 """Limit for samples, just beyond float32: powers and sums of larger values overflow."""
 _LARGEST_SQUARE = 1e100

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from drive_id.core.experiment.limits import approach
 from drive_id.core.signals.signal import block_stamps, finite_rows
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import NANOSECONDS, BoolArray, FloatArray, IntArray
 
-NANOSECONDS = 1_000_000_000
 _LARGEST = 5_000_000  # set-points in the buffer
 _EARLY = 0.1  # sample periods by which a set-point may come due after the sample that takes it
 _HOLD = 1.5  # periods for which the last set-point is held before the current goes to zero

@@ -13,6 +13,7 @@ import numpy as np
 
 from drive_id.core.checks.overview import Overview, Overviewing
 from drive_id.core.checks.prescan import Prescan
+from drive_id.core.signals.join import SECTIONS
 from drive_id.core.steady.operating_points import operating_points
 from drive_id.errors import (
     ConfigurationError,
@@ -27,7 +28,7 @@ from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.operating_log import read_operating_log
-from drive_id.files.read.reader import REQUIRED, bag_pieces, find_topics
+from drive_id.files.read.reader import bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
@@ -202,7 +203,7 @@ def _is_ours(path: Path, namespace: str) -> bool:
             return True
         except MissingTopicError:
             return False
-    return {topics[section].type_name for section in REQUIRED} <= set(BLOCK_FIELDS)
+    return {topics[section].type_name for section in SECTIONS} <= set(BLOCK_FIELDS)
 
 
 def _time_findings(contents: Contents, signals: SignalMap) -> Iterator[Message]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.signals.join import Piece, StreamJoin
+from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
 from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal, block_stamps
 from drive_id.errors import ConfigurationError, DriveIdError
@@ -20,7 +20,6 @@ from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import Samples
 
-SECTIONS = ("currents", "voltages", "resolver")
 _BATCH = 100  # samples that are joined at once: 10 ms at 10 kHz
 _CAPACITY = 50_000  # samples of a signal that wait for the others
 _LONGEST_DELAY = 2.0  # s, between signals stamped by one clock

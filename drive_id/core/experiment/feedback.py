@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.experiment.state_machine import NANOSECONDS, ReferenceBlock
-from drive_id.types import FloatArray, IntArray
+from drive_id.core.experiment.state_machine import ReferenceBlock
+from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
 _KEPT = NANOSECONDS
 """Age of references that feedback may still belong to, ns: twice what a drive is ever late."""

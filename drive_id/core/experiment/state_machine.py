@@ -20,9 +20,8 @@ from drive_id.core.experiment.settings import ExperimentSettings, make_trajector
 from drive_id.core.experiment.trajectories import Trajectory
 from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.core.signals.signal import block_stamps
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-NANOSECONDS = 1_000_000_000
 LARGEST_BLOCK = 1000
 """Most set-points in one block."""
 _COVERAGE_NODES = 21

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
-from drive_id.core.experiment.state_machine import NANOSECONDS, Experiment, ExperimentState, ReferenceBlock
+from drive_id.core.experiment.state_machine import Experiment, ExperimentState, ReferenceBlock
 from drive_id.core.experiment.watchdog import Fault, Watchdog
 from drive_id.health import Health, Level
-from drive_id.types import FloatArray
+from drive_id.types import NANOSECONDS, FloatArray
 
 _SESSIONS = itertools.count((secrets.randbits(47) << 16) + 1)
 """Sessions of this process: its runs are counted in the lowest 16 bits, the others tell whose they are."""

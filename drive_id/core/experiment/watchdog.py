@@ -15,9 +15,8 @@ import numpy as np
 
 from drive_id.core.experiment.feedback import DriveStatus, PublishedReferences, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings
-from drive_id.core.experiment.state_machine import NANOSECONDS
 from drive_id.core.signals.signal import SampleCount
-from drive_id.types import FloatArray
+from drive_id.types import NANOSECONDS, FloatArray
 
 CURRENTS, RESOLVER, STATUS = SIGNALS = ("phase_currents", "resolver", "drive_status")
 _STRAY = 1_000_000

@@ -27,6 +27,7 @@ from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, IntArray, Samples, fixed
 
 SECTIONS = ("currents", "voltages", "resolver")
+"""Signals that every recording has, in the order in which they are joined."""
 SHORTEST_RUN = 4
 """Fewest samples of a gap-free run that is kept."""
 ToPhases = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]

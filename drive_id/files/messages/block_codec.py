@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-NANOSECONDS = 1_000_000_000
+from drive_id.types import NANOSECONDS
+
 _STAMP_MAX = 2**31 * NANOSECONDS
 _TIME_AND_NAME = (struct.Struct(">iII"), struct.Struct("<iII"))
 LONGEST_REST = (3, 3, 24, 3)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from drive_id.core.signals.held_references import HeldReferences
-from drive_id.core.signals.join import JoinResult, Piece, StreamJoin, join
+from drive_id.core.signals.join import SECTIONS, JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.logs.log_kind import log_kind
@@ -28,7 +28,6 @@ from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
 from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
-REQUIRED = ("currents", "voltages", "resolver")
 CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
 _LOCKING_PAIRS = 1 << 17
@@ -211,7 +210,7 @@ def _joined(
 
 
 def _advanced(path: Path, joining: StreamJoin, part: SignalPart) -> list[Piece]:
-    for number, section in enumerate(REQUIRED):
+    for number, section in enumerate(SECTIONS):
         if section in part.signals:
             joining.add(number, part.signals[section])
     with _naming(path):
@@ -260,7 +259,7 @@ def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, 
         )
     relative = {section: source.topic for section, source in sources.items() if not source.topic.startswith("/")}
     chosen = "/" + namespace.strip("/") if namespace.strip("/") else None
-    prefix = _namespace(bag, {k: v for k, v in relative.items() if k in REQUIRED}, chosen)
+    prefix = _namespace(bag, {k: v for k, v in relative.items() if k in SECTIONS}, chosen)
     found = {}
     for section, source in sources.items():
         name = f"{prefix}/{source.topic}" if section in relative else source.topic

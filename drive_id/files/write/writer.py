@@ -11,11 +11,11 @@ import numpy as np
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import encode_truth
-from drive_id.files.messages.block_codec import NANOSECONDS, encode_block
+from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, RawMessage
 from drive_id.files.write.rosbag2_writer import CHUNK_SIZE, Rosbag2McapWriter, whole_or_nothing
-from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray, Samples
+from drive_id.types import NANOSECONDS, BoolArray, FloatArray, GroundTruth, IntArray, Samples
 
 BLOCK_SIZE = 100
 """Samples per message: 100 messages a second at 10 kHz."""

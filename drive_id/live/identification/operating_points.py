@@ -10,9 +10,8 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.signals.signal import Signal
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-_NANOSECONDS = 1e9
 _SET_BACK = 1e9
 """ns behind the last point at which a clock was set back, or samples are played again."""
 _MOST_BLOCKS = 400
@@ -41,7 +40,7 @@ class PointDecimator:
     """
 
     def __init__(self, rate: float) -> None:
-        self._spacing = math.inf if rate <= 0 else _NANOSECONDS / rate
+        self._spacing = math.inf if rate <= 0 else NANOSECONDS / rate
         self._currents: deque[Signal] = deque(maxlen=_MOST_BLOCKS)
         self._resolver: deque[Signal] = deque(maxlen=_MOST_BLOCKS)
         self._last = -math.inf  # stamp of the last point, ns
@@ -74,7 +73,7 @@ class PointDecimator:
             return []
         nearest = np.clip(np.searchsorted(known, stamp[chosen], side="right") - 1, 0, len(known) - 1)
         angle, speed = position[nearest].T
-        angle = angle + speed * (stamp[chosen] - known[nearest]) / _NANOSECONDS
+        angle = angle + speed * (stamp[chosen] - known[nearest]) / NANOSECONDS
         i_dq = frames.to_dq(i_abc[chosen], angle)
         self._last = float(stamp[chosen[-1]])
         self._forget()

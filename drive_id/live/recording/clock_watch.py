@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from drive_id.health import Level, Observation
+from drive_id.types import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
 STANDSTILL = 2.0
 """Time without an advance after which a clock stands still, s; simulations advance it several times a second."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from drive_id.files.messages.block_codec import NANOSECONDS
+from drive_id.types import NANOSECONDS
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 from drive_id.core.signals.signal import SampleCount
 from drive_id.errors import DriveIdError
-from drive_id.files.messages.block_codec import NANOSECONDS, BlockHead, read_head
+from drive_id.files.messages.block_codec import BlockHead, read_head
 from drive_id.files.storage.mcap import McapStorage
 from drive_id.files.write.rosbag2_writer import FileOpener, Qos, Rosbag2McapWriter, open_unbuffered
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.types import NANOSECONDS
 
 _POLL = 0.05  # s; the writer looks for messages so often, so that callbacks need not wake it
 _OVERHEAD = 250  # bytes a message costs in the queue beyond its data

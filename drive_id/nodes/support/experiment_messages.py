@@ -10,8 +10,9 @@ from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, Publ
 from rclpy.time import Time
 
 from drive_id.core.experiment import feedback
-from drive_id.core.experiment.state_machine import NANOSECONDS, ReferenceBlock
+from drive_id.core.experiment.state_machine import ReferenceBlock
 from drive_id.core.experiment.supervision import Report
+from drive_id.types import NANOSECONDS
 
 Headed = TypeVar("Headed", CurrentReference, DriveStatus, PublisherState)
 _STATUS = tuple(name for name in feedback.DriveStatus.__dataclass_fields__ if name != "stamp")

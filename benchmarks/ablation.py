@@ -24,7 +24,7 @@ from uncertainty import DRIVES, SECONDS, WITHIN
 from drive_id.bench.drive import Simulation
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.model import PENALTIES, SENSOR_ORDERS, ModelSpec
+from drive_id.core.full.model import PENALTIES, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.result.conclusion import conclude
 from drive_id.fitting.simulated import load_machine, run_experiment
@@ -64,7 +64,7 @@ def model() -> Iterator[str]:
         "Change",
     )
     data = Accumulation(drive("ipm", NOISY))
-    every = tuple(order for order in data.model.all_orders if order not in SENSOR_ORDERS)
+    every = data.model.orders
     middle = len(data.model.shapes.scales) // 2
     choices = {
         "none: reciprocal maps, harmonics 6 and 12, curve of 8 shapes": INGREDIENTS,

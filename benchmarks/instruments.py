@@ -102,7 +102,7 @@ def _simulated(data: Accumulation, estimate: FloatArray, choice: ModelSpec) -> F
     harmonics = {}
     for order in choice.orders:
         a, b = np.split(estimate[model.harmonics[order]], 2)
-        harmonics[order] = spline(model.space(order), a), spline(model.space(order), b)
+        harmonics[order] = spline(model.harmonic, a), spline(model.harmonic, b)
     current = np.linspace(-1.2 * evidence.i_max, 1.2 * evidence.i_max, 1001)
     drop = (model.shapes(current) @ estimate[model.phase_columns()]).mean(axis=1)
     samples, gamma = data.simulation.samples, spline(model.flux, estimate[model.map])

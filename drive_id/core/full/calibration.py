@@ -11,9 +11,8 @@ from scipy.sparse.linalg import lsqr
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.delay import Delay
-from drive_id.core.full.effect_search import SENSORS
 from drive_id.core.full.fit import FullFit
-from drive_id.core.full.model import CONSTANT, RESISTANCE, SENSOR_ORDERS
+from drive_id.core.full.model import CONSTANT, RESISTANCE
 from drive_id.core.full.windows import MOST_DELAY
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
@@ -22,14 +21,6 @@ from drive_id.types import BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
 """Standard errors from which on a deviation of a sensor is told."""
-_AGREEMENT = 0.5
-"""Share of an offset by which that traced in the flux may differ: it is traced through coarse maps of harmonic 1."""
-_LEAST_SHOWN = 5e-4
-"""Flux harmonic of an offset, relative to the largest flux, below which nothing can be traced: that of the misfit."""
-_LEAST_EXPLAINED = 0.5
-"""Share of the flux's harmonic 2 that gains must explain to be its cause, rather than the machine."""
-_QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""Multiplication by j."""
 _LARGEST_ANGLE = np.deg2rad(20.0)
 """Offset of the angle beyond which the map has left the disc of the currents too far to be mirrored."""
 _TRIED = 5
@@ -80,21 +71,15 @@ def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
     return np.asarray(i_dq @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
-@one_blas_thread()
-def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
-    """Estimate offsets and gain mismatch of the current sensors.
+def calibrate_currents(fit: FullFit, i_max: float) -> list[Calibration]:
+    """Report the offsets of currents and voltages, and unequal gains of the current sensors, that no effect reports.
 
-    With measured currents i = i_true + o + G i_true*, where o and G are the space vectors of offset and mismatch, the
-    flux over the measured current gains ``-f'(i) e^{-j theta} o - f'(i) e^{-2 j theta} G i*`` to first order: harmonics
-    1 and 2. The resistive drop of the wrong current adds ``-j R / omega`` times the same vector to the latter. The
-    offset also causes a constant voltage in the stator frame, ``-(R + r) o`` with the mean slope r of a symmetric
-    inverter curve. A constant voltage without this harmonic is an offset of the commanded voltages; a second harmonic
-    of another shape is not a mismatch, and the currents are not corrected for it.
+    Without an offset of the currents in the fit, a constant voltage in the stator frame is ``-(R + r) o`` by an offset
+    o too small to be seen in the flux, r being the mean slope of a symmetric inverter curve. If the flux contradicts o,
+    or if the fit has an offset of the currents, it is an offset of the commanded voltages.
 
     Parameters
     ----------
-    i_dq : (N, 2) float
-        Currents with data, A.
     i_max : float
         A.
 
@@ -103,78 +88,27 @@ def calibrate_currents(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Cal
     list of Calibration
         Real and imaginary part of offset and mismatch; zero sequence and common gain cannot be observed.
     """
-    out = _offsets(fit, i_dq, i_max)
-    if SENSORS in fit.spec.effects:
-        return out
-    traced = _traced(fit, SENSOR_ORDERS[1], i_dq)
-    if traced is None:
-        return out + _entries("current_gain_mismatch", "1", (np.zeros(2), np.full(2, np.nan)), 1.0, applied=False)
-    shown = bool(np.any(np.abs(traced.value) > _SIGNIFICANCE * traced.sigma))
-    applied = shown and traced.explained > _LEAST_EXPLAINED
-    entries = _entries("current_gain_mismatch", "1", (traced.value, traced.sigma), 1.0, applied=applied)
-    if shown and not applied:
-        entries = [replace(entry, message=Message("second_harmonic"), doubtful=True) for entry in entries]
-    return out + entries
-
-
-@dataclass(frozen=True, eq=False)
-class _Traced:
-    """The vector that causes a harmonic: value and standard error (2,), and the share of the harmonic it explains."""
-
-    value: FloatArray
-    sigma: FloatArray
-    explained: float
-
-
-def _offsets(fit: FullFit, i_dq: FloatArray, i_max: float) -> list[Calibration]:
-    """Attribute a constant voltage to an offset of the currents or, if the flux contradicts, of the voltages."""
-    voltage, changes = fit.solution.estimate[CONSTANT], fit.assessment.changes[CONSTANT]
-    sigma = np.sqrt(np.sum(changes**2, axis=1))
-    resistance = fit.solution.resistance + fit.assessment.drop_slope
-    offset, sigma_offset = -voltage / resistance, sigma / abs(resistance)
-    shown = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
-    traced = _traced(fit, SENSOR_ORDERS[0], i_dq) if shown else None
-    if traced is not None and _between(traced, offset, -voltage / fit.solution.resistance):
-        return _entries("current_offset", "A", (traced.value, traced.sigma), i_max, applied=True)
-    if not shown or _flux_agrees(fit, offset, sigma_offset, i_dq):
-        return _entries("current_offset", "A", (offset, sigma_offset), i_max, applied=shown)
-    none = _entries("current_offset", "A", (np.zeros(2), np.full(2, np.nan)), i_max, applied=False)
+    out, none = [], (np.zeros(2), np.full(2, np.nan))
+    if "current_gains" not in fit.spec.effects:
+        out += _entries("current_gain_mismatch", "1", none, 1.0, applied=False)
+    voltage, sigma = fit.solution.estimate[CONSTANT], np.sqrt(np.sum(fit.assessment.changes[CONSTANT] ** 2, axis=1))
+    of_voltage = bool(np.any(np.abs(voltage) > _SIGNIFICANCE * sigma))
+    if "current_offset" not in fit.spec.effects:
+        resistance = fit.solution.resistance + fit.assessment.drop_slope
+        found = -voltage / resistance, sigma / abs(resistance)
+        if not of_voltage or _flux_allows(fit, *found):
+            return out + _entries("current_offset", "A", found, i_max, applied=of_voltage)
+        out += _entries("current_offset", "A", none, i_max, applied=False)
     height = float(np.sqrt(fit.total_voltage)) / fit.assessment.duration
-    return none + _entries("voltage_offset", "V", (voltage, sigma), height, applied=True)
+    return out + (_entries("voltage_offset", "V", (voltage, sigma), height, applied=True) if of_voltage else [])
 
 
-def _between(traced: _Traced, least: FloatArray, most: FloatArray) -> bool:
-    """Tell whether an offset traced in the flux is certain and beyond that by the voltage, but not by more than may be.
-
-    Where speed and current vary together, as on a free shaft, the slope of the drop does not act on a constant voltage
-    with its mean: the offset is that for the mean slope, ``least``, to that for none, ``most``, (2,), A.
-    """
-    certain = np.hypot(*traced.value) > _SIGNIFICANCE * np.hypot(*traced.sigma)
-    span = most - least
-    share = float(np.clip((traced.value - least) @ span / max(span @ span, np.finfo(np.float64).tiny), 0.0, 1.0))
-    beyond, outside = (float(np.hypot(*(traced.value - each))) for each in (least, least + share * span))
-    allowed = _AGREEMENT * np.hypot(*traced.value)
-    return bool(certain and beyond > allowed and outside < allowed + _SIGNIFICANCE * np.hypot(*traced.sigma))
-
-
-def _flux_agrees(fit: FullFit, offset: FloatArray, sigma: FloatArray, i_dq: FloatArray) -> bool:
-    """Tell whether the first harmonic of the flux agrees with a current offset (2,), A, or does not contradict it.
-
-    The part that is constant in the stator frame induces no voltage and cannot be checked.
-    """
-    order = SENSOR_ORDERS[0]
-    cosine, sine = _effects(fit, order, i_dq)
-    expected = np.concatenate([(cosine @ offset).ravel(), (sine @ offset).ravel()])
-    constant = _constants(len(i_dq))
-    expected = expected - constant @ np.linalg.lstsq(constant, expected)[0]
-    largest = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.estimate[fit.model.map])).max())
-    if np.sqrt(np.mean(expected**2)) < _LEAST_SHOWN * largest:
-        return True  # too small to be visible in the flux
-    traced = _traced(fit, order, i_dq)
-    if traced is None:
-        return False
-    allowed = _AGREEMENT * np.hypot(*offset) + _SIGNIFICANCE * (np.hypot(*sigma) + np.hypot(*traced.sigma))
-    return bool(np.hypot(*(offset - traced.value)) < allowed)
+def _flux_allows(fit: FullFit, offset: FloatArray, sigma: FloatArray) -> bool:
+    """Tell whether an offset of the currents (2,), A, is no more than the one that the flux shows, if any."""
+    solver = fit.selection.solver
+    share, shown = solver.saving(fit.solution, fit.model.effect("current_offset"))
+    of_flux = np.hypot(*shown) / np.sqrt(max(share * fit.solution.rows, np.finfo(np.float64).tiny))
+    return bool(np.hypot(*(offset - shown)) < _SIGNIFICANCE * np.hypot(of_flux, np.hypot(*sigma)))
 
 
 def _entries(
@@ -186,52 +120,6 @@ def _entries(
         said = Message(f"{name}.fit", axis=axis, **values) if applied else Message(f"{name}.none")
         entries.append(Calibration(f"{name}_{axis}", float(x), float(dx), unit, applied, said))
     return entries
-
-
-def _products_with(i_dq: FloatArray) -> FloatArray:
-    """Return the matrices (N, 2, 2) that multiply a complex number by the currents."""
-    d, q = i_dq.T
-    return np.stack([np.stack([d, -q], axis=-1), np.stack([q, d], axis=-1)], axis=1)
-
-
-def _effects(fit: FullFit, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the matrices (N, 2, 2) from a sensor's vector to the cosine and the sine amplitudes of its harmonic."""
-    effect = jacobian(fit.model.flux, fit.solution.estimate[fit.model.map], i_dq)
-    if order == SENSOR_ORDERS[0]:
-        vector = np.broadcast_to(np.eye(2), (len(i_dq), 2, 2))
-    else:
-        fast = np.abs(fit.assessment.speeds) > 0.1 * np.abs(fit.assessment.speeds).max()
-        effect = effect + fit.solution.resistance * float(np.mean(1 / fit.assessment.speeds[fast])) * _QUARTER
-        vector = _products_with(i_dq * np.array([1.0, -1.0]))
-    cosine = np.einsum("nab,nbc->nac", -effect, vector)
-    sine = np.einsum("nab,bc,ncd->nad", effect, _QUARTER, vector)  # e^{-j h theta} = cos h theta - j sin h theta
-    return cosine, sine
-
-
-def _constants(count: int) -> FloatArray:
-    """Return the first-harmonic amplitudes (4 N, 2) of a constant flux in the stator frame."""
-    return np.concatenate([np.tile(np.eye(2), (count, 1)), np.tile(-_QUARTER, (count, 1))])
-
-
-def _traced(fit: FullFit, order: int, i_dq: FloatArray) -> _Traced | None:
-    """Return the vector that causes a sensor's harmonic, by least squares on the amplitudes; None without harmonic."""
-    if order not in fit.spec.orders:
-        return None
-    space, columns = fit.model.space(order), fit.model.harmonics[order]
-    rows = space.rows(i_dq)
-    regressors = np.concatenate([effect.reshape(-1, 2) for effect in _effects(fit, order, i_dq)])
-    if order == SENSOR_ORDERS[0]:
-        regressors = np.hstack([regressors, _constants(len(i_dq))])
-
-    def amplitudes(gamma: FloatArray) -> FloatArray:
-        halves = np.split(gamma, 2)
-        return np.concatenate([rows.dot(half).reshape(2 * len(i_dq), -1) for half in halves])
-
-    found = amplitudes(fit.solution.estimate[columns][:, None])
-    value = np.linalg.lstsq(regressors, found)[0]
-    left = float(np.sum((found - regressors @ value) ** 2) / np.sum(found**2))
-    moves = np.linalg.lstsq(regressors, amplitudes(fit.assessment.changes[columns]))[0][:2]
-    return _Traced(value[:2, 0], np.sqrt(np.sum(moves**2, axis=1)), 1.0 - left)
 
 
 def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:

@@ -192,13 +192,20 @@ def _phases(found: _Evaluated) -> Iterator[_Shown]:
         yield _Shown.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
 
 
-def _sensors(found: _Evaluated) -> Iterator[_Shown]:
-    """Report the rotation of the currents and the mismatch of their gains."""
-    (a, *g), (sigma, *sigmas) = found.value, found.sigma
-    yield _Shown.of(CURRENT_ROTATION, a, sigma, "rad")
-    for axis, x, dx in zip(("alpha", "beta"), g, sigmas, strict=True):
-        key = "current_gain_mismatch.fit"
-        yield _Shown.of(f"current_gain_mismatch_{axis}", x, dx, "1", key, axis=axis, share=abs(x))
+def _rotation(found: _Evaluated) -> Iterator[_Shown]:
+    yield _Shown.of(CURRENT_ROTATION, found.value[0], found.sigma[0], "rad")
+
+
+def _mismatch(found: _Evaluated) -> Iterator[_Shown]:
+    for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
+        name = f"current_gain_mismatch_{axis}"
+        yield _Shown.of(name, x, dx, "1", "current_gain_mismatch.fit", axis=axis, share=abs(x))
+
+
+def _offset(found: _Evaluated) -> Iterator[_Shown]:
+    for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
+        share = abs(x) / found.fit.model.i_max
+        yield _Shown.of(f"current_offset_{axis}", x, dx, "A", "current_offset.fit", axis=axis, share=share)
 
 
 def _gains(found: _Evaluated) -> Iterator[_Shown]:
@@ -227,5 +234,7 @@ _REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
     "resolver_second": _of_turn,
     "dc_link": _link,
     "phase_resistance": _phases,
-    "current_sensors": _sensors,
+    "current_rotation": _rotation,
+    "current_gains": _mismatch,
+    "current_offset": _offset,
 }

@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
-from drive_id.core.full.model import EFFECTS, PENALTIES, SENSOR_ORDERS, VOLTAGE, FullModel, ModelSpec
+from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
@@ -20,6 +20,8 @@ DELAY = "voltage_delay"
 
 _LEAST_SAVING = 3e-3
 """Share of the squared residuals that an effect must explain; below 1e-3 for drives that obey the model."""
+_LEAST_BESIDE = 1e-3
+"""The same beside the effect that it comes with."""
 _PER_UNKNOWN = 5.0
 """Further share for each unknown, in units of the share of one row."""
 _LEAST_VOLTAGE = 5e-5
@@ -47,11 +49,12 @@ _LONGEST_LATENCY = 0.8
 """Of angle or currents, sample periods: the columns hold below 1."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
-SENSORS = "current_sensors"
-_TIMING = {DELAY, "current_latency", "angle_latency", SENSORS}
+_TIMING = {DELAY, "current_latency", "angle_latency", "current_rotation"}
 """All of them rotate the flux against the currents, but for the last by the speed: at one speed, the data hold one."""
 _SPEEDS_APART = 0.1
 """Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
+_BESIDE = {"current_rotation": "current_gains"}
+"""Effects that are tried beside another one only: sensors that turn the currents have unequal gains as well."""
 _POSITIVE = ("iron_loss", "flux")
 _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 
@@ -162,9 +165,9 @@ def _greedy(
     while len(taken) < _MOST_EFFECTS:
         timed = one_speed and bool(_TIMING & {each.name for each in taken})
         allowed = [name for name in allowed if not (timed and name in _TIMING)]
-        savings = effect_savings(
-            solver, solution, [name for name in allowed if name not in solution.spec.effects], period
-        )
+        taken_effects = solution.spec.effects
+        tried = [name for name in allowed if name not in taken_effects and _BESIDE.get(name) in (None, *taken_effects)]
+        savings = effect_savings(solver, solution, tried, period)
         if turn > 0 and solution.spec.delay == 0 and not timed:
             if taken:
                 delay = estimate_delay(solver, solution, noise)
@@ -199,13 +202,7 @@ def _greedy(
 
 def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
     """Return the variant with another effect."""
-    effects = (*spec.effects, name)
-    return replace(spec, effects=effects, orders=orders_beside(effects, spec.orders))
-
-
-def orders_beside(effects: Sequence[str], orders: Sequence[int]) -> tuple[int, ...]:
-    """Return the harmonics that are fitted beside effects: the currents' sensors stand for the one that they cause."""
-    return tuple(order for order in orders if SENSORS not in effects or order != SENSOR_ORDERS[1])
+    return replace(spec, effects=(*spec.effects, name))
 
 
 def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Settled:
@@ -266,9 +263,6 @@ def effect_savings(solver: Solver, solution: FullSolution, names: Sequence[str],
     for name in names:
         saving, value = solver.saving(solution, solver.model.effect(name))
         savings[name] = saving if _plausible(name, float(value[0]), period) else 0.0
-    if savings.get(SENSORS, 0.0) > _LEAST_SAVING:  # in place of the harmonic that they cause, less is saved
-        with_sensors = solver.solve(with_effect(solution.spec, SENSORS))
-        savings[SENSORS] = 1.0 - with_sensors.sum_of_squares / solution.sum_of_squares
     return savings
 
 
@@ -297,14 +291,11 @@ def _best(savings: dict[str, float], *, physical: bool) -> str | None:
 
     A physical delay (half or whole samples) is preferred to an effect that saves little more, because columns that
     resemble it also fit the controller's response to noise. Any other delay loses to an effect that is nearly as good.
-    So do all to the currents' sensors, which with three unknowns explain a harmonic as well.
     """
     if not savings:
         return None
     others = {name: saving for name, saving in savings.items() if name != DELAY}
     best = max(others, key=lambda name: others[name], default=DELAY)
-    if best != DELAY and others.get(SENSORS, 0.0) > (1 - _CLOSE) * others[best]:
-        best = SENSORS
     if DELAY in savings:
         margin = _RESEMBLANCE if physical else -_CLOSE * savings[DELAY]
         if best == DELAY or savings[DELAY] + margin > others[best]:
@@ -320,8 +311,9 @@ def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float
     unknowns = 1 if name == DELAY else EFFECTS[name].stop - EFFECTS[name].start
     rows, own = max(solution.rows, 1.0), solver.model.effect("remainder").start
     uncertain = UNCERTAIN_SHARE**2 * solver.total[own, own] / rows
+    least = _LEAST_BESIDE if name in _BESIDE else _LEAST_SAVING
     return bool(
-        saving > _LEAST_SAVING + _PER_UNKNOWN * unknowns / rows
+        saving > least + _PER_UNKNOWN * unknowns / rows
         and saving * solution.sum_of_squares / rows > _LEAST_VOLTAGE**2 * solver.total_voltage + uncertain
     )
 

@@ -26,9 +26,10 @@ resolver_second     error of the angle, cosine and sine of 2 theta              
 dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
 phase_resistance    R of phases a and b above the mean, c below                 of int i_a, int i_b, int i_c
 voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
-current_sensors     rotation a of the currents read, and gain mismatch g of     -j R int i_s - [e^{j theta} f'(i) j i],
-                    their sensors, complex: i (1 + j a) + g conj(i)             -R conj(int i_s)
-                                                                                - [e^{j theta} f'(i) i*], i* its image
+current_rotation    a: the currents read are i (1 + j a)                        -j R int i_s - int h'(i) j i
+                                                                                - [e^{j theta} f'(i) j i]
+current_gains       gain mismatch g, complex: those read are i + g conj(i)      the same with i*, the image of i
+current_offset      o, complex: those read are i + o                            the same with e^{-j theta}
 remainder           none: what the columns above, linear in the effects, leave  [e^{j (theta + eps)} f((i + di)
                     of the flux at the estimated effects, and what the current  e^{-j eps}) - e^{j theta} (f + ...)]
                     does between samples, see ``between_samples.py``             + int (R i_s + drop) - its quadrature
@@ -76,6 +77,9 @@ OF_RECORDINGS = (
     "eccentric_rotor",
 )
 """Effects that depend on the number of a recording or a run, or on the time since the start."""
+
+OF_SENSORS = ("current_rotation", "current_gains", "current_offset")
+"""Effects of the current sensors, not of the drive, in the order of ``Windows.sensed``."""
 
 _SLOWEST = 1.0
 """Speed below which hysteresis cannot be distinguished from noise, rad/s."""
@@ -128,9 +132,12 @@ class EffectColumns:
         own = [windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
         i_a, i_b, i_c = 2 / 3 * (frames.phases(windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
         columns = {name: [between(turn * through(shift)) for shift in shifts] for name, shifts in currents.items()}
-        read = np.stack([1j * windows.current, windows.current.conj(), 1j * windows.current.conj()])
+        image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
+        read = [1j * windows.current, image, 1j * image, unit, 1j * unit]
         dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self._coarse_drop)
-        columns["current_sensors"] = [*(columns["current_sensors"] - self.estimate[RESISTANCE] * read - dropped)]
+        resisted = iter(self.estimate[RESISTANCE] * np.stack(read) + dropped)
+        for name in OF_SENSORS:
+            columns[name] = [column - next(resisted) for column in columns[name]]
         columns |= {
             "current_latency": [between(windows.held - windows.speed * tilt)],  # with the ripple of a held voltage
             "angle_latency": [between(windows.speed * tilt)],
@@ -232,7 +239,9 @@ class EffectColumns:
             "iron_loss": [-e],
             "hysteresis": [-e / speed],
             "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
-            "current_sensors": [-1j * i_dq, -mirrored, -1j * mirrored],
+            "current_rotation": [-1j * i_dq],
+            "current_gains": [-mirrored, -1j * mirrored],
+            "current_offset": [-turn.conj(), -1j * turn.conj()],
         }
 
     def _waves(self, windows: Windows) -> dict[str, list[FloatArray]]:
@@ -256,7 +265,8 @@ class EffectColumns:
             Samples over which the voltage is averaged.
         """
         cutter, out, estimate = WindowCutter(self.model.shapes), [], self.estimate.copy()
-        estimate[self.model.effect("current_sensors")] = 0.0
+        for name in OF_SENSORS:
+            estimate[self.model.effect(name)] = 0.0
         of_drive = replace(self, estimate=estimate)
         for number, samples in enumerate(recordings):
             cutter.restart(0.0, number)

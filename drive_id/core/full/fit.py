@@ -16,7 +16,7 @@ from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.effect_search import EffectSearch, Taken
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
-from drive_id.core.full.model import RESISTANCE, SENSOR_ORDERS, FullModel, ModelSpec
+from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.selection import Selection, effects_to_try, select
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
@@ -312,7 +312,7 @@ def fit_full(
     speeds = np.concatenate(turns)
     if misfit.ratio > LEAST_TOLD or not solution.spec.reciprocal:
         spec = selection.search.solution.spec
-        expected = tuple(order for order in spec.orders if order in (*SENSOR_ORDERS, *settings.harmonic_orders))
+        expected = tuple(order for order in spec.orders if order in settings.harmonic_orders)
         reciprocal = solver.solve(replace(spec, effects=solution.spec.effects, orders=expected))
         misfit = replace(misfit, causes=tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings)))
     jump = None

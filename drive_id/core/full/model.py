@@ -5,10 +5,8 @@
                                + [e^{j theta} (f(i) + sum_h a_h(i) cos h theta + b_h(i) sin h theta)] at the ends
 
 f is the flux map averaged over the rotor position; a_h, b_h are its harmonics, on a coarser grid; u_0 is a constant
-voltage in the stator frame, which the offset of a current sensor causes through R. Harmonics 1 and 2 do not belong to
-the machine: an offset o of the measured currents turns with -theta in the rotor frame and adds
-``-f'(i) e^{-j theta} o``, a gain mismatch turns with -2 theta. i' is the current one sample earlier, turned with the
-rotor: a drive that compensates its inverter from measured currents uses that one, so the difference remains.
+voltage in the stator frame. i' is the current one sample earlier, turned with the rotor: a drive that compensates its
+inverter from measured currents uses that one, so the difference remains.
 
 Every variant of the model is a sparse matrix T from the unknowns to the columns: ``Z T x`` with one accumulated Z'Z.
 """
@@ -34,11 +32,6 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
 """Of the co-energies of map and harmonics."""
-SENSOR_CELLS = 3
-SENSOR_DEGREE = 3
-"""Cells per axis and degree of the amplitudes of harmonics 1 and 2: deviations of sensors are smooth in the current."""
-SENSOR_ORDERS = (1, 2)
-"""Harmonics that offsets (1) and unequal gains (2) of current sensors cause."""
 
 VOLTAGE, RESISTANCE = 0, 1
 CONSTANT = slice(2, 4)
@@ -74,7 +67,9 @@ EFFECTS = _layout(
         "dc_link": 1,
         "phase_resistance": 2,
         "voltage_gains": 2,
-        "current_sensors": 3,
+        "current_rotation": 1,
+        "current_gains": 2,
+        "current_offset": 2,
         "remainder": 1,
     }
 )
@@ -115,8 +110,8 @@ class Layout:
     ----------
     start : int
         First column of the map.
-    flux, harmonic, sensor : Space
-        Functions of the map, of the amplitudes of a rotor-position harmonic, and of one caused by the current sensors.
+    flux, harmonic : Space
+        Functions of the map, and of the amplitudes of a rotor-position harmonic.
     orders : tuple of int
         Harmonics in the order of their columns.
     """
@@ -124,7 +119,6 @@ class Layout:
     start: int
     flux: Space
     harmonic: Space
-    sensor: Space
     orders: tuple[int, ...]
 
     @property
@@ -132,18 +126,12 @@ class Layout:
         """Columns of the flux map."""
         return slice(self.start, self.start + self.flux.parameters)
 
-    def space(self, order: int) -> Space:
-        """Return the space of a harmonic's amplitudes."""
-        return self.sensor if order in SENSOR_ORDERS else self.harmonic
-
     @cached_property
     def harmonics(self) -> dict[int, slice]:
         """Columns of each harmonic, those of a_h before those of b_h."""
-        columns, start = {}, self.map.stop
-        for order in self.orders:
-            columns[order] = slice(start, start + 2 * self.space(order).parameters)
-            start = columns[order].stop
-        return columns
+        width = 2 * self.harmonic.parameters
+        starts = [self.map.stop + number * width for number in range(len(self.orders))]
+        return {order: slice(start, start + width) for order, start in zip(self.orders, starts, strict=True)}
 
     @property
     def size(self) -> int:
@@ -154,9 +142,9 @@ class Layout:
         """Return for each space the first columns of the maps in it and their factors (N,)."""
         maps: dict[Space, list[tuple[int, FloatArray]]] = {self.flux: [(self.map.start, np.ones(len(angle)))]}
         for order in orders:
-            space, start = self.space(order), self.harmonics[order].start
-            maps.setdefault(space, []).append((start, np.cos(order * angle)))
-            maps[space].append((start + space.parameters, np.sin(order * angle)))
+            start = self.harmonics[order].start
+            maps.setdefault(self.harmonic, []).append((start, np.cos(order * angle)))
+            maps[self.harmonic].append((start + self.harmonic.parameters, np.sin(order * angle)))
         return maps
 
 
@@ -174,8 +162,6 @@ class FullModel:
         Candidate rotor-position harmonics, electrical.
     reciprocal : bool
         Sum over the columns of reciprocal maps only, a third fewer, see :attr:`summed`.
-    sensors : tuple of int
-        Candidate harmonics that current sensors cause.
     cells: Resolution, optional
         Cells of the map and its harmonics; default: the usual ones.
     """
@@ -186,7 +172,6 @@ class FullModel:
     orders: tuple[int, ...]
     _: KW_ONLY
     reciprocal: bool = False
-    sensors: tuple[int, ...] = SENSOR_ORDERS
     cells: Resolution | None = None
 
     @cached_property
@@ -208,11 +193,6 @@ class FullModel:
     def harmonic(self) -> GradientSpline:
         """Space of the amplitudes of a rotor-position harmonic."""
         return GradientSpline.within(self.low, self.high, self.resolution.harmonic, HARMONIC_DEGREE)
-
-    @cached_property
-    def sensor(self) -> GradientSpline:
-        """Space of the amplitudes of a harmonic caused by the current sensors."""
-        return GradientSpline.within(self.low, self.high, SENSOR_CELLS, SENSOR_DEGREE)
 
     @property
     def drops(self) -> slice:
@@ -247,14 +227,14 @@ class FullModel:
     @cached_property
     def columns(self) -> Layout:
         """Columns of free maps."""
-        return Layout(self.effects.stop, self.flux, self.harmonic, self.sensor, self.all_orders)
+        return Layout(self.effects.stop, self.flux, self.harmonic, self.orders)
 
     @cached_property
     def summed(self) -> Layout:
-        """Columns of the sums over windows: co-energies instead of fluxes, except for the sensors, if reciprocal."""
+        """Columns of the sums over windows: co-energies instead of fluxes if reciprocal."""
         if not self.reciprocal:
             return self.columns
-        return Layout(self.effects.stop, self.flux.potential, self.harmonic.potential, self.sensor, self.all_orders)
+        return Layout(self.effects.stop, self.flux.potential, self.harmonic.potential, self.orders)
 
     @cached_property
     def expansion(self) -> sparse.csr_array:
@@ -262,24 +242,12 @@ class FullModel:
         if not self.reciprocal:
             return sparse.csr_array(sparse.eye_array(self.size))
         blocks = [sparse.eye_array(self.map.start), self.flux.gradient]
-        for order in self.all_orders:
-            one = sparse.eye_array(self.sensor.parameters) if order in SENSOR_ORDERS else self.harmonic.gradient
-            blocks += [one, one]
-        return sparse.csr_array(sparse.block_diag(blocks))
+        return sparse.csr_array(sparse.block_diag(blocks + 2 * len(self.orders) * [self.harmonic.gradient]))
 
     @property
     def map(self) -> slice:
         """Columns of the flux map."""
         return self.columns.map
-
-    @property
-    def all_orders(self) -> tuple[int, ...]:
-        """All harmonics, in the order of their columns."""
-        return (*self.sensors, *self.orders)
-
-    def space(self, order: int) -> GradientSpline:
-        """Return the space of a harmonic's amplitudes."""
-        return self.sensor if order in SENSOR_ORDERS else self.harmonic
 
     @property
     def harmonics(self) -> dict[int, slice]:
@@ -311,7 +279,7 @@ class FullModel:
         layout = layout or self.columns
         out = np.zeros((len(windows), 2, layout.size))
         self._beside_flux(windows, out)
-        for turn, column, value, start, factor in self._ends(windows, layout, self.all_orders):
+        for turn, column, value, start, factor in self._ends(windows, layout, self.orders):
             add_end(column, value, turn, start, factor, out)
         return _weighted(windows, out)
 
@@ -324,7 +292,7 @@ class FullModel:
         beside = np.zeros((len(windows), 2, layout.start))
         self._beside_flux(windows, beside)
         columns = [np.flatnonzero(beside.any(axis=(0, 1)))]
-        ends = list(self._ends(windows, layout, self.all_orders))
+        ends = list(self._ends(windows, layout, self.orders))
         spaces = [ends[k : k + len(ends) // 2 + 1 : len(ends) // 2] for k in range(len(ends) // 2)]
         places = []
         for pair in spaces:
@@ -524,7 +492,7 @@ class ModelSpec:
     reciprocal : bool
         The maps are gradients of a co-energy.
     orders : tuple of int
-        Harmonics, including those of the sensors.
+        Harmonics.
     per_phase : bool
         One inverter curve per phase.
     inverter : bool
@@ -619,8 +587,7 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         place(np.eye(columns.stop - columns.start), columns.start)
     place(of_map(model.flux), layout.map.start)
     for order in spec.orders:
-        one = sparse.eye_array(model.sensor.parameters) if order in SENSOR_ORDERS else of_map(model.harmonic)
-        place(sparse.block_diag([one, one]), layout.harmonics[order].start)
+        place(sparse.block_diag(2 * [of_map(model.harmonic)]), layout.harmonics[order].start)
     return sparse.csr_array(sparse.hstack(blocks))
 
 

@@ -10,14 +10,13 @@ import numpy as np
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
 from drive_id.core.full.effect_search import (
-    SENSORS,
     EffectSearch,
-    orders_beside,
     plausible_effects,
     search_effects,
     with_effects_only,
 )
-from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, SENSOR_ORDERS, FullModel, ModelSpec
+from drive_id.core.full.effects import OF_SENSORS
+from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import (
     CurrentNoise,
@@ -29,7 +28,7 @@ from drive_id.core.full.solver import (
 )
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
-from drive_id.core.full.zero_crossings import BetweenCrossings, between_crossings
+from drive_id.core.full.zero_crossings import between_crossings
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -60,8 +59,9 @@ _LEAST_HEATING = 5.0
 """Least range of magnet temperature for which the magnet's temperature coefficient is estimated, K."""
 _SEARCHES = 2
 """Most searches for further harmonics: strong ones hide weak ones."""
-_OFFSET = 1
-"""Harmonic that a current offset causes."""
+_OFFSET = "current_offset"
+_OF_SENSORS = {_OFFSET: 1, "current_gains": 2}
+"""Harmonics of the flux that faults of the current sensors cause, and that are none of the machine beside them."""
 _BY_OFFSET = 5.0
 """Largest excess over noise at zero crossings that an offset may cause; hard dead time causes more."""
 _FREE_TURN = np.deg2rad(3.0)
@@ -127,13 +127,13 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
     if settings.maps == "free":
-        sums = sums.freed(sums.model.all_orders)
+        sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     between = between_crossings(sums, solver, start, noise)
-    if between and not _offset_shows(between, noise):
+    if between and not _offset_shows(sums, start, noise, between.excess):
         sums, crossings = between.sums, between.excess
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
@@ -141,15 +141,15 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     start = _with_early_steps(solver, _undelayed(solver, start, settings))
     del solver  # its matrices are large
     selection = _select(sums, start, settings, turn, noise)
-    known = sums.model.all_orders
+    known = sums.model.orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found = selection.search.sums
         new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known, HIGHEST_ORDER)
-        new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
+        caused = [order for name, order in _OF_SENSORS.items() if name in selection.solution.spec.effects]
+        new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
         if not new:
             break
-        kept = tuple(order for order in selection.solution.spec.orders if order not in SENSOR_ORDERS)
-        sums = sums.with_orders((*kept, *new)[:MOST_ORDERS])
+        sums = sums.with_orders((*selection.solution.spec.orders, *new)[:MOST_ORDERS])
         known = (*known, *new)
         solver = Solver.over(sums)
         start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
@@ -234,8 +234,8 @@ def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> boo
 def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:
     """Return the variant with all candidate harmonics and no effects."""
     model = sums.model
-    distinct = distinct_orders(model.all_orders if settings.calibrate_currents else model.orders, turn)
-    orders = tuple(order for order in model.all_orders if order in distinct)
+    distinct = distinct_orders(model.orders, turn)
+    orders = tuple(order for order in model.orders if order in distinct)
     heating = np.concatenate([windows.magnet_heating for windows in sums.kept()])
     return ModelSpec(
         settings.maps != "free",
@@ -247,15 +247,15 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
     )
 
 
-def _offset_shows(between: BetweenCrossings, noise: CurrentNoise) -> bool:
+def _offset_shows(sums: WindowSums, start: FullSolution, noise: CurrentNoise, excess: float) -> bool:
     """Tell whether a current offset, which shifts the step of the drop, causes the excess at zero crossings.
 
     Short windows hardly determine an offset. They are therefore not used if there is an offset and the excess is no
     larger than offsets cause.
     """
-    if between.excess >= _BY_OFFSET:
+    if excess >= _BY_OFFSET:
         return False
-    return _OFFSET in _significant_orders(between.sums.model, between.solution, noise.windows.i_dq[:, 0])
+    return bool(search_effects(sums, start, noise, [_OFFSET], turn=0.0, pole_pairs=1).solution.spec.effects)
 
 
 def _select(
@@ -273,11 +273,11 @@ def _select(
         error = first.error if freed.windows == sums.windows else solver.left_out(spec)[:, 0]
         advantage, clearly = _advantage(solver, free, error)
         if clearly and _advantage_beyond_noise(solver, spec, error, free, noise) > _CLEAR_GAIN:
-            freed = search.sums.freed(model.all_orders)
+            freed = search.sums.freed(model.orders)
             if search.sums.effects is None:
                 freed = freed.with_effects(search.columns)
             search = replace(search, sums=freed, solver=Solver.over(freed))
-            everything = search.solver.solve(replace(free, orders=orders_beside(free.effects, orders)))
+            everything = search.solver.solve(replace(free, orders=orders))
             significant = _significant_orders(freed.model, everything, i_dq)
             spec = search.solver.best_penalty(replace(free, orders=significant))[0]
             solution = search.solver.solve(spec)
@@ -298,8 +298,6 @@ def _first_candidate(
 ) -> _Candidate:
     """Detect effects or a delay, then the harmonics, then the penalty."""
     allowed = effects_to_try(sums, settings) if start.spec.reciprocal else ()
-    if SENSOR_ORDERS[1] not in _significant_orders(sums.model, start, noise.windows.i_dq[:, 0]):
-        allowed = tuple(name for name in allowed if name != SENSORS)
     calibrated = settings.calibrate_delay and start.spec.reciprocal
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     while True:
@@ -389,7 +387,7 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         # a flux that varies over θ/p looks like a map where the trajectory repeats at the same rate: p must be known
         "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
         "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
-        SENSORS: settings.calibrate_currents,
+        **dict.fromkeys(OF_SENSORS, settings.calibrate_currents),
     }
     return tuple(name for name in EFFECTS if name != "remainder" and known.get(name, True))
 
@@ -448,7 +446,7 @@ def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArr
     significant, largest = [], float(np.abs(model.flux.rows(i_dq).dot(solution.estimate[model.map])).max())
     for order in solution.spec.orders:
         columns = np.arange(model.harmonics[order].start, model.harmonics[order].stop)
-        halves = [model.space(order).rows(i_dq).dot(half) for half in np.split(solution.estimate[columns], 2)]
+        halves = [model.harmonic.rows(i_dq).dot(half) for half in np.split(solution.estimate[columns], 2)]
         if np.sqrt(np.mean(np.square(halves))) < _LEAST_HARMONIC * largest:
             continue
         unknowns = np.flatnonzero(np.asarray(abs(solution.basis[columns]).sum(axis=0)).ravel())

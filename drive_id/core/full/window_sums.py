@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.model import EFFECT_COLUMNS, SENSOR_ORDERS, FullModel
+from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
 from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
@@ -124,9 +124,7 @@ class WindowSums:
         """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""
         if not self.model.reciprocal:
             return self
-        sensors, others = ([each for each in orders if (each in SENSOR_ORDERS) == own] for own in (True, False))
-        model = replace(self.model, orders=tuple(others), sensors=tuple(sensors), reciprocal=False)
-        return self._over(model, self._kept)
+        return self._over(replace(self.model, orders=orders, reciprocal=False), self._kept)
 
     def moved(self, move: Callable[[Windows], Windows]) -> WindowSums:
         """Return the sums over the kept windows at other currents, without effects."""

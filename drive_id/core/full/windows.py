@@ -99,9 +99,9 @@ class Windows:
         a drive compensates the drop, s.
     crossing : (N,) complex
         Sum over the zero crossings of the phase currents, see :func:`_integrate`, s.
-    sensed : (N, L, 3) complex
-        int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s) and j conj(i_s): by how much the
-        effects of the current sensors change their integrals, s.
+    sensed : (N, L, 5) complex
+        int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j: by how
+        much the faults of the current sensors change their integrals, s, the last two s/A.
     heating, magnet_heating : (N,) float
         Temperature of winding and magnet above the reference temperature of resistance and flux map, K. The winding:
         as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
@@ -505,7 +505,7 @@ class _Sums:
     def over(cls, stretch: _Stretch, period: float, shapes: CapacitiveShapes) -> _Sums:
         voltage, current, crossing = np.zeros((3, len(stretch), 2))
         scales = np.ascontiguousarray(shapes.scales)
-        sensed = np.zeros((len(stretch), len(scales), 3, 2))
+        sensed = np.zeros((len(stretch), len(scales), 5, 2))
         least, until = np.empty(len(stretch)), np.empty(len(stretch))
         i_s, u_s, axes = (x.view(np.float64).reshape(-1, 2) for x in (stretch.i_s, stretch.u_s, _AXES))
         _integrate(stretch.i_abc, i_s, u_s, period, scales, axes, voltage, current, crossing, sensed, least, until)
@@ -616,7 +616,7 @@ def _integrate(
             current[k, axis] = current[k - 1, axis] + 0.5 * period * (i_s[k - 1, axis] + i_s[k, axis])
             crossing[k, axis] = crossing[k - 1, axis]
             for number in range(len(scales)):
-                for effect in range(3):
+                for effect in range(5):
                     sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
         alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
         for phase in range(3):
@@ -630,11 +630,13 @@ def _integrate(
             if before == now:
                 continue
             cosine, sine = axes[phase, 0], axes[phase, 1]
-            moved = (alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine)
+            moved = (
+                alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine, cosine, sine
+            )  # fmt: skip
             for number in range(len(scales)):
                 rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
                 share = 2.0 * _THIRD * period * rise / (now - before)
-                for effect in range(3):
+                for effect in range(5):
                     sensed[k, number, effect, 0] += share * moved[effect] * cosine
                     sensed[k, number, effect, 1] += share * moved[effect] * sine
 

@@ -15,7 +15,7 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import MAGNET, RESISTANCE, SENSOR_ORDERS, FullModel
+from drive_id.core.full.model import MAGNET, RESISTANCE, FullModel
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
@@ -140,7 +140,7 @@ class FullMethod:
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
-            harmonics=tuple(_harmonic(frame, order, grid) for order in _orders(fit)),
+            harmonics=tuple(_harmonic(frame, order, grid) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
@@ -170,7 +170,7 @@ class TrueFrame:
     def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the amplitudes of cos(h theta) and sin(h theta), (N, 2) each, Wb, theta being the true angle."""
         model = self.fit.model
-        rows = model.space(order).rows(rotated(i_dq, -self.angle))
+        rows = model.harmonic.rows(rotated(i_dq, -self.angle))
         halves = np.split(self.fit.solution.estimate[model.harmonics[order]], 2)
         a, b = (rotated(rows.dot(half), self.angle) for half in halves)
         cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
@@ -184,10 +184,6 @@ class TrueFrame:
             part = slice(start, start + _POINTS)
             consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
         return consistent, self.fit.white_sigma(rows)
-
-
-def _orders(fit: FullFit) -> list[int]:
-    return [order for order in fit.spec.orders if order not in SENSOR_ORDERS]
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
@@ -208,7 +204,7 @@ def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: Bo
         mirrored = calibration.mirrored_points(evidence.visits.i_d, evidence.visits.i_q, disc, reached)
         found.append(calibration.calibrate_angle(fit, mirrored))
     if settings.calibrate_currents:
-        found += calibration.calibrate_currents(fit, grid[disc], evidence.i_max)
+        found += calibration.calibrate_currents(fit, evidence.i_max)
     return found
 
 
@@ -246,7 +242,7 @@ def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArr
     points = places.reshape(-1, 2)
     gamma = fitted(frame.flux(points).reshape(places.shape), d, q)
     harmonics = {}
-    for order in _orders(frame.fit):
+    for order in frame.fit.spec.orders:
         cosine, sine = (fitted(x.reshape(places.shape), d, q) for x in frame.harmonic(order, points))
         harmonics[order] = (cosine, sine)
     return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
@@ -354,7 +350,7 @@ def _statements(
     if 0 < fit.shared_resistance < _large_share(fit):
         yield Message("wide_curve", shared=fit.shared_resistance)
     yield from dict.fromkeys(c.message for c in calibrations)
-    orders = ", ".join(str(order) for order in fit.spec.orders if order > max(SENSOR_ORDERS))
+    orders = ", ".join(map(str, fit.spec.orders))
     yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
     yield _on_region(evidence, inside)
     few = inside.mean() < _FEW_COVERED * np.pi / 4

@@ -69,14 +69,14 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class RoughModel(FullModel):
-    """The model of method ``full`` with a chosen number of cells and without sensor harmonics."""
+    """The model of method ``full`` with a chosen number of cells."""
 
     @classmethod
     def over(cls, i_max: float, cells: int) -> RoughModel:
         """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
         low, high = np.array([-i_max, -i_max]), np.array([i_max, i_max])
         edges = bent_edges(-i_max, i_max, cells)
-        return cls(low, high, i_max, (6,), sensors=(), cells=Resolution(edges, edges))
+        return cls(low, high, i_max, (6,), cells=Resolution(edges, edges))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +159,8 @@ def predict(
     noise = np.sum([variance * part.normal for variance, part in zip(variances, parts, strict=True)], axis=0)
     noise += np.average(variances, weights=[part.rows for part in parts]) * roughness(model, total, PENALTY)
     resistance_form, ohm = np.eye(1, model.size, RESISTANCE), 1.0 / max(machine.resistance, 1e-12)
-    free = _standard_errors(solver.solve(ModelSpec(False, model.all_orders, penalty=PENALTY)), noise, resistance_form)
-    reciprocal = solver.solve(ModelSpec(True, model.all_orders, penalty=PENALTY))
+    free = _standard_errors(solver.solve(ModelSpec(False, model.orders, penalty=PENALTY)), noise, resistance_form)
+    reciprocal = solver.solve(ModelSpec(True, model.orders, penalty=PENALTY))
     flux = _standard_errors(reciprocal, noise, _flux_forms(model)).reshape(-1, 2)
     flux_d, flux_q = np.sqrt((flux**2).mean(axis=0)) / machine.largest_flux
     curve = np.sqrt((_standard_errors(reciprocal, noise, _curve_forms(model)) ** 2).mean()) / (

@@ -157,6 +157,13 @@ CASES = {
     "phase_resistance": (0, unequal, 1e-3),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
     "voltage_gains, imaginary": (1, lambda x: Drive(logged=lambda _, u_s: u_s - 1j * x * u_s.conj()), 1e-3),
+    "current_rotation": (0, lambda x: Drive(measured=lambda t: plain_current(t) * (1 + 1j * x)), 1e-3),
+    "current_gains": (0, lambda x: Drive(measured=lambda t: plain_current(t) + x * plain_current(t).conj()), 1e-3),
+    "current_gains, imaginary": (
+        1, lambda x: Drive(measured=lambda t: plain_current(t) + 1j * x * plain_current(t).conj()), 1e-3
+    ),
+    "current_offset": (0, lambda x: Drive(measured=lambda t: plain_current(t) + x), 0.1),
+    "current_offset, imaginary": (1, lambda x: Drive(measured=lambda t: plain_current(t) + 1j * x), 0.1),
 }  # fmt: skip
 """Of each effect: number of the column, a drive with so much of it, and how much to try."""
 

@@ -33,7 +33,7 @@ def with_harmonic(model, orders, amplitude):
     """Return parameters that put e^{j theta} cos(h theta) times a constant into the residuals."""
     residual = np.zeros(model.size)
     for order in orders:
-        space, start = model.space(order), model.harmonics[order].start
+        space, start = model.harmonic, model.harmonics[order].start
         residual[start : start + space.parameters] = amplitude  # B-splines sum to one
     return residual
 

@@ -60,7 +60,7 @@ def test_synthesized_samples_obey_the_voltage_balance():
     model = RoughModel.over(20.0, 8)
     information = fisher_information(model, samples, 10_000)
     solution = Solver(model, information.normal[None], np.array([information.rows])).solve(
-        ModelSpec(True, model.all_orders, penalty=1e-9)
+        ModelSpec(True, model.orders, penalty=1e-9)
     )
     assert solution.estimate[RESISTANCE] == pytest.approx(0.35, rel=0.02)
     (voltage,) = needed_voltages(MACHINE, PlannedExperiment(trajectory, (-600.0,), 1.0), 1e-4)
@@ -187,7 +187,7 @@ def test_predictions_come_true(monkeypatch):
         noisy = replace(clean, i_abc=clean.i_abc + noise * 20.0 * rng.standard_normal(clean.i_abc.shape))
         information = fisher_information(wide, noisy, 10_000)
         solver = Solver(wide, information.normal[None], np.array([information.rows]))
-        solution = solver.solve(ModelSpec(True, wide.all_orders, penalty=prediction_module.PENALTY))
+        solution = solver.solve(ModelSpec(True, wide.orders, penalty=prediction_module.PENALTY))
         flux = wide.flux.rows(points).dot(solution.estimate[wide.map])
         found.append([solution.estimate[RESISTANCE] / machine.resistance, *(flux / machine.largest_flux).ravel()])
     scatter = np.std(found, axis=0)

@@ -49,7 +49,7 @@ CAUSES = {
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
     "phases": ("phase_resistance", "resistance_[abc]"),
     "inverter": ("devices", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents"),
-    "dc": ("dc_link*", "ripple", "voltage_clipped", "misfit", "misfit.small_currents"),
+    "dc": ("dc_link*", "link_*", "voltage_clipped", "misfit", "misfit.small_currents"),
     "timing": (
         "angle_latency", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier", "single_sample",
         "no_checksums", "misfit.time",

@@ -116,11 +116,10 @@ EFFECTS = {
     ),
     "switching": Effect("inverter", _switching),
     "devices": Effect("inverter", lambda r, *_: {"drop_asymmetry": tuple(r.uniform(-0.1, 0.1, 3))}),
-    "ripple": Effect("dc", lambda r, *_: {"u_dc_ripple": r.uniform(0.005, 0.02)}, "warned"),
+    "ripple": Effect("dc", lambda r, *_: {"u_dc_ripple": r.uniform(0.005, 0.02)}),
     "drift": Effect(
         "dc",
         lambda r, *_: {"u_dc_drift": r.uniform(0.003, 0.01), "u_dc_drift_frequency": r.uniform(0.5, 5.0)},
-        "warned",
     ),
     "drift_logged": Effect(
         "dc", lambda r, *_: {"u_dc_drift": r.uniform(3e-3, 1e-2), "log_scalars": ("dc_link_voltage",)}

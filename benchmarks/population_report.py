@@ -90,6 +90,9 @@ def _table(groups: Mapping[str, Sequence[Row]], methods: Sequence[str]) -> Itera
 
 
 def _cells(rows: Sequence[Row], method: str) -> Iterator[str]:
+    if not rows:
+        yield from ["–"] * (len(QUANTILES) + 4)
+        return
     errors = [flux_error(row, method) for row in rows]
     fits = [row["fits"][method] for row in rows if "psi_d" in row["fits"].get(method, {})]
     for q in QUANTILES:

@@ -102,6 +102,12 @@ def as_duty_cycles(samples: Samples, machine: MachineMap) -> Samples:
     return replace(samples, u_abc=samples.u_abc / machine.u_dc)
 
 
+def sagging(samples: Samples, _: MachineMap) -> Samples:
+    """Log the voltages as if the DC link did not fall by 2 % under the largest power."""
+    power = np.sum(samples.u_abc * samples.i_abc, axis=1)
+    return replace(samples, u_abc=samples.u_abc / (1 - 0.02 * power / np.abs(power).max())[:, None])
+
+
 def switching(dead_time: float, capacitance: float = 0.0) -> Callable[[MachineMap], Changes]:
     """Return the settings of an inverter whose legs switch; 2 nF belong to 300 A and 400 V."""
 
@@ -143,8 +149,9 @@ EFFECTS = {
     ),
     "ripple": Effect("u_dc ripple 2 %, 300 Hz, not logged", of(u_dc_ripple=0.02)),
     "drift": Effect("u_dc ±0.5 % at 2.3 Hz, not logged", of(u_dc_drift=0.005, u_dc_drift_frequency=2.3)),
+    "sag": Effect("u_dc falls by 2 % under the largest power, not logged", spoil=sagging, short=True),
     "drift_logged": Effect(
-        "the same, DC-link voltage logged",
+        "u_dc ±0.5 % at 2.3 Hz, DC-link voltage logged",
         of(u_dc_drift=0.005, u_dc_drift_frequency=2.3, log_scalars=("dc_link_voltage",)),
     ),
     "phases": Effect("phase resistances +2, 0, −2 %", of(resistance_factor=(1.02, 1.0, 0.98))),

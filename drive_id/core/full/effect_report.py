@@ -171,19 +171,33 @@ def _magnet(found: _Evaluated) -> Iterator[_Shown]:
 
 
 def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
-    """Report the amplitude of cosine and sine, rms over the runs that have them."""
     name, unit = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}.get(
         found.name, (found.name, "rad")
     )
+    pairs = found.fit.selection.search.columns.pole_pairs
+    yield _Shown.of(name, *_amplitude(found), unit, pole_pairs=pairs)
+
+
+def _amplitude(found: _Evaluated) -> tuple[float, float]:
+    """Return the amplitude of cosine and sine, rms over the runs that have them, and its standard error."""
     pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
     amplitude = np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1)))
-    deviation = np.sqrt(np.mean(errors[met] ** 2) / len(met))
-    yield _Shown.of(name, amplitude, deviation, unit, pole_pairs=found.fit.selection.search.columns.pole_pairs)
+    return float(amplitude), float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
 
 
 def _link(found: _Evaluated) -> Iterator[_Shown]:
     yield _Shown.of("dc_link_share", found.value[0], found.sigma[0], "1")
+
+
+def _ripple(found: _Evaluated) -> Iterator[_Shown]:
+    value, sigma = _amplitude(found)
+    yield _Shown.of("link_ripple", value, sigma, "1", frequency=found.fit.selection.search.columns.ripple)
+
+
+def _sag(found: _Evaluated) -> Iterator[_Shown]:
+    x, dx = 1e5 * float(found.value[0]), 1e5 * float(found.sigma[0])
+    yield _Shown("link_sag", x, dx, "%/kW", "link_sag", {"value": x, "sigma": dx})
 
 
 def _phases(found: _Evaluated) -> Iterator[_Shown]:
@@ -233,6 +247,8 @@ _REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
     "resolver_first": _of_turn,
     "resolver_second": _of_turn,
     "dc_link": _link,
+    "link_ripple": _ripple,
+    "link_sag": _sag,
     "phase_resistance": _phases,
     "current_rotation": _rotation,
     "current_gains": _mismatch,

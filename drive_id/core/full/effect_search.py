@@ -10,6 +10,7 @@ import numpy as np
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
@@ -32,6 +33,8 @@ _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
+_BEYOND = 1.3
+"""Residuals over noise from which on a ripple of the DC link is looked for: that takes as long as all other effects."""
 _MOST_EFFECTS = 6
 """Most effects of a drive: bounds the time."""
 _GROWN = 1.03
@@ -55,7 +58,7 @@ _SPEEDS_APART = 0.1
 """Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
 _BESIDE = {"current_rotation": "current_gains"}
 """Effects that are tried beside another one only: sensors that turn the currents have unequal gains as well."""
-_POSITIVE = ("iron_loss", "flux")
+_POSITIVE = ("iron_loss", "flux", "link_sag")
 _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
 
 
@@ -134,7 +137,7 @@ def search_effects(
     pole_pairs : int, optional
         Default: the number at which an eccentric resolver explains most of the residuals.
     """
-    columns = _columns(sums.model, solution, sums.kept(), pole_pairs)
+    columns = _columns(sums, solution, noise, pole_pairs)
     start = _settled(sums, solution.spec, columns)
     search = _greedy(sums, start, noise, allowed, turn)
     delay = Delay(search.solution.spec.delay, search.sigma_delay)
@@ -235,6 +238,10 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
         if -change < _SETTLED or not (spec.effects or _remains(solver)):
             break
         columns = replace(columns, estimate=found[2].estimate)
+        if "link_ripple" in spec.effects:
+            beside = columns.estimate.copy()
+            beside[solver.model.effect("link_ripple")] = 0.0
+            columns = replace(columns, ripple=ripple_frequency(solver.model, beside, extended.kept(), columns.ripple))
     return found
 
 
@@ -336,9 +343,8 @@ def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
     )
 
 
-def _columns(
-    model: FullModel, solution: FullSolution, kept: Sequence[Windows], pole_pairs: int | None
-) -> EffectColumns:
+def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole_pairs: int | None) -> EffectColumns:
+    model, kept = sums.model, sums.kept()
     heat = max(float(windows.heat.max()) for windows in kept)
     link = np.concatenate([windows.link for windows in kept])
     voltage = np.concatenate([windows.voltage for windows in kept])
@@ -346,7 +352,10 @@ def _columns(
     mean = np.nan
     if known.any():
         mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
-    columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs)
+    ripple = 0.0
+    if not known.any() and solution.residual_rms > _BEYOND * np.sqrt(noise.explained(model, solution)):
+        ripple = ripple_frequency(model, solution.estimate, kept)
+    columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
     return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))
 
 

@@ -24,6 +24,9 @@ eccentric_rotor     share of the flux, cosine and sine of theta / p, per run    
 resolver_first      error of the angle, cosine and sine of theta                likewise
 resolver_second     error of the angle, cosine and sine of 2 theta              likewise
 dc_link             share of the DC link's variation that acts on the voltages  -int u_s (u_dc / mean - 1) dt
+link_ripple         cosine and sine of a ripple of the DC link that was not     -int u_s cos 2 pi f t dt
+                    recorded, relative, per run
+link_sag            relative fall of the DC link per power p that is taken      int u_s p
 phase_resistance    R of phases a and b above the mean, c below                 of int i_a, int i_b, int i_c
 voltage_gains       gain mismatch of the voltages, complex                      -conj(int u_s)
 current_rotation    a: the currents read are i (1 + j a)                        -j R int i_s - int h'(i) j i
@@ -55,6 +58,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.between_samples import between_samples
+from drive_id.core.full.link_ripple import ripple_columns
 from drive_id.core.full.model import (
     EFFECT_COLUMNS,
     EFFECTS,
@@ -75,6 +79,7 @@ OF_RECORDINGS = (
     "magnet_recordings",
     "eccentricity",
     "eccentric_rotor",
+    "link_ripple",
 )
 """Effects that depend on the number of a recording or a run, or on the time since the start."""
 
@@ -111,6 +116,8 @@ class EffectColumns:
         Mean DC-link voltage, V; NaN where it is not known.
     pole_pairs : int or None
         For the mechanical angle.
+    ripple : float
+        Frequency of a ripple of the DC link, Hz; 0 without.
     """
 
     model: FullModel
@@ -118,6 +125,7 @@ class EffectColumns:
     heat: float
     link: float
     pole_pairs: int | None
+    ripple: float = 0.0
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -147,6 +155,7 @@ class EffectColumns:
             "copper_recordings": [windows.current * own_windows for own_windows in own],
             "magnet_recordings": [column * own_windows for own_windows in own for column in of_magnet],
             "phase_resistance": [i_a - i_c, i_b - i_c],
+            "link_sag": [windows.loaded],
             "voltage_gains": [-windows.voltage.conj(), -1j * windows.voltage.conj()],
             **{name: [between(tilt * wave) for wave in of_order] for name, of_order in waves.items()},
         }
@@ -159,6 +168,10 @@ class EffectColumns:
             columns["eccentric_rotor"] = [between(turn * psi * wave) for wave in waves["eccentricity"]]
         if np.isfinite(self.link):
             columns["dc_link"] = [-np.nan_to_num(windows.link / self.link - windows.voltage)]
+
+        if self.ripple:
+            of_link = ripple_columns(windows, self.ripple).T
+            columns["link_ripple"] = [(windows.run == k) * wave for k in range(MOST_RUNS) for wave in of_link]
 
         shift = self._sum(currents) + sum(
             self._value("magnet_recordings")[2 * k + 1] * own_windows[:, None] for k, own_windows in enumerate(own)
@@ -255,7 +268,7 @@ class EffectColumns:
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) caused by the effects of the drive, not of its current sensors, V.
+        """Return the phase voltages (N, 3) caused by the effects of the drive, not of its current sensors or supply, V.
 
         Parameters
         ----------
@@ -265,7 +278,7 @@ class EffectColumns:
             Samples over which the voltage is averaged.
         """
         cutter, out, estimate = WindowCutter(self.model.shapes), [], self.estimate.copy()
-        for name in OF_SENSORS:
+        for name in (*OF_SENSORS, "link_ripple"):
             estimate[self.model.effect(name)] = 0.0
         of_drive = replace(self, estimate=estimate)
         for number, samples in enumerate(recordings):

@@ -39,14 +39,6 @@ _NEIGHBOURS = 2
 """Cells to each side over which the missed flux is averaged."""
 _SIGNIFICANCE = 4.0
 """Standard deviations of the mean square of cells from which on a misfit recurs in them."""
-_RIPPLES = (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)
-"""Of rectified mains, Hz."""
-_MAINS = 5e-3
-"""Relative tolerance of the mains' frequency."""
-_MOST_WINDOWS = 3000
-"""Windows over which ripples are compared: 2 unknowns for each frequency and run."""
-_STEPS_PER_TURN = 3.0
-"""Frequencies tried for each turn by which the ripple's phase would drift over a run."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -160,8 +152,7 @@ def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effe
     """Return the share of the squared residuals that each possible cause would explain.
 
     Keys are the names of ``effects`` that are not in the solution, ``devices`` for drops that differ between the
-    phases, ``harmonic h`` for the rotor-position harmonic that explains most, and ``ripple f`` for the same of
-    ripples f of the DC link, Hz.
+    phases, and ``harmonic h`` for the rotor-position harmonic that explains most.
     """
     model, kept = sums.model, sums.kept()
     period = float(kept[0].period[0])
@@ -169,41 +160,7 @@ def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effe
     causes["devices"] = solver.saving(solution, model.usual_drops)[0]
     shares = explained_shares(model, solution.estimate, kept, HIGHEST_ORDER)
     causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
-    frequency, share = ripple(model, solution.estimate, kept)
-    causes[f"ripple {frequency:.0f}"] = share
     return causes
-
-
-def ripple(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> tuple[float, float]:
-    """Return the frequency of the DC link's ripple that explains most, Hz, and its share of the squared residuals.
-
-    The voltages are reduced by the fraction ``r cos(2 pi f t - phi)``, with a separate phase in each run. Their mean in
-    the rotor frame is assumed constant over a window.
-    """
-    windows = Windows.joined(list(kept)).scattered(_MOST_WINDOWS)
-    left, weights = model.residuals(windows, estimate), np.sqrt(windows.weights)
-    error, duration = left[:, 0] + 1j * left[:, 1], windows.duration
-    u_dq = weights * np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
-    speed, first = windows.speed.mean(axis=1), np.exp(1j * windows.angle[:, 0])
-    runs = [np.flatnonzero(windows.run == run) for run in np.unique(windows.run)]
-    longest = max(float(np.ptp(windows.time[run])) for run in runs)
-    found = []
-    for nominal in _RIPPLES:
-        steps = 1 + int(_STEPS_PER_TURN * 2 * _MAINS * nominal * longest)
-        for frequency in nominal * (1 + _MAINS * np.linspace(-1.0, 1.0, steps)):
-            sides = []
-            for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
-                angle = (speed + turns) * duration
-                mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
-                sides.append(u_dq * first * np.exp(1j * turns * windows.time) * duration * mean)
-            columns = np.stack([sides[0] + sides[1], 1j * (sides[0] - sides[1])], axis=1)
-            saved = 0.0
-            for run in runs:
-                moment = (columns[run].conj().T @ error[run]).real
-                saved += float(moment @ np.linalg.lstsq((columns[run].conj().T @ columns[run]).real, moment)[0])
-            found.append((saved, float(nominal)))
-    saved, frequency = max(found)
-    return frequency, saved / max(float(np.sum(np.abs(error) ** 2)), _TINY)
 
 
 def _add_by(group: IntArray, totals: Sequence[FloatArray], values: Sequence[FloatArray]) -> None:

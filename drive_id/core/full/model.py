@@ -65,6 +65,8 @@ EFFECTS = _layout(
         "resolver_first": 2,
         "resolver_second": 2,
         "dc_link": 1,
+        "link_ripple": 2 * MOST_RUNS,
+        "link_sag": 1,
         "phase_resistance": 2,
         "voltage_gains": 2,
         "current_rotation": 1,

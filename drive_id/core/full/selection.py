@@ -22,7 +22,6 @@ from drive_id.core.full.solver import (
     CurrentNoise,
     FullSolution,
     Solver,
-    noise_products,
     predictable,
     squared_inductances,
 )
@@ -272,7 +271,7 @@ def _select(
         solver = Solver.over(freed)
         error = first.error if freed.windows == sums.windows else solver.left_out(spec)[:, 0]
         advantage, clearly = _advantage(solver, free, error)
-        if clearly and _advantage_beyond_noise(solver, spec, error, free, noise) > _CLEAR_GAIN:
+        if clearly:
             freed = search.sums.freed(model.orders)
             if search.sums.effects is None:
                 freed = freed.with_effects(search.columns)
@@ -380,13 +379,16 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
     """Return the effects that can be estimated from these data."""
     kept = sums.kept()
     runs, recordings = (1 + max(int(getattr(windows, name).max()) for windows in kept) for name in ("run", "recording"))
+    link = any(np.isfinite(windows.link).any() for windows in kept)
     known = {
         "copper_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "magnet_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
         "eccentricity": runs <= MOST_RUNS,
         # a flux that varies over θ/p looks like a map where the trajectory repeats at the same rate: p must be known
         "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
-        "dc_link": any(np.isfinite(windows.link).any() for windows in kept),
+        "dc_link": link,
+        "link_ripple": runs <= MOST_RUNS and not link,
+        "link_sag": not link,
         **dict.fromkeys(OF_SENSORS, settings.calibrate_currents),
     }
     return tuple(name for name in EFFECTS if name != "remainder" and known.get(name, True))
@@ -418,23 +420,6 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[floa
         return saved, False
     other[rest] = solver.left_out(spec, folds=rest)[:, 0]
     return 1.0 - float(other[folds].sum() / error[folds].sum()), _clearly_better(solver, error, other)
-
-
-def _advantage_beyond_noise(
-    solver: Solver, spec: ModelSpec, error: FloatArray, other: ModelSpec, noise: CurrentNoise
-) -> float:
-    """Return by which share another variant reduces the squared error on data left out, apart from its gain on noise.
-
-    Across a thin trajectory, free maps can also fit noise, which reciprocal maps cannot. The gain from noise doubles
-    with the noise; the gain from a model error does not.
-    """
-    solution = solver.solve(spec)
-    products = noise_products(solver, solution, noise, solution.sum_of_squares)
-    by_other = solver.left_out(other)[:, 0]
-    noisy, noisy_by_other = (solver.left_out(each, noise=products)[:, 0] for each in (spec, other))
-    saved = 2 * (error - by_other) - (noisy - noisy_by_other)
-    folds = predictable(error)
-    return float(saved[folds].sum() / error[folds].sum())
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:

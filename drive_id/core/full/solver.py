@@ -188,7 +188,6 @@ class Solver:
         spec: ModelSpec,
         penalties: Sequence[float] = (),
         folds: Sequence[int] | IntArray | None = None,
-        noise: sparse.csr_array | None = None,
     ) -> FloatArray:
         """Return the mean squared residual of each fold, predicted by the fit to the others, (Vs)^2.
 
@@ -198,8 +197,6 @@ class Solver:
             Candidates instead of the penalty of ``spec``.
         folds : sequence of int
             Folds to leave out, one at a time; default: every one.
-        noise : (size, size) sparse
-            As in :meth:`solve`, spread evenly over the folds.
 
         Returns
         -------
@@ -215,16 +212,12 @@ class Solver:
         tried = [known.penalty(penalty) for penalty in penalties or (spec.penalty,)]
         moment = t.T @ times(self.total, voltage)
         in_map = np.asarray(abs(t[self.model.summed.map]).sum(axis=0)).ravel() > 0
-        added = None if noise is None else self._on_unknowns(known.basis, noise)
 
         def errors(number: int) -> list[float]:
             fold = self._fold(number)
             own, product = congruent(t, fold), times(fold, voltage)
             del fold
             rest = normal - own
-            if added is not None:
-                increased(own, added / len(self._folds))
-                increased(rest, (1 - 1 / len(self._folds)) * added)
             own_moment, square = t.T @ product, voltage @ product
             estimates = penalized(rest, moment - own_moment, tried, in_map)
             return [
@@ -374,9 +367,13 @@ class CurrentNoise:
 
     def at_most(self, solver: Solver, solution: FullSolution) -> CurrentNoise:
         """Return the noise, reduced to what the residuals of a solution allow."""
-        squares = squared_inductances(solver.model, solution.estimate, self.windows)
-        expected = self.variance * float(squares.sum() / (2 * self.windows.weights.sum()))
+        expected = self.explained(solver.model, solution)
         return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, _TINY)))
+
+    def explained(self, model: FullModel, solution: FullSolution) -> float:
+        """Return the mean squared residual that it causes, (Vs)^2."""
+        squares = squared_inductances(model, solution.estimate, self.windows)
+        return self.variance * float(squares.sum() / (2 * self.windows.weights.sum()))
 
     @classmethod
     def met(cls, variance: float, kept: Sequence[Windows], angle_variance: float = 0.0) -> CurrentNoise:

@@ -125,6 +125,8 @@ class Windows:
         int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s.
     link : (N,) complex
         int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known.
+    loaded : (N,) complex
+        int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s.
     run, recording : (N,) int
         Number of the gap-free run and of the recording.
     clearance : (N,) float
@@ -161,6 +163,7 @@ class Windows:
     turned: FloatArray
     heat: FloatArray
     link: ComplexArray
+    loaded: ComplexArray
     run: IntArray
     recording: IntArray
     clearance: FloatArray
@@ -469,6 +472,7 @@ class WindowCutter:
             turned=stretch.turned[ends],
             heat=stretch.heat[begin],
             link=_link(stretch, period, begin, end),
+            loaded=sums.loaded[end] - sums.loaded[begin],
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
             clearance=sums.clearance(begin, end),
@@ -496,6 +500,7 @@ class _Sums:
 
     voltage: ComplexArray
     current: ComplexArray
+    loaded: ComplexArray
     crossing: ComplexArray
     sensed: ComplexArray
     least: FloatArray
@@ -503,13 +508,15 @@ class _Sums:
 
     @classmethod
     def over(cls, stretch: _Stretch, period: float, shapes: CapacitiveShapes) -> _Sums:
-        voltage, current, crossing = np.zeros((3, len(stretch), 2))
+        voltage, current, loaded, crossing = np.zeros((4, len(stretch), 2))
         scales = np.ascontiguousarray(shapes.scales)
         sensed = np.zeros((len(stretch), len(scales), 5, 2))
         least, until = np.empty(len(stretch)), np.empty(len(stretch))
         i_s, u_s, axes = (x.view(np.float64).reshape(-1, 2) for x in (stretch.i_s, stretch.u_s, _AXES))
-        _integrate(stretch.i_abc, i_s, u_s, period, scales, axes, voltage, current, crossing, sensed, least, until)
-        return cls(_complex(voltage), _complex(current), _complex(crossing), _complex(sensed), least, until)
+        sums = voltage, current, loaded, crossing, sensed
+        _integrate(stretch.i_abc, i_s, u_s, period, scales, axes, *sums, least, until)
+        voltages, currents, loads, crossings, slopes = map(_complex, sums)
+        return cls(voltages, currents, loads, crossings, slopes, least, until)
 
     def clearance(self, begin: IntArray, end: IntArray) -> FloatArray:
         """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses."""
@@ -580,7 +587,7 @@ def _follow(
 
 @compiled(
     "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, ::1], "
-    "f8[:, ::1], f8[:, ::1], f8[:, :, :, ::1], f8[::1], f8[::1]"
+    "f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, :, ::1], f8[::1], f8[::1]"
 )
 def _integrate(
     i_abc: FloatArray,
@@ -591,6 +598,7 @@ def _integrate(
     axes: FloatArray,
     voltage: FloatArray,
     current: FloatArray,
+    loaded: FloatArray,
     crossing: FloatArray,
     sensed: FloatArray,
     least: FloatArray,
@@ -611,14 +619,16 @@ def _integrate(
     until[len(i_abc) - 1] = least[len(i_abc) - 1]
     for k in range(1, len(i_abc)):
         until[k - 1] = least[k - 1]
+        alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
+        power = 1.5 * (u_s[k - 1, 0] * alpha + u_s[k - 1, 1] * beta)
         for axis in range(2):
             voltage[k, axis] = voltage[k - 1, axis] + period * u_s[k - 1, axis]
+            loaded[k, axis] = loaded[k - 1, axis] + period * power * u_s[k - 1, axis]
             current[k, axis] = current[k - 1, axis] + 0.5 * period * (i_s[k - 1, axis] + i_s[k, axis])
             crossing[k, axis] = crossing[k - 1, axis]
             for number in range(len(scales)):
                 for effect in range(5):
                     sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
-        alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
         for phase in range(3):
             before, now = i_abc[k - 1, phase], i_abc[k, phase]
             if (before < 0.0) != (now < 0.0):

@@ -22,9 +22,12 @@ from drive_id.types import Samples
 
 I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5, 209.0, 3
 NEAR = 0.02
-OF_SAMPLING = {"flux_lag_1ms": 0.06, "current_latency": 0.03}
+OF_SAMPLING = {
+    "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
+}  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
-drive is smooth between the samples, where that of a real drive has the ripple of the held voltage."""
+drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
+shapes stand for the slope of the drop, which is a large part of an offset's column."""
 OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
 """Conductance of the iron, S."""
@@ -137,6 +140,11 @@ def unequal(x):
     return Drive(resistive=lambda _, i_s: R * i_s + x * frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0]))
 
 
+def power(t, u_s):
+    """Return the power that the machine takes at the middle of the samples that begin at t, W."""
+    return 1.5 * (u_s * plain_current(t + 0.5 * PERIOD).conj()).real
+
+
 CASES = {
     "iron_loss": (0, iron, 0.05),
     "hysteresis": (0, lambda x: iron(x, 1 / SPEED), 10.0),
@@ -154,6 +162,7 @@ CASES = {
     "resolver_first": (0, lambda x: turned_resolver(x, 1), 5e-3),
     "resolver_second, sine": (1, lambda x: turned_resolver(x, 2, np.pi / 2), 5e-3),
     "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
+    "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
     "phase_resistance": (0, unequal, 1e-3),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
     "voltage_gains, imaginary": (1, lambda x: Drive(logged=lambda _, u_s: u_s - 1j * x * u_s.conj()), 1e-3),

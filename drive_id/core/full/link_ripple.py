@@ -1,0 +1,91 @@
+"""Variation of a DC link that was not recorded: its frequency, and its columns of the regression.
+
+The inverter's voltages are larger than those commanded by the share ``a cos 2 pi f t + b sin 2 pi f t``, with a and b
+of their own in each run, because time begins anew there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.model import FullModel
+from drive_id.core.full.windows import Windows
+from drive_id.types import FloatArray
+
+_MAINS = 5e-3
+"""Relative tolerance of the mains' frequency."""
+_BANDS = (
+    (0.2, 20.0),
+    *((nominal * (1 - _MAINS), nominal * (1 + _MAINS)) for nominal in (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)),
+)
+"""Frequencies of a supply's control, and of rectified mains, Hz."""
+_MOST_WINDOWS = 1500
+"""Windows over which frequencies are compared: 2 unknowns for each frequency and run."""
+_STRETCH = 60.0
+"""Of each run, s, over which frequencies are compared: the number of frequencies grows with it."""
+_STEPS_PER_TURN = 3.0
+"""Frequencies tried for each turn by which the phase would drift over a stretch."""
+_FINER = 8
+"""Frequencies tried, over the whole runs, between two of the best neighbours."""
+
+
+def ripple_columns(windows: Windows, frequency: float) -> ComplexArray:
+    """Return the columns (N, 2) of a and b, Vs, for a frequency in Hz.
+
+    The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
+    """
+    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1) * np.exp(1j * windows.angle[:, 0])
+    speed, sides = windows.speed.mean(axis=1), []
+    for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
+        angle = (speed + turns) * windows.duration
+        mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
+        sides.append(u_dq * np.exp(1j * turns * windows.time) * windows.duration * mean)
+    return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
+
+
+def ripple_frequency(
+    model: FullModel, estimate: FloatArray, kept: Sequence[Windows], near: float | None = None
+) -> float:
+    """Return the frequency at which a variation explains most of the residuals, Hz.
+
+    Parameters
+    ----------
+    estimate : (size,) float
+        Without a variation.
+    near : float, optional
+        About which it is looked for, Hz; default: everywhere.
+    """
+    windows = Windows.joined(list(kept))
+    _, run = np.unique(windows.run, return_inverse=True)
+    first = np.full(run.max() + 1, np.inf)
+    np.minimum.at(first, run, windows.time)
+    begun = windows.time - first[run]
+    step = 1 / (_STEPS_PER_TURN * min(_STRETCH, float(begun.max())))
+    if near is None:
+        tried = np.concatenate([np.arange(low, high + step, step) for low, high in _BANDS])
+        near = float(max(tried, key=_saving(model, estimate, windows.part(begun <= _STRETCH))))
+    saved, step = _saving(model, estimate, windows), step / _FINER
+    best = max(near + step * np.arange(-_FINER, _FINER + 1), key=saved)
+    before, at, after = (saved(best + sign * step) for sign in (-1, 0, 1))
+    bend = 2 * at - before - after
+    return float(best + (0.5 * step * (after - before) / bend if bend > 0 else 0.0))
+
+
+def _saving(model: FullModel, estimate: FloatArray, windows: Windows) -> Callable[[float], float]:
+    """Return the function of a frequency, Hz, that tells how much of the squared residuals it explains, (Vs)^2."""
+    some = windows.scattered(_MOST_WINDOWS)
+    left, weights = model.residuals(some, estimate), np.sqrt(some.weights)
+    error = left[:, 0] + 1j * left[:, 1]
+    runs = [np.flatnonzero(some.run == run) for run in np.unique(some.run)]
+
+    def saved(frequency: float) -> float:
+        columns, out = weights[:, None] * ripple_columns(some, frequency), 0.0
+        for run in runs:
+            moment = (columns[run].conj().T @ error[run]).real
+            out += float(moment @ np.linalg.lstsq((columns[run].conj().T @ columns[run]).real, moment)[0])
+        return out
+
+    return saved

@@ -192,7 +192,7 @@ def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency)
     (ripple,) = (entry for entry in found.calibrations if entry.name == "link_ripple")
     assert ripple.value == pytest.approx(share, rel=0.15)
     assert ripple.message.values["frequency"] == pytest.approx(frequency, abs=0.1)
-    assert found.report.warnings == ()
+    assert not {warning.code for warning in found.report.warnings} & {"misfit", "not_reciprocal"}
     assert max(score(found, simulation.truth)) < 1e-3
 
 

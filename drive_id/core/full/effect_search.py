@@ -35,6 +35,9 @@ _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _BEYOND = 1.3
 """Residuals over noise from which on a ripple of the DC link is looked for: that takes as long as all other effects."""
+_OF_LINK, _OF_MISFIT = ("link_ripple", "link_sag"), 0.5
+"""Variations of the DC link, and the share of the squared residuals beyond noise that one must explain: the misfit of a
+map recurs with the trajectory and the power, and a part of it looks like theirs."""
 _MOST_EFFECTS = 6
 """Most effects of a drive: bounds the time."""
 _GROWN = 1.03
@@ -54,6 +57,7 @@ _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _TIMING = {DELAY, "current_latency", "angle_latency", "current_rotation"}
 """All of them rotate the flux against the currents, but for the last by the speed: at one speed, the data hold one."""
+_TINY = float(np.finfo(np.float64).tiny)
 _SPEEDS_APART = 0.1
 """Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
 _BESIDE = {"current_rotation": "current_gains"}
@@ -171,6 +175,8 @@ def _greedy(
         taken_effects = solution.spec.effects
         tried = [name for name in allowed if name not in taken_effects and _BESIDE.get(name) in (None, *taken_effects)]
         savings = effect_savings(solver, solution, tried, period)
+        beyond = 1.0 - noise.explained(solver.model, solution) / max(solution.residual_rms**2, _TINY)
+        savings |= {name: 0.0 for name in _OF_LINK if savings.get(name, 0.0) < _OF_MISFIT * beyond}
         if turn > 0 and solution.spec.delay == 0 and not timed:
             if taken:
                 delay = estimate_delay(solver, solution, noise)

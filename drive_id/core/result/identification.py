@@ -244,7 +244,7 @@ class _Cells:
         """Return values (D, Q) interpolated bilinearly; corners without weight are ignored."""
         with np.errstate(invalid="ignore"):
             parts = np.where(self.weights != 0, self.weights * values.ravel()[self.corners], 0.0)
-        return np.asarray(parts.sum(axis=-1))
+            return np.asarray(parts.sum(axis=-1))
 
 
 def _place(axis: FloatArray, x: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -124,7 +124,8 @@ def _entries(
 
 def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
     """Report the delay of the voltages used by the fit."""
-    name, used, delay, sigma = "voltage_delay", fit.spec.delay, fit.selection.delay, fit.selection.sigma_delay
+    found = fit.selection.search.found
+    name, used, delay, sigma = "voltage_delay", fit.spec.delay, found.delay, found.sigma_delay
     if not wanted:
         return Calibration(name, used, 0.0, "samples", used != 0.0, Message("voltage_delay.set", value=used))
 

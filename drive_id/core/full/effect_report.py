@@ -68,7 +68,7 @@ def _with_cause(code: str, fit: FullFit, **values: float) -> Message:
 def effect_entries(fit: FullFit, *, several_speeds: bool) -> list[Calibration]:
     """Return the values of all effects in the model, in the order in which they were found."""
     entries: list[Calibration] = []
-    for taken in fit.selection.search.taken:
+    for taken in fit.selection.search.found.taken:
         if taken.name in fit.spec.effects:
             entries += _entries(fit, taken, several_speeds=several_speeds)
     return entries
@@ -174,7 +174,7 @@ def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
     name, unit = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}.get(
         found.name, (found.name, "rad")
     )
-    pairs = found.fit.selection.search.columns.pole_pairs
+    pairs = found.fit.selection.search.found.columns.pole_pairs
     yield _Shown.of(name, *_amplitude(found), unit, pole_pairs=pairs)
 
 
@@ -192,7 +192,7 @@ def _link(found: _Evaluated) -> Iterator[_Shown]:
 
 def _ripple(found: _Evaluated) -> Iterator[_Shown]:
     value, sigma = _amplitude(found)
-    yield _Shown.of("link_ripple", value, sigma, "1", frequency=found.fit.selection.search.columns.ripple)
+    yield _Shown.of("link_ripple", value, sigma, "1", frequency=found.fit.selection.search.found.columns.ripple)
 
 
 def _sag(found: _Evaluated) -> Iterator[_Shown]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,8 +90,28 @@ _Settled = tuple[WindowSums, Solver, FullSolution, EffectColumns]
 
 
 @dataclass(frozen=True, eq=False)
+class FoundEffects:
+    """What a search has found.
+
+    Parameters
+    ----------
+    columns : EffectColumns
+        Linearized about the estimate.
+    taken : tuple of Taken
+        In the order in which they were found.
+    delay, sigma_delay : float
+        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
+    """
+
+    columns: EffectColumns
+    taken: tuple[Taken, ...]
+    delay: float
+    sigma_delay: float
+
+
+@dataclass(frozen=True, eq=False)
 class EffectSearch:
-    """The solution with the selected effects, and the savings behind the selection.
+    """The solution with the selected effects.
 
     Parameters
     ----------
@@ -99,20 +119,12 @@ class EffectSearch:
         With the columns of all effects if any effect was selected; otherwise without, to save memory.
     solver : Solver
         Of sums with the columns of all effects.
-    delay, sigma_delay : float
-        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
-    left : mapping of str to float
-        Share of the squared residuals by which each effect that was not selected would reduce them.
     """
 
     sums: WindowSums
     solver: Solver
     solution: FullSolution
-    columns: EffectColumns
-    taken: tuple[Taken, ...]
-    delay: float
-    sigma_delay: float
-    left: Mapping[str, float]
+    found: FoundEffects
 
 
 def search_effects(
@@ -144,14 +156,14 @@ def search_effects(
     columns = _columns(sums, solution, noise, pole_pairs)
     start = _settled(sums, solution.spec, columns)
     search = _greedy(sums, start, noise, allowed, turn)
-    delay = Delay(search.solution.spec.delay, search.sigma_delay)
+    delay = Delay(search.solution.spec.delay, search.found.sigma_delay)
     if turn > 0 and delay.value != solution.spec.delay and not (delay.physical or delay.decimation):
         for value in delay.between:
             delayed = _settled(sums, replace(solution.spec, delay=value), columns)
             saving = 1.0 - delayed[2].sum_of_squares / start[2].sum_of_squares
             other = _greedy(sums, delayed, noise, allowed, 0.0, (Taken(DELAY, saving, ()),))
             if other.solution.sum_of_squares < search.solution.sum_of_squares:
-                search = replace(other, delay=value, sigma_delay=search.sigma_delay)
+                search = replace(other, found=replace(other.found, delay=value, sigma_delay=delay.sigma))
     return search
 
 
@@ -167,7 +179,6 @@ def _greedy(
     extended, solver, solution, columns = start
     delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
     period = noise.period
-    savings: dict[str, float] = {}
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
     while len(taken) < _MOST_EFFECTS:
         timed = one_speed and bool(_TIMING & {each.name for each in taken})
@@ -206,7 +217,7 @@ def _greedy(
     if names <= {DELAY} and not _remains(solver):
         extended = sums
     taken = tuple(replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken)
-    return EffectSearch(extended, solver, solution, columns, taken, delay.value, delay.sigma, savings)
+    return EffectSearch(extended, solver, solution, FoundEffects(columns, taken, delay.value, delay.sigma))
 
 
 def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
@@ -259,9 +270,9 @@ def several_speeds(speeds: FloatArray) -> bool:
 
 def with_effects_only(sums: WindowSums, search: EffectSearch, effects: tuple[str, ...]) -> EffectSearch:
     """Return the search with some of its effects, solved again."""
-    spec, columns = search.solution.spec, replace(search.columns, estimate=search.solution.estimate)
+    spec, columns = search.solution.spec, replace(search.found.columns, estimate=search.solution.estimate)
     extended, solver, solution, columns = _settled(sums, replace(spec, effects=effects), columns)
-    return replace(search, sums=extended, solver=solver, solution=solution, columns=columns)
+    return EffectSearch(extended, solver, solution, replace(search.found, columns=columns))
 
 
 def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:

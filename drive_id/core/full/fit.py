@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise, zip_longest
 
@@ -13,8 +13,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, DelayJump, delay_jump
-from drive_id.core.full.effect_search import EffectSearch, Taken
-from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.effect_search import EffectSearch, FoundEffects
 from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import Resolution
@@ -202,8 +201,6 @@ class EarlierFit:
         Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
     advantage : float
         See :class:`~drive_id.core.full.selection.Selection`.
-    columns, taken, delay, sigma_delay, left
-        See :class:`~drive_id.core.full.effect_search.EffectSearch`.
     """
 
     orders: tuple[int, ...]
@@ -212,11 +209,7 @@ class EarlierFit:
     remains: bool
     spec: ModelSpec
     advantage: float
-    columns: EffectColumns
-    taken: tuple[Taken, ...]
-    delay: float
-    sigma_delay: float
-    left: Mapping[str, float]
+    found: FoundEffects
     assessment: Assessment
 
     @classmethod
@@ -232,11 +225,7 @@ class EarlierFit:
             remains=search.sums.effects is not None,
             spec=fit.spec,
             advantage=fit.selection.advantage,
-            columns=search.columns,
-            taken=search.taken,
-            delay=search.delay,
-            sigma_delay=search.sigma_delay,
-            left=search.left,
+            found=search.found,
             assessment=fit.assessment,
         )
 
@@ -251,15 +240,13 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     elif earlier.orders != sums.model.orders:
         sums = sums.with_orders(earlier.orders)
     if earlier.moved:
-        sums = sums.moved(earlier.columns.moved)
+        sums = sums.moved(earlier.found.columns.moved)
     if earlier.spec.effects or earlier.remains:
-        sums = sums.with_effects(earlier.columns)
+        sums = sums.with_effects(earlier.found.columns)
     solver = Solver.over(sums)
     plain = solver.solve(earlier.spec)
-    search = EffectSearch(
-        sums, solver, plain, earlier.columns, earlier.taken, earlier.delay, earlier.sigma_delay, earlier.left
-    )
-    selection = Selection(solver, plain, earlier.delay, earlier.sigma_delay, earlier.advantage, search)
+    search = EffectSearch(sums, solver, plain, earlier.found)
+    selection = Selection(plain, search, earlier.advantage)
     solution, _ = correct_attenuation(solver, plain, noise)
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=earlier.assessment)
 
@@ -341,10 +328,10 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
 
     At a constant speed it turns all fluxes, and the residuals hardly change.
     """
-    delay = Delay(solution.spec.delay, 0.0)
-    if delay.value != selection.delay or delay.physical:
+    delay, found = Delay(solution.spec.delay, 0.0), selection.search.found
+    if delay.value != found.delay or delay.physical:
         return np.zeros(solver.model.size)
-    other = float(np.clip(delay.value + selection.sigma_delay, -MOST_DELAY, MOST_DELAY))
+    other = float(np.clip(delay.value + found.sigma_delay, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 

@@ -95,26 +95,25 @@ class Selection:
 
     Parameters
     ----------
-    solver : Solver
     solution : FullSolution
-    delay, sigma_delay : float
-        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
-    advantage : float
-        Share by which free maps reduce the squared error on held-out data; negative if they increase it.
     search : EffectSearch
         The selected effects of real drives.
+    advantage : float
+        Share by which free maps reduce the squared error on held-out data; negative if they increase it.
     crossings : float
         Excess of the residuals of windows with a zero crossing, see
         :class:`~drive_id.core.full.zero_crossings.BetweenCrossings`; NaN where the fit includes them.
     """
 
-    solver: Solver
     solution: FullSolution
-    delay: float
-    sigma_delay: float
-    advantage: float
     search: EffectSearch
+    advantage: float
     crossings: float = np.nan
+
+    @property
+    def solver(self) -> Solver:
+        """Of the solution."""
+        return self.search.solver
 
 
 def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> tuple[WindowSums, Selection]:
@@ -155,7 +154,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         start = _with_early_steps(solver, _undelayed(solver, start, settings))
         del solver
         selection = _select(sums, start, settings, turn, noise)
-    if selection.search.taken:  # what they explain may have hidden where the cells are too coarse
+    if selection.search.found.taken:  # what they explain may have hidden where the cells are too coarse
         selection = _with_finer_cells(sums, selection, settings, turn, bounded)
     return selection.search.sums, replace(selection, crossings=crossings)
 
@@ -274,13 +273,13 @@ def _select(
         if clearly:
             freed = search.sums.freed(model.orders)
             if search.sums.effects is None:
-                freed = freed.with_effects(search.columns)
+                freed = freed.with_effects(search.found.columns)
             search = replace(search, sums=freed, solver=Solver.over(freed))
             everything = search.solver.solve(replace(free, orders=orders))
             significant = _significant_orders(freed.model, everything, i_dq)
             spec = search.solver.best_penalty(replace(free, orders=significant))[0]
             solution = search.solver.solve(spec)
-    return Selection(search.solver, solution, search.delay, search.sigma_delay, advantage, search)
+    return Selection(solution, search, advantage)
 
 
 @dataclass(frozen=True, eq=False)

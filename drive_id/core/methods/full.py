@@ -252,7 +252,7 @@ def _effect_voltages(evidence: Gathered, fit: FullFit) -> EffectVoltages | None:
     if not fit.spec.effects:
         return None
     search = fit.selection.search
-    columns = replace(search.columns, estimate=fit.solution.estimate)
+    columns = replace(search.found.columns, estimate=fit.solution.estimate)
     recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
     of_recordings = set(fit.spec.effects) & set(OF_RECORDINGS)
 

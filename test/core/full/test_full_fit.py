@@ -148,7 +148,7 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     assert fit.spec.delay == pytest.approx(1.7, abs=0.1)
     form = np.zeros(fit.model.size)
     form[fit.model.map] = fit.model.flux.rows(np.zeros((1, 2))).sparse(fit.model.flux.parameters).toarray()[1]
-    turned = fit.selection.sigma_delay * np.abs(fit.assessment.speeds).mean() * samples.sample_period
+    turned = fit.selection.search.found.sigma_delay * np.abs(fit.assessment.speeds).mean() * samples.sample_period
     assert fit.sigma(form) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
 
 

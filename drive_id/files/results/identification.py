@@ -321,6 +321,8 @@ _PHASES = ("voltage_a", "voltage_b", "voltage_c")
 def _read_flux_map(content: bytes) -> FluxMap:
     file = read_arrays(content, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
     arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
+    if any(values.dtype.kind not in "bfiu" for values in arrays.values()):
+        raise ValueError(f"{_NPZ} has arrays that are no numbers")
     shape = (len(arrays["i_d"]), len(arrays["i_q"]))
     if min(shape) < 4 or any(values.shape != shape for name, values in arrays.items() if not name.startswith("i_")):
         raise ValueError(f"{_NPZ} has arrays that do not fit its axes")

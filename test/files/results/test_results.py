@@ -98,6 +98,15 @@ def test_joint_errors_are_read_again_and_may_be_missing(written, fitted):
         read_results(written)
 
 
+def test_a_map_of_texts_is_refused(written):
+    with np.load(written / "flux_map.npz") as file:
+        arrays = dict(file)
+    forget_digests(written)
+    np.savez(written / "flux_map.npz", **arrays | {"sigma_q": arrays["sigma_q"].astype(str)})
+    with pytest.raises(ResultError, match="no numbers"):
+        read_results(written)
+
+
 def test_the_identification_is_as_agreed(written, fitted, bag):
     tree = strict_json(written / "identification.json")
     assert set(tree) == {

@@ -56,7 +56,7 @@ CAUSES = {
     ),
     "angle": ("angle_offset", "resolver_offset", "mirror_asymmetry", "magnet_negative"),
     "gains": (
-        "current_gain*", "current_rotation", "current_gains", "current_offset", "zero_sequence", "voltage_offset",
+        "current_gain*", "current_rotation", "current_offset", "zero_sequence", "voltage_offset",
     ),
     "offsets": ("current_offset*", "voltage_offset*"),
     "resolver": ("eccentricity", "resolver_[efs]*"),

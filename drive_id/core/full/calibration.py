@@ -104,7 +104,7 @@ def calibrate_currents(fit: FullFit, i_max: float) -> list[Calibration]:
 
 
 def _flux_allows(fit: FullFit, offset: FloatArray, sigma: FloatArray) -> bool:
-    """Tell whether an offset of the currents (2,), A, is no more than the one that the flux shows, if any."""
+    """Tell whether an offset of the currents (2,), A, agrees with the one that the flux shows, within their errors."""
     solver = fit.selection.solver
     share, shown = solver.saving(fit.solution, fit.model.effect("current_offset"))
     of_flux = np.hypot(*shown) / np.sqrt(max(share * fit.solution.rows, np.finfo(np.float64).tiny))

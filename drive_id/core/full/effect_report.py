@@ -20,6 +20,8 @@ from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
 _MICRO = 1e6
+_PER_KILOWATT = 1e5
+"""%/kW in 1/W."""
 _NEGLIGIBLE = 5e-4
 """Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
 random drive 0.1 % of the flux."""
@@ -196,7 +198,7 @@ def _ripple(found: _Evaluated) -> Iterator[_Shown]:
 
 
 def _sag(found: _Evaluated) -> Iterator[_Shown]:
-    x, dx = 1e5 * float(found.value[0]), 1e5 * float(found.sigma[0])
+    x, dx = _PER_KILOWATT * float(found.value[0]), _PER_KILOWATT * float(found.sigma[0])
     yield _Shown("link_sag", x, dx, "%/kW", "link_sag", {"value": x, "sigma": dx})
 
 
@@ -211,15 +213,16 @@ def _rotation(found: _Evaluated) -> Iterator[_Shown]:
 
 
 def _mismatch(found: _Evaluated) -> Iterator[_Shown]:
-    for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
-        name = f"current_gain_mismatch_{axis}"
-        yield _Shown.of(name, x, dx, "1", "current_gain_mismatch.fit", axis=axis, share=abs(x))
+    yield from _by_axis(found, "current_gain_mismatch", "1", 1.0)
 
 
 def _offset(found: _Evaluated) -> Iterator[_Shown]:
+    yield from _by_axis(found, "current_offset", "A", found.fit.model.i_max)
+
+
+def _by_axis(found: _Evaluated, name: str, unit: str, size: float) -> Iterator[_Shown]:
     for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
-        share = abs(x) / found.fit.model.i_max
-        yield _Shown.of(f"current_offset_{axis}", x, dx, "A", "current_offset.fit", axis=axis, share=share)
+        yield _Shown.of(f"{name}_{axis}", x, dx, unit, f"{name}.fit", axis=axis, share=abs(x) / size)
 
 
 def _gains(found: _Evaluated) -> Iterator[_Shown]:

@@ -207,7 +207,7 @@ def _greedy(
         if best == DELAY:
             taken, solution = (*taken, found), delayed
             continue
-        spec = with_effect(solution.spec, best)
+        spec = replace(solution.spec, effects=(*solution.spec.effects, best))
         if not _predicts(solver, solution.spec, spec):
             break
         taken = (*taken, found)
@@ -218,11 +218,6 @@ def _greedy(
         extended = sums
     taken = tuple(replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken)
     return EffectSearch(extended, solver, solution, FoundEffects(columns, taken, delay.value, delay.sigma))
-
-
-def with_effect(spec: ModelSpec, name: str) -> ModelSpec:
-    """Return the variant with another effect."""
-    return replace(spec, effects=(*spec.effects, name))
 
 
 def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Settled:
@@ -364,11 +359,10 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
     link = np.concatenate([windows.link for windows in kept])
     voltage = np.concatenate([windows.voltage for windows in kept])
     known = np.isfinite(link)
-    mean = np.nan
+    mean, ripple = np.nan, 0.0
     if known.any():
         mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
-    ripple = 0.0
-    if not known.any() and solution.residual_rms > _BEYOND * np.sqrt(noise.explained(model, solution)):
+    elif solution.residual_rms > _BEYOND * np.sqrt(noise.explained(model, solution)):
         ripple = ripple_frequency(model, solution.estimate, kept)
     columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
     return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))

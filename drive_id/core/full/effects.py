@@ -170,7 +170,7 @@ class EffectColumns:
             columns["dc_link"] = [-np.nan_to_num(windows.link / self.link - windows.voltage)]
 
         if self.ripple:
-            of_link = ripple_columns(windows, self.ripple).T
+            of_link = ripple_columns(windows)(self.ripple).T
             columns["link_ripple"] = [(windows.run == k) * wave for k in range(MOST_RUNS) for wave in of_link]
 
         shift = self._sum(currents) + sum(
@@ -268,7 +268,9 @@ class EffectColumns:
         return waves
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) caused by the effects of the drive, not of its current sensors or supply, V.
+        """Return the phase voltages (N, 3) caused by the effects of the drive, V.
+
+        Without those of its current sensors, and without ``link_ripple``, whose phase holds for the recorded runs only.
 
         Parameters
         ----------

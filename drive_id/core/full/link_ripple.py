@@ -32,18 +32,23 @@ _FINER = 8
 """Frequencies tried, over the whole runs, between two of the best neighbours."""
 
 
-def ripple_columns(windows: Windows, frequency: float) -> ComplexArray:
-    """Return the columns (N, 2) of a and b, Vs, for a frequency in Hz.
+def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
+    """Return the function of a frequency, Hz, that gives the columns (N, 2) of a and b, Vs.
 
     The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
     """
     u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1) * np.exp(1j * windows.angle[:, 0])
-    speed, sides = windows.speed.mean(axis=1), []
-    for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
-        angle = (speed + turns) * windows.duration
-        mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
-        sides.append(u_dq * np.exp(1j * turns * windows.time) * windows.duration * mean)
-    return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
+    speed = windows.speed.mean(axis=1)
+
+    def columns(frequency: float) -> ComplexArray:
+        sides = []
+        for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
+            angle = (speed + turns) * windows.duration
+            mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
+            sides.append(u_dq * np.exp(1j * turns * windows.time) * windows.duration * mean)
+        return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
+
+    return columns
 
 
 def ripple_frequency(
@@ -79,10 +84,10 @@ def _saving(model: FullModel, estimate: FloatArray, windows: Windows) -> Callabl
     some = windows.scattered(_MOST_WINDOWS)
     left, weights = model.residuals(some, estimate), np.sqrt(some.weights)
     error = left[:, 0] + 1j * left[:, 1]
-    runs = [np.flatnonzero(some.run == run) for run in np.unique(some.run)]
+    runs, unweighted = [np.flatnonzero(some.run == run) for run in np.unique(some.run)], ripple_columns(some)
 
     def saved(frequency: float) -> float:
-        columns, out = weights[:, None] * ripple_columns(some, frequency), 0.0
+        columns, out = weights[:, None] * unweighted(frequency), 0.0
         for run in runs:
             moment = (columns[run].conj().T @ error[run]).real
             out += float(moment @ np.linalg.lstsq((columns[run].conj().T @ columns[run]).real, moment)[0])

@@ -9,22 +9,11 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import (
-    EffectSearch,
-    plausible_effects,
-    search_effects,
-    with_effects_only,
-)
+from drive_id.core.full.effect_search import EffectSearch, plausible_effects, search_effects, with_effects_only
 from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
-from drive_id.core.full.solver import (
-    CurrentNoise,
-    FullSolution,
-    Solver,
-    predictable,
-    squared_inductances,
-)
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable, squared_inductances
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
@@ -59,7 +48,7 @@ _LEAST_HEATING = 5.0
 _SEARCHES = 2
 """Most searches for further harmonics: strong ones hide weak ones."""
 _OFFSET = "current_offset"
-_OF_SENSORS = {_OFFSET: 1, "current_gains": 2}
+_CAUSED = {_OFFSET: 1, "current_gains": 2}
 """Harmonics of the flux that faults of the current sensors cause, and that are none of the machine beside them."""
 _BY_OFFSET = 5.0
 """Largest excess over noise at zero crossings that an offset may cause; hard dead time causes more."""
@@ -143,7 +132,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found = selection.search.sums
         new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known, HIGHEST_ORDER)
-        caused = [order for name, order in _OF_SENSORS.items() if name in selection.solution.spec.effects]
+        caused = [order for name, order in _CAUSED.items() if name in selection.solution.spec.effects]
         new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
         if not new:
             break

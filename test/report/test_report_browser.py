@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -195,6 +196,18 @@ def test_it_is_dark_on_request_and_by_the_system(opened):
     wait_for(opened, "return document.documentElement.dataset.drawn === 'true'")
     assert brightness(background()) < 60
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_charts_follow_the_window_while_they_are_drawn(opened):
+    fits = "[...document.querySelectorAll('.chart')].every((chart) => chart._fullLayout.width === chart.clientWidth)"
+    for k in range(12):
+        size = {"width": 400 + 40 * (k % 5), "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        opened.execute_script("document.getElementById('theme').click()")
+        time.sleep(0.03 * (k % 6))
+        opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        time.sleep(0.11)
+    wait_for(opened, f"return document.documentElement.dataset.drawn === 'true' && {fits}")
 
 
 def brightness(colour: str) -> float:

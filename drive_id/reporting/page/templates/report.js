@@ -88,9 +88,10 @@
   const colourBar = (title) => ({ title: { text: title, side: "right" }, thickness: 14, outlinewidth: 0 });
   const where = (z, kept) => z.map((row, k) => row.map((value, j) => (kept(k, j) ? value : null)));
 
+  /** A field as contours; z is copied, because plotly finds no levels for a new trace that shares its data with the last. */
   function fieldTrace(x, y, z, label, unit, more = {}) {
     return {
-      type: "contour", x, y, z, colorscale: data.colours, colorbar: colourBar(unit), connectgaps: false,
+      type: "contour", x, y, z: [...z], colorscale: data.colours, colorbar: colourBar(unit), connectgaps: false,
       contours: { coloring: "heatmap", showlabels: true, labelfont: { size: 11, color: "#000000" } },
       line: { width: 0.7, color: "#000000" }, name: markup(label), showlegend: false,
       hovertemplate: `i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>${markup(label)} %{z:.5g} ${unit}%{text}<extra></extra>`,

@@ -161,7 +161,7 @@ EFFECTS = {
         short=True,
     ),
     "cross_talk": Effect(
-        "current sensors act on each other, 2 %", spoil=lambda samples, _: cross_talk(samples), short=True
+        "cross-talk between current sensors, 2 %", spoil=lambda samples, _: cross_talk(samples), short=True
     ),
     "rotor": Effect("flux modulated by 0.5 % once per turn", of(eccentricity=(0.005,))),
     "sensors": Effect(

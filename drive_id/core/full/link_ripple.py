@@ -1,7 +1,7 @@
 """Variation of a DC link that was not recorded: its frequency, and its columns of the regression.
 
-The inverter's voltages are larger than those commanded by the share ``a cos 2 pi f t + b sin 2 pi f t``, with a and b
-of their own in each run, because time begins anew there.
+The inverter's voltages exceed those commanded by the share ``a cos 2 pi f t + b sin 2 pi f t``, with separate a and b
+for each run, because the phase is unknown after a gap.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _BANDS = (
     (0.2, 20.0),
     *((nominal * (1 - _MAINS), nominal * (1 + _MAINS)) for nominal in (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)),
 )
-"""Frequencies of a supply's control, and of rectified mains, Hz."""
+"""Slow control of the supply, and ripple of rectified mains, Hz."""
 _MOST_WINDOWS = 1500
 """Windows over which frequencies are compared: 2 unknowns for each frequency and run."""
 _STRETCH = 60.0
@@ -61,7 +61,7 @@ def ripple_frequency(
     estimate : (size,) float
         Without a variation.
     near : float, optional
-        About which it is looked for, Hz; default: everywhere.
+        Centre of the search, Hz; default: all bands.
     """
     windows = Windows.joined(list(kept))
     _, run = np.unique(windows.run, return_inverse=True)

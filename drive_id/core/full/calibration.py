@@ -234,8 +234,8 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
     """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
 
     A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be
-    seen, so where a sensor is faulty, the latter is as uncertain as the former is large. Cross-talk between sensors turns
-    the currents as well.
+    seen, so where a sensor is faulty, the latter is as uncertain as the former is large. Cross-talk between sensors
+    turns the currents as well.
 
     Parameters
     ----------

@@ -51,6 +51,12 @@ _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 """Windows over which numbers of pole pairs are compared: 2 unknowns for each number."""
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
+TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
+"""All of them turn the flux against the currents: at one speed they resemble one another, and only the bends of the map
+tell them apart."""
+_RIVAL = 0.3
+"""Share of the largest saving from which on a rival is linearized again before it loses: iron loss that moves currents
+across a saturating bridge saves half of it at first."""
 _LONGEST_LATENCY = 0.8
 """Of angle or currents, sample periods: the columns hold below 1."""
 _LARGEST_LAG = 0.2
@@ -160,8 +166,8 @@ def search_effects(
     if turn > 0 and delay.value != solution.spec.delay and not (delay.physical or delay.decimation):
         for value in delay.between:
             delayed = _settled(sums, replace(solution.spec, delay=value), columns)
-            saving = 1.0 - delayed[2].sum_of_squares / start[2].sum_of_squares
-            other = _greedy(sums, delayed, noise, allowed, 0.0, (Taken(DELAY, saving, ()),))
+            of_delay = Taken(DELAY, _saving(start[2], delayed[2]), ())
+            other = _greedy(sums, delayed, noise, allowed, 0.0, (of_delay,))
             if other.solution.sum_of_squares < search.solution.sum_of_squares:
                 search = replace(other, found=replace(other.found, delay=value, sigma_delay=delay.sigma))
     return search
@@ -193,11 +199,16 @@ def _greedy(
                 delay = estimate_delay(solver, solution, noise)
             if delay.significant(turn):
                 delayed = solver.solve(replace(solution.spec, delay=delay.value))
-                savings[DELAY] = 1.0 - delayed.sum_of_squares / solution.sum_of_squares
-        best = _best(savings, physical=delay.physical)
+                savings[DELAY] = _saving(solution, delayed)
+        best, settled = _best(savings, physical=delay.physical), {}
+        if best in TURNING and sums.model.resolution.finer_than_usual and not (one_speed and _turns(taken)):
+            rivals = _rivals(savings, best, one_speed=one_speed)
+            settled = _rivals_settled(sums, solver, solution, columns, rivals)
+            best = _best_predictor(settled, (solver, delayed) if best == DELAY else None) or best
+            savings |= {name: _saving(solution, each) for name, (*_, each, _) in settled.items()}
         if best is None or not (best == DELAY or _worthwhile(solver, solution, best, savings[best])):
             break
-        if best != DELAY and not _by_data(solver, solution, best):
+        if best not in (DELAY, *settled) and not _by_data(solver, solution, best):
             allowed = [name for name in allowed if name != best]
             continue
         family = _family(best)
@@ -212,12 +223,48 @@ def _greedy(
             break
         taken = (*taken, found)
         columns = replace(columns, estimate=solver.solve(spec).estimate)
-        extended, solver, solution, columns = _settled(sums, spec, columns)
+        extended, solver, solution, columns = settled.get(best) or _settled(sums, spec, columns)
     names = {each.name for each in taken}
     if names <= {DELAY} and not _remains(solver):
         extended = sums
     taken = tuple(replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken)
     return EffectSearch(extended, solver, solution, FoundEffects(columns, taken, delay.value, delay.sigma))
+
+
+def _saving(solution: FullSolution, other: FullSolution) -> float:
+    """Return by which share another solution reduces the squared residuals."""
+    return 1.0 - other.sum_of_squares / solution.sum_of_squares
+
+
+def _turns(taken: Sequence[Taken]) -> bool:
+    return bool(TURNING & {each.name for each in taken})
+
+
+def _rivals(savings: dict[str, float], best: str, *, one_speed: bool) -> tuple[str, ...]:
+    """Return the effects that turn the flux and save much, perhaps more than their first linearization tells."""
+    names = (name for name, saving in savings.items() if name in TURNING - {DELAY} and saving > _RIVAL * savings[best])
+    return tuple(name for name in names if not (one_speed and _AT_ONE_SPEED.get(name) in savings))
+
+
+def _rivals_settled(
+    sums: WindowSums, solver: Solver, solution: FullSolution, columns: EffectColumns, names: Sequence[str]
+) -> dict[str, _Settled]:
+    """Settle each of several effects beside those of a solution if one moves the current by more than the map bends."""
+    specs = {name: replace(solution.spec, effects=(*solution.spec.effects, name)) for name in names}
+    about = {name: replace(columns, estimate=solver.solve(spec).estimate) for name, spec in specs.items()}
+    kept = sums.kept()
+    if not any(about[name].bends(spec, kept) for name, spec in specs.items()):
+        return {}
+    return {name: _settled(sums, spec, about[name]) for name, spec in specs.items()}
+
+
+def _best_predictor(settled: dict[str, _Settled], delayed: tuple[Solver, FullSolution] | None) -> str | None:
+    """Return which effect, or the delay of a solution, predicts data left out best; None if none was settled."""
+    fits = {name: (solver, solution) for name, (_, solver, solution, _) in settled.items()}
+    if fits and delayed is not None:
+        fits[DELAY] = delayed
+    errors = {name: solver.left_out(solution.spec)[:, 0] for name, (solver, solution) in fits.items()}
+    return min(errors, key=lambda name: float(errors[name][predictable(errors[name])].mean()), default=None)
 
 
 def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Settled:

@@ -30,6 +30,8 @@ _FEWER = (1.0, 3.0, 10.0)
 """Factors of the least misfit of a cell that is divided, tried in turn until there are no more cells than allowed."""
 _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
+_BENT = 0.25
+"""Change of an inductance over a cell, relative to the largest: of smooth saturation, a cell meets a tenth."""
 _STRONG = 64.0
 """Squared misfit relative to the least one from which on a cell is divided by four instead of two: the flux between
 knots is off by the third power of their distance, so halves leave 1/64 of the squared misfit of smooth saturation."""
@@ -72,6 +74,19 @@ class Resolution:
             if len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS:
                 return replace(self, d=d, q=q)
         return self
+
+    def where_bent(self, change_d: FloatArray, change_q: FloatArray) -> Resolution:
+        """Return a resolution with the cells halved over which the inductance along their axis changes much.
+
+        If there are none, return this one.
+
+        Parameters
+        ----------
+        change_d, change_q : (C,) float
+            Change over each cell, relative to the largest inductance.
+        """
+        d, q = (_divided(edges, change, _BENT) for edges, change in ((self.d, change_d), (self.q, change_q)))
+        return replace(self, d=d, q=q) if len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS else self
 
     def with_finer_harmonics(self) -> Resolution:
         """Return a resolution with twice the cells per axis for the harmonics."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import EffectSearch, plausible_effects, search_effects, with_effects_only
+from drive_id.core.full.effect_search import TURNING, EffectSearch, plausible_effects, search_effects, with_effects_only
 from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
@@ -17,6 +17,7 @@ from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predic
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
+from drive_id.core.maps.flux_models import jacobian
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -151,21 +152,33 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
 def _with_finer_cells(
     sums: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
 ) -> Selection:
-    """Return the selection over finer cells if residuals exceed noise in some and held-out data gain, else this one."""
+    """Return the selection over finer cells if held-out data gain by them, else this one.
+
+    Cells are divided once where the map bends, if there is an effect that turns the flux: only there iron loss differs
+    from a delay, and coarse cells decide wrongly. Then cells are divided where the residuals exceed noise.
+    """
+    bent = False
     for _ in range(_REFINEMENTS):
-        solution, model = selection.solution, selection.solver.model
-        misfit = _misfit(selection.search.sums, solution, noise, selection.solver.total_voltage)
-        cells = model.resolution.finer(misfit)
-        if not misfit.shows or cells is model.resolution or not solution.spec.reciprocal:
+        solution, resolution = selection.solution, selection.solver.model.resolution
+        turning, cells, penalty = _turning(selection), resolution, solution.spec.penalty
+        if turning and not bent:
+            cells = resolution.where_bent(*_bends(selection.solver.model, solution))
+        by_misfit = cells is resolution
+        if by_misfit:
+            misfit = _misfit(selection.search.sums, solution, noise, selection.solver.total_voltage)
+            cells, penalty = (cells.finer(misfit) if misfit.shows else cells), _SMOOTH
+        if cells is resolution or not solution.spec.reciprocal:
             break
-        finer = sums.resolved(cells, model.orders)
+        finer = sums.resolved(cells, sums.model.orders)
         solver, delay = Solver.over(finer), 0.0 if settings.calibrate_delay else settings.voltage_delay
-        spec = replace(solution.spec, effects=(), delay=delay, penalty=_SMOOTH)
+        spec = replace(solution.spec, effects=(), delay=delay, penalty=penalty)
         found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
-        errors = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
-        if not _clearly_better(solver, *errors):
+        error, other = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
+        if (_saves if turning != _turning(found) else _clearly_better)(solver, error, other):
+            selection = replace(found, advantage=selection.advantage)
+        elif by_misfit:
             break
-        selection = replace(found, advantage=selection.advantage)
+        bent = True
     return selection
 
 
@@ -199,6 +212,24 @@ def _resolved(
     return sums, solver, solution
 
 
+def _turning(selection: Selection) -> set[str]:
+    """Return the effects that turn the flux against the currents."""
+    return TURNING & {each.name for each in selection.search.found.taken}
+
+
+def _bends(model: FullModel, solution: FullSolution) -> list[FloatArray]:
+    """Return by how much L_dd changes over each cell along i_d, and L_qq along i_q, relative to the largest of each."""
+    cells = model.resolution
+    grid = np.stack(np.meshgrid(cells.d, cells.q, indexing="ij"), axis=-1)
+    inductances = jacobian(model.flux, solution.estimate[model.map], grid.reshape(-1, 2)).reshape(*grid.shape, 2)
+    inductances[np.hypot(*np.moveaxis(grid, -1, 0)) > model.i_max] = np.nan
+    changes = []
+    for axis in (0, 1):
+        own = np.moveaxis(inductances[..., axis, axis], axis, 0)
+        changes.append(np.nan_to_num(np.abs(np.diff(own, axis=0))).max(axis=1) / np.nanmax(np.abs(own)))
+    return changes
+
+
 def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total_voltage: float) -> Misfit:
     model, windows = sums.model, Windows.joined(list(sums.kept())).thinned(_MISFIT_WINDOWS)
     windows = windows.part(np.hypot(*np.moveaxis(windows.i_dq, -1, 0)).min(axis=1) > _NEAR_ZERO * model.i_max)
@@ -213,9 +244,14 @@ def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> boo
     Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage.
     """
     folds = predictable(error)
+    return _saves(solver, error, other) and bool(np.sum((other < error)[folds]) >= folds.sum() - 1)
+
+
+def _saves(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
+    """Tell whether squared errors (F,) on data left out are smaller by more than noise and a negligible voltage."""
+    folds = predictable(error)
     enough = (error - other)[folds].mean() > _LEAST_SAVED**2 * solver.total_voltage
-    saved = 1.0 - float(other[folds].sum() / error[folds].sum())
-    return bool(enough and saved > _CLEAR_GAIN and np.sum((other < error)[folds]) >= folds.sum() - 1)
+    return bool(enough and 1.0 - other[folds].sum() / error[folds].sum() > _CLEAR_GAIN)
 
 
 def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:

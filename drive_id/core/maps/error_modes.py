@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drive_id.core.maps.flux_models import BasisRows
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 MOST_MODES = 48
 _LARGEST = 2**23
@@ -18,7 +18,7 @@ _LARGEST = 2**23
 _HELD = 0.995
 """Share of the variance that the modes hold before each value is scaled to its standard error."""
 _SITES = 200
-"""Points of the map, about, by which the modes are chosen."""
+"""Points of the map, about, by whose fluxes and slopes the modes are chosen."""
 _SHARE_OF_OTHERS = 0.1
 """Weight of the other values in this choice, relative to that of the fluxes."""
 
@@ -87,11 +87,10 @@ def error_modes(
     wanted, (beside, sigma_beside) = sigma[inside], others
     if not (len(wanted) and np.isfinite(wanted).all() and np.isfinite(changes).all() and np.isfinite(beside).all()):
         return None
-    some = slice(None, None, max(1, len(wanted) // _SITES))
-    few = BasisRows(rows.column[some], rows.value[some]).dense(len(changes)).reshape(-1, len(changes))
-    fluxes = _relative(few @ changes, wanted[some].ravel())
-    weight = np.sqrt(_SHARE_OF_OTHERS * len(fluxes) / len(beside))
-    samples = np.concatenate([fluxes, weight * _relative(beside, sigma_beside)])
+    fluxes, slopes = _sampled(changes, rows, inside)
+    samples = np.concatenate([_normalized(fluxes), *map(_normalized, slopes)])
+    weight = np.sqrt(_SHARE_OF_OTHERS * len(samples) / len(beside))
+    samples = np.concatenate([samples, weight * _relative(beside, sigma_beside)])
     causes = _causes(samples, min(MOST_MODES, max(1, _LARGEST // (2 * inside.size))))
     psi = rows.dot(changes @ causes)  # (N, 2, M)
     if frame is not None:
@@ -102,13 +101,37 @@ def error_modes(
     return ErrorModes(maps[0], maps[1], numbers[0], numbers[2:].T.copy(), numbers[1])
 
 
+def _sampled(changes: FloatArray, rows: BasisRows, inside: BoolArray) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the changes (2 S, B) of both fluxes at some points, Wb, and their differences along both axes."""
+    number = np.cumsum(inside).reshape(inside.shape) - 1
+    chosen = np.argwhere(inside)[:: max(1, int(inside.sum()) // _SITES)]
+
+    def at(points: IntArray) -> FloatArray:
+        some = number[tuple(points.T)]
+        dense = BasisRows(rows.column[some], rows.value[some]).dense(len(changes))
+        return np.asarray(dense.reshape(-1, len(changes)) @ changes)
+
+    slopes = []
+    for step in np.eye(2, dtype=np.int64):
+        own = chosen[(chosen + step < inside.shape).all(axis=1)]
+        own = own[inside[tuple((own + step).T)]]
+        slopes.append(at(own + step) - at(own))
+    return at(chosen), slopes
+
+
 def _causes(samples: FloatArray, most: int) -> FloatArray:
     """Return orthonormal combinations (B, M) of the batches that hold most of the variance of samples (S, B)."""
-    squares, vectors = np.linalg.eigh(samples @ samples.T)
+    wide = samples.shape[1] > samples.shape[0]
+    squares, vectors = np.linalg.eigh(samples @ samples.T if wide else samples.T @ samples)
     squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
     total = max(float(squares.sum()), np.finfo(np.float64).tiny)
     count = min(most, int(np.searchsorted(np.cumsum(squares), _HELD * total)) + 1, int((squares > 0).sum()))
-    return np.asarray(samples.T @ (vectors[:, :count] / np.sqrt(squares[:count])))
+    vectors = vectors[:, :count]
+    return np.asarray(samples.T @ (vectors / np.sqrt(squares[:count])) if wide else vectors)
+
+
+def _normalized(changes: FloatArray) -> FloatArray:
+    return _relative(changes, np.linalg.norm(changes, axis=1))
 
 
 def _relative(changes: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -62,6 +62,23 @@ def test_many_batches_keep_each_standard_error_and_nearly_all_correlations(grid)
     np.testing.assert_allclose(found @ found.T / np.outer(sigma, sigma), correlation, atol=0.15)
 
 
+def test_modes_hold_the_errors_of_slopes(grid):
+    """Fluxes err mostly together, slopes by what is left: modes chosen by the former alone lose part of the latter."""
+    spline = TensorSpline(Axis(-10.0, 10.0, 14), Axis(-8.0, 8.0, 14))
+    points = np.stack(np.meshgrid(np.linspace(-10, 10, 29), np.linspace(-8, 8, 29), indexing="ij"), axis=-1)
+    rows = spline.rows(points.reshape(-1, 2))
+    rng = np.random.default_rng(5)
+    rough = rng.normal(size=(spline.parameters, 60)) @ rng.normal(size=(60, 400))
+    changes = rough + 80.0 * rng.normal(size=400)
+    psi = np.einsum("nap,pb->nab", rows.dense(spline.parameters), changes).reshape(29, 29, 2, 400)
+    sigma = np.linalg.norm(psi, axis=-1)
+    modes = error_modes(changes, rows, sigma, np.ones((29, 29), np.bool_), (np.ones((6, 400)), np.ones(6)))
+    for axis in (0, 1):
+        wanted = np.linalg.norm(np.diff(psi, axis=axis), axis=-1)
+        found = np.linalg.norm(np.diff(np.stack([modes.psi_d, modes.psi_q], axis=-1), axis=1 + axis), axis=0)
+        assert np.mean(found**2) > 0.6 * np.mean(wanted**2)
+
+
 def test_unknown_errors_have_no_modes(grid):
     inside = np.ones((D, Q), np.bool_)
     rows = SPLINE.rows(grid.reshape(-1, 2))

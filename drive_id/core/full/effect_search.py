@@ -201,7 +201,7 @@ def _greedy(
                 delayed = solver.solve(replace(solution.spec, delay=delay.value))
                 savings[DELAY] = _saving(solution, delayed)
         best, settled = _best(savings, physical=delay.physical), {}
-        if best in TURNING and sums.model.resolution.finer_than_usual and not (one_speed and _turns(taken)):
+        if best in TURNING and sums.model.resolution.halved and not (one_speed and _turns(taken)):
             rivals = _rivals(savings, best, one_speed=one_speed)
             settled = _rivals_settled(sums, solver, solution, columns, rivals)
             best = _best_predictor(settled, (solver, delayed) if best == DELAY else None) or best

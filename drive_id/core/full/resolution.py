@@ -47,11 +47,14 @@ class Resolution:
         Edges of the map's cells along i_d and i_q, increasing, A.
     harmonic : int
         Cells per axis of the amplitudes of harmonics.
+    halved : bool
+        Whether cells were halved where the map bends.
     """
 
     d: FloatArray
     q: FloatArray
     harmonic: int = HARMONIC_CELLS
+    halved: bool = False
 
     @classmethod
     def usual(cls, low: FloatArray, high: FloatArray) -> Resolution:
@@ -86,7 +89,8 @@ class Resolution:
             Change over each cell, relative to the largest inductance.
         """
         d, q = (_divided(edges, change, _BENT) for edges, change in ((self.d, change_d), (self.q, change_q)))
-        return replace(self, d=d, q=q) if len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS else self
+        more = len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS
+        return replace(self, d=d, q=q, halved=True) if more else self
 
     def with_finer_harmonics(self) -> Resolution:
         """Return a resolution with twice the cells per axis for the harmonics."""

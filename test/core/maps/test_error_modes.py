@@ -62,7 +62,7 @@ def test_many_batches_keep_each_standard_error_and_nearly_all_correlations(grid)
     np.testing.assert_allclose(found @ found.T / np.outer(sigma, sigma), correlation, atol=0.15)
 
 
-def test_modes_hold_the_errors_of_slopes(grid):
+def test_modes_hold_the_errors_of_slopes():
     """Fluxes err mostly together, slopes by what is left: modes chosen by the former alone lose part of the latter."""
     spline = TensorSpline(Axis(-10.0, 10.0, 14), Axis(-8.0, 8.0, 14))
     points = np.stack(np.meshgrid(np.linspace(-10, 10, 29), np.linspace(-8, 8, 29), indexing="ij"), axis=-1)

@@ -156,16 +156,16 @@ def test_two_current_sensors_of_unequal_gain_turn_the_currents(speeds):
     assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * of_two, "the simulation's currents are corrected"
 
 
-@pytest.mark.parametrize("name", ["ipm", "spm"])
-def test_current_sensors_that_act_on_each_other_are_told(name):
+@pytest.mark.parametrize(("name", "share"), [("ipm", 0.02), ("spm", 0.02), ("ipm", 0.01)])
+def test_cross_talk_between_current_sensors_is_reported(name, share):
     machine = machine_map(name)
     simulation = run_experiment(machine, GOOD, seconds=SECONDS)
-    on_each_other = np.array([[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.02, 1.0]])
-    samples = replace(simulation.samples, i_abc=simulation.samples.i_abc @ on_each_other.T)
+    cross_talk = np.array([[1.0, 0.0, 0.0], [share, 1.0, 0.0], [0.0, share, 1.0]])
+    samples = replace(simulation.samples, i_abc=simulation.samples.i_abc @ cross_talk.T)
     found = identify([samples])
     rotation, mismatch = sensors(found)
-    assert rotation == pytest.approx(0.04 / 3 * np.sqrt(0.75), rel=0.1)
-    assert abs(mismatch - 0.02 / 3 * -np.exp(4j * np.pi / 3)) < 5e-4
+    assert rotation == pytest.approx(2 * share / 3 * np.sqrt(0.75), rel=0.1)
+    assert abs(mismatch - share / 3 * -np.exp(4j * np.pi / 3)) < 5e-4
     assert [warning.code for warning in found.report.warnings] == ["current_rotation"]
     assert found.resistance == pytest.approx(machine.resistance, abs=2 * found.sigma_resistance)
 

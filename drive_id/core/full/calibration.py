@@ -229,6 +229,23 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     return Calibration(name, angle, sigma, unit, symmetric, said)
 
 
+def cross_talk(calibrations: Sequence[Calibration]) -> bool:
+    """Tell whether the currents are turned by more than the mismatch of their gains.
+
+    Two sensors of unequal gains, from which the third current is computed, turn them by half the mismatch, three
+    sensors not at all.
+    """
+    mismatch, rotation = _sensor_faults(calibrations)
+    return rotation > mismatch
+
+
+def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
+    """Return the sizes of the mismatch of the current gains and of the rotation of the currents that are applied."""
+    values = {entry.name: entry.value for entry in calibrations if entry.applied}
+    mismatch = np.hypot(*(values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta")))
+    return float(mismatch), abs(values.get(CURRENT_ROTATION, 0.0))
+
+
 @one_blas_thread()
 def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
     """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
@@ -242,17 +259,19 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
     i_dq : (N, 2) float
         Currents with data, A.
     faulty : float
-        Mismatch of the current gains, or rotation of the currents, from which on.
+        Mismatch of the current gains, or rotation of the currents, from which on; smaller ones count where there is
+        cross-talk.
     """
     values = {entry.name: entry.value for entry in found if entry.applied}
-    alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
-    of_currents = max(float(np.hypot(alpha, beta)), abs(values.get(CURRENT_ROTATION, 0.0)))
+    mismatch, rotation = _sensor_faults(found)
+    of_currents = max(mismatch, rotation)
     model, estimate = fit.model, fit.solution.estimate
     of_voltage, of_current = np.zeros((2, model.size))
     if VOLTAGE_MISMATCH in values:
         of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
         of_voltage[model.effects] = 0.0
-    if of_currents > faulty:  # the same voltages at other currents: R i and f(i) are stretched along i
+    if of_currents > faulty or rotation > mismatch:
+        # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
         slopes = jacobian(model.flux, estimate[model.map], i_dq)
         rows = model.flux.rows(i_dq).sparse(model.flux.parameters)

@@ -329,7 +329,8 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
     for c in calibrations:
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
         of_sensors = c.name.startswith(("current_offset", "current_gain", calibration.CURRENT_ROTATION))
-        if of_sensors and c.applied and abs(c.value) > largest:
+        crossed = c.name == calibration.CURRENT_ROTATION and calibration.cross_talk(calibrations)
+        if of_sensors and c.applied and (abs(c.value) > largest or crossed):
             yield Message(f"{c.message.code}.large", **c.message.values)
 
 

@@ -34,6 +34,8 @@ LARGEST_DUTY = 1.17
 """Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
 _MOST_TRIED = 12
 """Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
+_LARGEST = 1e30
+"""Larger numbers are no measurements but damage: they count as missing."""
 _LONGEST = 2.0**62  # ns, which stamps hold
 _GOOD = 0.15
 """Share of the voltage, unexplained, that a right choice hardly exceeds."""
@@ -135,12 +137,14 @@ def _timed(table: Table, contents: Contents) -> Table:
 
 
 def _filled(table: Table) -> Table:
-    """Return a table with missing values of a column interpolated if they are few, so that it is recognized."""
+    """Return a table with missing or damaged values of a column interpolated if they are few: it may be recognized."""
 
     def filled(x: FloatArray) -> FloatArray:
-        there = np.isfinite(x)
-        if not _MOST_THERE < there.mean() < 1.0:
+        there = np.abs(x) < _LARGEST
+        if there.all():
             return x
+        if there.mean() <= _MOST_THERE:
+            return np.where(there, x, np.nan)
         return np.interp(np.arange(len(x)), np.flatnonzero(there), x[there])
 
     return replace(table, columns={name: filled(x) for name, x in table.columns.items() if len(x)})

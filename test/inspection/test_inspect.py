@@ -526,3 +526,12 @@ def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, sa
     assert "fields: [ia, ib, ic]" in found.draft.text
     assert "equally_spaced" not in found.draft.text
     assert "non_finite" in [finding.code for finding in found.findings]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_absurd_numbers_count_as_missing_values(tmp_path, samples):
+    table = columns(samples)
+    table["ia"] = np.where(np.arange(len(samples)) == 4007, 1e300, table["ia"])
+    assert "fields: [ia, ib, ic]" in inspect_log(write_parquet(tmp_path / "few.parquet", table)).draft.text
+    table["ia"] = np.where(np.arange(len(samples)) % 2, -1e300, table["ia"])
+    assert "fields: [ia, ib, ic]" not in str(inspect_log(write_parquet(tmp_path / "many.parquet", table)).draft)

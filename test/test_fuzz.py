@@ -55,7 +55,7 @@ def test_a_slice(tmp_path):
         ({"code": -11}, "crash"),
         ({"code": -9, "hung": True}, "hang"),
         ({"processor": 11.0}, "over time"),
-        ({"memory": 4e8}, "over memory"),
+        ({"memory": 5e8}, "over memory"),
     ],
 )
 def test_ends_are_judged(fuzz, tmp_path, ran, outcome):

@@ -242,8 +242,8 @@ def cross_talk(calibrations: Sequence[Calibration]) -> bool:
 def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
     """Return the sizes of the mismatch of the current gains and of the rotation of the currents that are applied."""
     values = {entry.name: entry.value for entry in calibrations if entry.applied}
-    mismatch = np.hypot(*(values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta")))
-    return float(mismatch), abs(values.get(CURRENT_ROTATION, 0.0))
+    alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
+    return float(np.hypot(alpha, beta)), abs(values.get(CURRENT_ROTATION, 0.0))
 
 
 @one_blas_thread()

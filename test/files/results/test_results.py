@@ -236,6 +236,7 @@ def edited(written, **entries):
         (lambda written: edited(written, resistance="much"), "is damaged ('much' is no number)"),
         (lambda written: edited(written, u_dc="9" * 40), "is damaged (u_dc is '99"),
         (lambda written: edited(written, pole_pairs=[]), "is damaged (pole_pairs is []"),
+        (lambda written: edited(written, pole_pairs=1e308), "is damaged (pole_pairs is 1e+308"),
         (lambda written: edited(written, i_max=-1.0), "is damaged (i_max is -1.0)"),
         (lambda written: edited(written, harmonics=[6]), "is damaged (harmonics.npz: No such file"),
         (lambda written: edited(written, settings={"method": "best"}), "method is 'best': it must be one of"),

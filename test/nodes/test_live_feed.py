@@ -61,7 +61,8 @@ def test_it_prints_what_the_topics_of_its_drive_tell(ros):
 
 def test_it_ends_when_nobody_reads(ros):
     assert ros.node
-    feed = subprocess.Popen([sys.executable, "-m", "drive_id.nodes.live_feed"], stdout=subprocess.PIPE)
+    nobody_speaks = ("--ros-args", "-r", "__ns:=/alone")
+    feed = subprocess.Popen([sys.executable, "-m", "drive_id.nodes.live_feed", *nobody_speaks], stdout=subprocess.PIPE)
     assert feed.stdout.readline() == b"{}\n"
     feed.stdout.close()
     assert feed.wait(60) == 0

@@ -329,6 +329,8 @@ def _read_flux_map(content: bytes) -> FluxMap:
         raise ValueError(f"{_NPZ} has arrays that do not fit its axes")
     if not all(np.isfinite(arrays[name]).all() for name in ("i_d", "i_q", "psi_d", "psi_q")):
         raise ValueError(f"{_NPZ} holds fluxes that are not finite")
+    if not all((np.diff(arrays[name]) > 0).all() for name in ("i_d", "i_q")):
+        raise ValueError(f"{_NPZ} has axes that do not rise")
     return FluxMap(**arrays)
 
 

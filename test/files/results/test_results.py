@@ -225,6 +225,14 @@ def edited(written, **entries):
     marker.write_text(json.dumps(json.loads(marker.read_text()) | entries))
 
 
+def with_steep_axis(written):
+    """Put one current of an axis far beyond the next."""
+    with np.load(written / "flux_map.npz") as stored:
+        arrays = dict(stored)
+    arrays["i_d"][3] = 1e300
+    np.savez(written / "flux_map.npz", **arrays)
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
@@ -246,6 +254,7 @@ def edited(written, **entries):
             "is damaged (flux_map.npz was not written with its identification.json, as after a kill or ",
         ),
         (lambda written: (forget_digests(written) / "flux_map.npz").write_bytes(b"PK"), "is damaged ("),
+        (lambda written: with_steep_axis(forget_digests(written)), "has axes that do not rise"),
         (
             lambda written: np.savez(forget_digests(written) / "flux_map.npz", i_d=np.arange(9.0)),
             "is damaged (i_q is missing)",

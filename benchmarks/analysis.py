@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from reporting import write_between
+from reporting import printed, write_between
 
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
@@ -232,12 +232,9 @@ def main() -> None:
     parser.add_argument("--only", default="", help="names of drives, separated by commas")
     parser.add_argument("--write", action="store_true", help="write docs/analysis.md")
     options = parser.parse_args()
-    found = []
-    for line in lines(options):
-        print(line, flush=True)
-        found.append(line)
+    table = printed(lines(options))
     if options.write:
-        write_between(PAGE, "benchmarks/analysis.py", "\n".join(found))
+        write_between(PAGE, "benchmarks/analysis.py", table)
 
 
 if __name__ == "__main__":

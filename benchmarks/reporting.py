@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -117,6 +117,15 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return ""
+
+
+def printed(lines: Iterable[str]) -> str:
+    """Print lines as they come, and return them together."""
+    found = []
+    for line in lines:
+        print(line, flush=True)
+        found.append(line)
+    return "\n".join(found)
 
 
 def write_between(page: Path, name: str, text: str) -> None:

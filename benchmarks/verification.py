@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from reporting import write_between
+from reporting import printed, write_between
 
 from drive_id.analysis.verification import verify
 from drive_id.bench.settings import SimulationSettings
@@ -51,12 +51,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4, help="pairs of recordings of each machine")
     parser.add_argument("--write", action="store_true", help="write docs/verification.md")
     options = parser.parse_args()
-    table = []
-    for line in rows(options.seeds):
-        print(line, flush=True)
-        table.append(line)
+    table = printed(rows(options.seeds))
     if options.write:
-        write_between(PAGE, "benchmarks/verification.py", "\n".join(table))
+        write_between(PAGE, "benchmarks/verification.py", table)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ from drive_id.settings import Checked, setting
 
 _MOST_FUNCTIONS = 1024
 MOST_ORDERS = 8
+MOST_POLE_PAIRS = 1000
+"""The largest ring generators have some hundred."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class FitSettings(Checked):
         "number of pole pairs, to compare a recorded shaft torque with the map (0: that of the signals file or the "
         "simulation) and to tell an eccentric rotor",
         minimum=0,
-        maximum=1000,
+        maximum=MOST_POLE_PAIRS,
     )
     inertia: float | None = setting(
         None,

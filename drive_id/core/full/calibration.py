@@ -239,9 +239,13 @@ def cross_talk(calibrations: Sequence[Calibration]) -> bool:
     return rotation > mismatch
 
 
+def _applied(calibrations: Sequence[Calibration]) -> dict[str, float]:
+    return {entry.name: entry.value for entry in calibrations if entry.applied}
+
+
 def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
     """Return the sizes of the mismatch of the current gains and of the rotation of the currents that are applied."""
-    values = {entry.name: entry.value for entry in calibrations if entry.applied}
+    values = _applied(calibrations)
     alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
     return float(np.hypot(alpha, beta)), abs(values.get(CURRENT_ROTATION, 0.0))
 
@@ -262,15 +266,13 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
         Mismatch of the current gains, or rotation of the currents, from which on; smaller ones count where there is
         cross-talk.
     """
-    values = {entry.name: entry.value for entry in found if entry.applied}
-    mismatch, rotation = _sensor_faults(found)
-    of_currents = max(mismatch, rotation)
+    values, of_currents = _applied(found), max(_sensor_faults(found))
     model, estimate = fit.model, fit.solution.estimate
     of_voltage, of_current = np.zeros((2, model.size))
     if VOLTAGE_MISMATCH in values:
         of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
         of_voltage[model.effects] = 0.0
-    if of_currents > faulty or rotation > mismatch:
+    if of_currents > faulty or cross_talk(found):
         # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
         slopes = jacobian(model.flux, estimate[model.map], i_dq)
@@ -281,7 +283,7 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
 
 def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
     """Return samples corrected for the applied faults; no sample is lost."""
-    found = {entry.name: entry.value for entry in calibrations if entry.applied}
+    found = _applied(calibrations)
     i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
     u_s = u_s - complex(found.get("voltage_offset_alpha", 0.0), found.get("voltage_offset_beta", 0.0))
     i_s = i_s - complex(found.get("current_offset_alpha", 0.0), found.get("current_offset_beta", 0.0))

@@ -51,7 +51,7 @@ _MOST_POLE_PAIRS = 16
 _MOST_WINDOWS = 3000
 """Windows over which numbers of pole pairs are compared: 2 unknowns for each number."""
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
-TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
+_TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
 """All of them turn the flux against the currents: at one speed they resemble one another, and only the bends of the map
 tell them apart."""
 _RIVAL = 0.3
@@ -201,7 +201,7 @@ def _greedy(
                 delayed = solver.solve(replace(solution.spec, delay=delay.value))
                 savings[DELAY] = _saving(solution, delayed)
         best, settled = _best(savings, physical=delay.physical), {}
-        if best in TURNING and sums.model.resolution.halved and not (one_speed and _turns(taken)):
+        if best in _TURNING and sums.model.resolution.halved and not (one_speed and turning(taken)):
             rivals = _rivals(savings, best, one_speed=one_speed)
             settled = _rivals_settled(sums, solver, solution, columns, rivals)
             best = _best_predictor(settled, (solver, delayed) if best == DELAY else None) or best
@@ -218,7 +218,7 @@ def _greedy(
         if best == DELAY:
             taken, solution = (*taken, found), delayed
             continue
-        spec = replace(solution.spec, effects=(*solution.spec.effects, best))
+        spec = _with_effect(solution.spec, best)
         if not _predicts(solver, solution.spec, spec):
             break
         taken = (*taken, found)
@@ -231,18 +231,23 @@ def _greedy(
     return EffectSearch(extended, solver, solution, FoundEffects(columns, taken, delay.value, delay.sigma))
 
 
+def _with_effect(spec: ModelSpec, name: str) -> ModelSpec:
+    return replace(spec, effects=(*spec.effects, name))
+
+
 def _saving(solution: FullSolution, other: FullSolution) -> float:
     """Return by which share another solution reduces the squared residuals."""
     return 1.0 - other.sum_of_squares / solution.sum_of_squares
 
 
-def _turns(taken: Sequence[Taken]) -> bool:
-    return bool(TURNING & {each.name for each in taken})
+def turning(taken: Sequence[Taken]) -> set[str]:
+    """Return the names of those effects that turn the flux against the currents."""
+    return _TURNING & {each.name for each in taken}
 
 
 def _rivals(savings: dict[str, float], best: str, *, one_speed: bool) -> tuple[str, ...]:
     """Return the effects that turn the flux and save much, perhaps more than their first linearization tells."""
-    names = (name for name, saving in savings.items() if name in TURNING - {DELAY} and saving > _RIVAL * savings[best])
+    names = (name for name, saving in savings.items() if name in _TURNING - {DELAY} and saving > _RIVAL * savings[best])
     return tuple(name for name in names if not (one_speed and _AT_ONE_SPEED.get(name) in savings))
 
 
@@ -250,7 +255,7 @@ def _rivals_settled(
     sums: WindowSums, solver: Solver, solution: FullSolution, columns: EffectColumns, names: Sequence[str]
 ) -> dict[str, _Settled]:
     """Settle each of several effects beside those of a solution if one moves the current by more than the map bends."""
-    specs = {name: replace(solution.spec, effects=(*solution.spec.effects, name)) for name in names}
+    specs = {name: _with_effect(solution.spec, name) for name in names}
     about = {name: replace(columns, estimate=solver.solve(spec).estimate) for name, spec in specs.items()}
     kept = sums.kept()
     if not any(about[name].bends(spec, kept) for name, spec in specs.items()):

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import TURNING, EffectSearch, plausible_effects, search_effects, with_effects_only
+from drive_id.core.full.effect_search import EffectSearch, plausible_effects, search_effects, turning, with_effects_only
 from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
@@ -160,8 +160,8 @@ def _with_finer_cells(
     bent = False
     for _ in range(_REFINEMENTS):
         solution, resolution = selection.solution, selection.solver.model.resolution
-        turning, cells, penalty = _turning(selection), resolution, solution.spec.penalty
-        if turning and not bent:
+        turned, cells, penalty = turning(selection.search.found.taken), resolution, solution.spec.penalty
+        if turned and not bent:
             cells = resolution.where_bent(*_bends(selection.solver.model, solution))
         by_misfit = cells is resolution
         if by_misfit:
@@ -174,7 +174,7 @@ def _with_finer_cells(
         spec = replace(solution.spec, effects=(), delay=delay, penalty=penalty)
         found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
         error, other = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
-        if (_saves if turning != _turning(found) else _clearly_better)(solver, error, other):
+        if (_saves if turned != turning(found.search.found.taken) else _clearly_better)(solver, error, other):
             selection = replace(found, advantage=selection.advantage)
         elif by_misfit:
             break
@@ -210,11 +210,6 @@ def _resolved(
         else:
             break
     return sums, solver, solution
-
-
-def _turning(selection: Selection) -> set[str]:
-    """Return the effects that turn the flux against the currents."""
-    return TURNING & {each.name for each in selection.search.found.taken}
 
 
 def _bends(model: FullModel, solution: FullSolution) -> list[FloatArray]:

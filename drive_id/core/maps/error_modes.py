@@ -109,14 +109,14 @@ def _sampled(changes: FloatArray, rows: BasisRows, inside: BoolArray) -> tuple[F
     def at(points: IntArray) -> FloatArray:
         some = number[tuple(points.T)]
         dense = BasisRows(rows.column[some], rows.value[some]).dense(len(changes))
-        return np.asarray(dense.reshape(-1, len(changes)) @ changes)
+        return np.asarray(dense @ changes)  # (S, 2, B)
 
-    slopes = []
+    fluxes, slopes, batches = at(chosen), [], changes.shape[1]
     for step in np.eye(2, dtype=np.int64):
-        own = chosen[(chosen + step < inside.shape).all(axis=1)]
-        own = own[inside[tuple((own + step).T)]]
-        slopes.append(at(own + step) - at(own))
-    return at(chosen), slopes
+        own = np.flatnonzero((chosen + step < inside.shape).all(axis=1))
+        own = own[inside[tuple((chosen[own] + step).T)]]
+        slopes.append((at(chosen[own] + step) - fluxes[own]).reshape(-1, batches))
+    return fluxes.reshape(-1, batches), slopes
 
 
 def _causes(samples: FloatArray, most: int) -> FloatArray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.core.fit_settings import MOST_POLE_PAIRS
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import check_input, open_input, reason
@@ -23,7 +24,6 @@ _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 _LARGEST = 1 << 28
 """Bytes of a machine file, and of its arrays."""
-_MOST_POLE_PAIRS = 1000  # the largest ring generators have some hundred
 _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
 
 
@@ -103,7 +103,7 @@ def _build(path: Path, values: dict[str, Any]) -> MachineMap:
     _check_orientation(path, arrays)
     arrays = _mirrored(path, arrays)
     scalars = {key: _scalar(path, key, values[key]) for key in ("R", "pole_pairs", "i_max", "u_dc") if key in values}
-    if scalars["pole_pairs"] not in range(1, _MOST_POLE_PAIRS + 1):
+    if scalars["pole_pairs"] not in range(1, MOST_POLE_PAIRS + 1):
         raise ConfigurationError(
             f"'pole_pairs' in machine file '{path}' is {scalars['pole_pairs']}: give a whole number."
         )

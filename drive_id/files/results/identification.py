@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.fit_settings import MOST_POLE_PAIRS, FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.result.diagnostics import Diagnostics
@@ -55,7 +55,6 @@ _UNITS = {
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
-_MOST_POLE_PAIRS = 1000  # as settings allow
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
 _LARGEST = 1 << 27
@@ -437,7 +436,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         machine=str(tree["machine"]),
         nrmse=None if None in nrmse else (float(nrmse[0]), float(nrmse[1])),
         warnings=_messages(tree, "warnings"),
-        pole_pairs=None if tree.get("pole_pairs") is None else int(_positive(tree, "pole_pairs", _MOST_POLE_PAIRS)),
+        pole_pairs=None if tree.get("pole_pairs") is None else int(_positive(tree, "pole_pairs", MOST_POLE_PAIRS)),
         u_dc=None if tree.get("u_dc") is None else _positive(tree, "u_dc"),
         speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
         duration=None if not tree.get("duration") else _positive(tree, "duration"),

@@ -231,6 +231,8 @@ def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float =
     own = int(np.argmin(np.abs(orders - 1)))
     current, swing = (both[own] - 1j * both[own + len(orders)]).T
     full = np.abs(current) > 0.9 * np.abs(current).max()
+    amid = full & np.roll(full, 1) & np.roll(full, -1)  # the slope of the current's rise and fall is no harmonic of it
+    full = amid if amid.any() else full
     alpha = -swing[full] / current[full]
     coherent = float(np.median(alpha.real / np.abs(alpha)))
     if coherent < -_COHERENT:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Mapping, Sequence
+from multiprocessing.spawn import get_executable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +23,7 @@ _COMPRESSED = 15  # miCOMPRESSED
 _LARGEST = 1 << 27  # bytes
 _MOST_MATRICES = 50_000  # scipy makes an object of each
 _DEEPEST = 20  # structs within structs
+_TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
 
 
 def load_matlab(path: Path, shown: str, names: Sequence[str] | None = None) -> Mapping[str, Any]:
@@ -26,17 +31,40 @@ def load_matlab(path: Path, shown: str, names: Sequence[str] | None = None) -> M
 
     Raises ConfigurationError when it cannot be read, with a sentence that begins with ``shown``.
     """
-    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
-
     try:
-        check_unpacked_size(path)
-        content: Mapping[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=names)
+        content = read_matlab(path, names)
     except NotImplementedError as error:
         raise ConfigurationError(f"{shown} has MATLAB's version 7.3: save it with '-v7'.") from error
     except MemoryError:
         raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"{shown} is damaged or not a MATLAB file: export it again.") from error
+    return content
+
+
+def read_matlab(path: Path, names: Sequence[str] | None = None, limit: int | None = None) -> Mapping[str, Any]:
+    """Return the variables of a file of MATLAB's version 5 to 7, all of them or those with these names.
+
+    scipy's reader dies of some damaged files (SIGSEGV), so another process reads the file first.
+
+    Parameters
+    ----------
+    limit : int, optional
+        As in :func:`check_unpacked_size`.
+
+    Raises
+    ------
+    ValueError
+        When it is too large, or nothing that scipy can read; or another type that scipy raises.
+    """
+    from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
+
+    check_unpacked_size(path, limit)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [get_executable(), "-c", _TRIAL, str(path.absolute())]
+    if subprocess.run(command, env=environment, capture_output=True, check=False).returncode < 0:
+        raise ValueError("it is damaged: scipy's reader dies of it")
+    content: Mapping[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=names)
     return content
 
 

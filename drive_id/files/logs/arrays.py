@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.errors import TruncatedBagError
-from drive_id.files.inputs.matlab import check_unpacked_size
+from drive_id.files.inputs.matlab import read_matlab
 from drive_id.files.logs.column_log import Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
 
@@ -26,13 +26,9 @@ class MatLog(SlicedLog):
     bounded = False
 
     def __init__(self, path: Path) -> None:
-        from scipy.io import loadmat  # noqa: PLC0415  # takes as long to load as a bag
-
         self.path = path
         self._arrays: dict[str, NDArray[Any]] = {}
-        check_unpacked_size(path, UnpackBudget(path.stat().st_size).limit)
-        tree = loadmat(str(path), squeeze_me=True, struct_as_record=False)
-        for name, value in tree.items():
+        for name, value in read_matlab(path, limit=UnpackBudget(path.stat().st_size).limit).items():
             if not name.startswith("__"):
                 self._take(name, value)
         self.groups = grouped({name: (str(array.dtype), len(array)) for name, array in self._arrays.items()})

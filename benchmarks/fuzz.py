@@ -175,7 +175,10 @@ def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, 
 
 
 def _differs(found: Path, good: Path) -> str:
-    """Say how a map differs from the good one beyond its errors without any further warning; empty if it does not."""
+    """Say how a map differs from the good one beyond its errors without any further warning; empty if it does not.
+
+    Only where both have data: what is left of a recording that was cut reaches less of the plane, and its map says so.
+    """
     trees = [json.loads((path / "identification.json").read_text()) for path in (found, good)]
     warnings, usual = ({re.sub(r"[0-9.]+", "#", text) for text in tree["warnings"]} for tree in trees)
     if warnings - usual:
@@ -183,10 +186,12 @@ def _differs(found: Path, good: Path) -> str:
     with np.load(found / "flux_map.npz") as new, np.load(good / "flux_map.npz") as old:
         grid = np.stack(np.meshgrid(old["i_d"], old["i_q"], indexing="ij"), axis=-1)
         inside = old["inside"] & (np.hypot(grid[..., 0], grid[..., 1]) <= old["i_max"])
+        axes = new["i_d"], new["i_q"]
+        inside &= RegularGridInterpolator(axes, new["inside"] * 1.0, "nearest", bounds_error=False)(grid) == 1.0
         worst = 0.0
         for axis in "dq":
             psi, sigma = (
-                RegularGridInterpolator((new["i_d"], new["i_q"]), new[f"{name}_{axis}"], bounds_error=False)(grid)
+                RegularGridInterpolator(axes, new[f"{name}_{axis}"], bounds_error=False)(grid)
                 for name in ("psi", "sigma")
             )
             allowed = np.maximum(

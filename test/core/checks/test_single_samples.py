@@ -86,6 +86,19 @@ def test_flipped_bits_of_large_currents(samples, bit):
     assert finding.values["time"] == pytest.approx(at * 1e-4, abs=1e-6)
 
 
+@pytest.mark.parametrize("at", [4, 4711, 4999, 5001, 9994])
+@pytest.mark.parametrize("pieces", [None, 5000, 1667])
+@pytest.mark.parametrize(("name", "error"), [("i_abc", 4.0), ("angle", 0.06)])
+def test_two_wrong_samples_in_a_row_are_located(samples, at, pieces, name, error):
+    values = getattr(samples, name).copy()
+    values.reshape(len(values), -1)[at : at + 2, -1] -= error
+    (finding,) = single(replace(samples, **{name: values}), pieces)
+    assert finding.values["samples"] == 2
+    times = (samples.stamp[at : at + 2] - samples.stamp[0]) * 1e-9
+    assert np.abs(times - finding.values["time"]).min() < 1e-9
+    assert finding.values["size"] == pytest.approx(error * (2 / 3 if name == "i_abc" else 1.0), rel=0.1)
+
+
 def test_steps_are_no_single_samples(samples):
     """Held references that step, as in a test of inductances."""
     i_abc = samples.i_abc + np.where(np.arange(len(samples))[:, None] // 500 % 2, [1.0, -0.5, -0.5], 0.0)

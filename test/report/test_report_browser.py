@@ -149,12 +149,32 @@ def test_the_surface_has_its_axes_in_order(opened, result):
     """In plotly's own terms: a row of z is a y."""
     j, k = 40, 22
     x, y, z = opened.execute_script(
-        "const t = document.getElementById('chart-map').data[0]; return [t.x[arguments[0]], t.y[arguments[1]], "
-        "t.z[arguments[1]][arguments[0]]]", j, k,
+        "const t = document.getElementById('chart-map').data[0]; "
+        "return [t.x, t.y, t.z].map((values) => values[arguments[1]][arguments[0]])", j, k,
     )  # fmt: skip
     assert (x, y) == (pytest.approx(result.flux_map.i_d[j], rel=1e-4), pytest.approx(result.flux_map.i_q[k], rel=1e-4))
     assert z == pytest.approx(1e3 * result.flux_map.psi_d[j, k], rel=1e-4)
     assert abs(z - 1e3 * result.flux_map.psi_d[k, j]) > 1.0
+
+
+def test_the_surface_has_a_smooth_edge(opened, result):
+    """Nodes move by at most a cell, never within the data, and no cell of the data lacks a corner."""
+    choose(opened, "map-quantity", "psi_d")
+    choose(opened, "map-view", "surface")
+    wait_for(opened, "return document.getElementById('chart-map').data[0].type === 'surface'")
+    get = "const trace = document.getElementById('chart-map').data[0]; return [trace.x, trace.y, trace.z]"
+    x, y, z = (np.array(values, float) for values in opened.execute_script(get))
+    flux_map = result.flux_map
+    grid = np.meshgrid(flux_map.i_d, flux_map.i_q)
+    moved = np.maximum(*(np.abs(at - node) / np.ptp(node) * 64 for at, node in zip((x, y), grid, strict=True)))
+    inside, psi = flux_map.inside.T, 1e3 * flux_map.psi_d.T
+    amid = np.all([np.roll(inside, step, axis) for step in (-1, 0, 1) for axis in (0, 1)], axis=0)
+    assert moved[amid].max() < 0.01 < moved.max() < 1.01  # numbers are rounded
+    assert z[amid] == pytest.approx(psi[amid], rel=1e-3)
+    assert np.isfinite(z[inside]).mean() > 0.99
+    shown = np.isfinite(z) & ~inside
+    assert shown.any()
+    assert np.abs(z[shown] - psi[shown]).max() < 0.05 * np.ptp(psi)
 
 
 def test_the_buttons_do_what_they_say(opened, result, tmp_path):

@@ -135,6 +135,41 @@
     return false;
   }
 
+  /** Surface x, y, z with a smooth edge: nodes just beyond the data are drawn in to the edge of the smoothed region. */
+  function smoothEdged(z) {
+    const { i_d, i_q, inside } = data.map;
+    const smoothed = (nodes) => nodes.map((row, k) => row.map((_, j) => {
+      let [sum, count] = [0, 0];
+      for (let r = Math.max(k - 1, 0); r <= k + 1 && r < nodes.length; r += 1) {
+        for (let c = Math.max(j - 1, 0); c <= j + 1 && c < row.length; c += 1) {
+          const weight = (r === k ? 2 : 1) * (c === j ? 2 : 1);
+          sum += weight * nodes[r][c];
+          count += weight;
+        }
+      }
+      return sum / count;
+    }));
+    const region = smoothed(smoothed(inside));
+    const level = 0.35;  // a strip as narrow as one node stays
+    const x = z.map(() => [...i_d]);
+    const y = z.map((row, k) => row.map(() => i_q[k]));
+    const height = z.map((row, k) => row.map((value, j) => {
+      if (region[k][j] >= level) return value;
+      let [most, at] = [level, null];
+      for (let r = Math.max(k - 1, 0); r <= k + 1 && r < z.length; r += 1) {
+        for (let c = Math.max(j - 1, 0); c <= j + 1 && c < row.length; c += 1) {
+          if (region[r][c] > most) [most, at] = [region[r][c], [r, c]];
+        }
+      }
+      if (at === null) return null;
+      const share = (level - region[k][j]) / (most - region[k][j]);
+      x[k][j] += share * (i_d[at[1]] - i_d[j]);
+      y[k][j] += share * (i_q[at[0]] - i_q[k]);
+      return interpolated(z, x[k][j], y[k][j]) ?? z[at[0]][at[1]];
+    }));
+    return { x, y, z: height };
+  }
+
   function drawMap() {
     const chosen = quantity();
     const { i_d, i_q, inside, trajectory } = data.map;
@@ -164,7 +199,7 @@
       type: "surface", x: i_d, y: i_q, z, text, name: field.name, hovertemplate: field.hovertemplate,
       colorscale: data.colours, colorbar: colourBar(chosen.unit), connectgaps: false, ...more,
     });
-    const traces = [surface(known, { contours: { z: { show: true, color: colour("text"), width: 1 } } })];
+    const traces = [surface(known, { ...smoothEdged(chosen.z), contours: { z: { show: true, color: colour("text"), width: 1 } } })];
     if (continued) {
       const blank = text.map((row) => row.map(() => ", no data"));
       traces.push(surface(rest, { colorscale: grey, showscale: false, opacity: 0.45, text: blank }));

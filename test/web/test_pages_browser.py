@@ -120,6 +120,7 @@ def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(op
 
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     tick(opened, "day 1", "day 2")
+    opened.execute_script("document.querySelector('#group option').textContent = 'A long name, '.repeat(9)")
     wait_for(opened, "return document.documentElement.scrollWidth <= 400")
     opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     opened.execute_script("document.activeElement.blur()")

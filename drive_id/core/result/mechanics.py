@@ -46,6 +46,8 @@ _NEAR_REST = 0.1
 """The same below which friction need not be Coulomb's: its change of sign takes some speed, and may have a peak."""
 _EXPLAINED = 0.9
 """Share of the torque's energy that the motion must explain to be that of a free shaft."""
+_HELD = 0.3
+"""The same without cogging and ripple, below which a shaft is held: most are, and the waves take a tenth of a fit."""
 _SIGNIFICANT = 30.0
 """Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
 _TOLD = 5.0
@@ -131,7 +133,7 @@ def fit_mechanics(
     """
     known = flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), inertia
     # most shafts are held: no need to wait until scipy is loaded
-    if _fitted(*known, lambda i_dq, _: flux_map.bilinear(i_dq), None) is None:
+    if _fitted(*known, lambda i_dq, _: flux_map.bilinear(i_dq), None, orders=()) is None:
         return None
 
     def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
@@ -148,11 +150,12 @@ def _fitted(
     inertia: float | None,
     flux: _Flux,
     modes: ErrorModes | None,
+    orders: Sequence[int] = ORDERS,
 ) -> Mechanics | None:
-    """Fit the motion, with a function for the flux."""
+    """Fit the motion, with a function for the flux and electrical orders of cogging."""
     width = _bell_width(flux_map, flux, pieces)
     motions = [
-        _Motion.of(flux_map, flux, run, pole_pairs, disc, width)
+        _Motion.of(flux_map, flux, run, pole_pairs, disc, width, orders)
         for piece, disc in zip(pieces, discs, strict=True)
         for run in map(piece.part, *_edges(piece))
     ]
@@ -186,7 +189,7 @@ def _fitted(
     energy = solution.total[_TORQUE, _TORQUE]
     explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
     coefficient, sigma = solution.estimate(_INERTIA)
-    if explained < _EXPLAINED or coefficient < _TOLD * sigma:
+    if explained < (_EXPLAINED if orders else _HELD) or coefficient < _TOLD * sigma:
         return None
     found = _Found(solution)
     gain = found.gain(_INERTIA if inertia is not None else _DISC) if known else None
@@ -203,7 +206,7 @@ def _fitted(
         load=load[0],
         sigma_load=load[1],
         cogging=tuple(
-            Cogging(ORDERS[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
+            Cogging(orders[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
             for column in looked
             if solution.wald(column) > _SIGNIFICANT
         ),
@@ -321,7 +324,16 @@ class _Motion:
     kept: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, flux_map: FluxMap, flux: _Flux, run: Samples, pole_pairs: int, disc: float, width: float) -> _Motion:
+    def of(
+        cls,
+        flux_map: FluxMap,
+        flux: _Flux,
+        run: Samples,
+        pole_pairs: int,
+        disc: float,
+        width: float,
+        orders: Sequence[int],
+    ) -> _Motion:
         """Put the run under bells of a width, s."""
         period = run.sample_period
         half = max(round(0.5 * width / period), 4)
@@ -332,7 +344,7 @@ class _Motion:
         slope, bend = (padded[2:] - padded[:-2]) / (2 * period), np.diff(padded, 2) / period**2
         wide = padded[1:-1]
         if len(run) < len(wide):
-            return cls(run, wide, stride, np.zeros((0, _HARMONICS + _PER_ORDER * len(ORDERS))), np.zeros(0, np.bool_))
+            return cls(run, wide, stride, np.zeros((0, _HARMONICS + _PER_ORDER * len(orders))), np.zeros(0, np.bool_))
         angle = np.unwrap(run.angle)
         speed = np.gradient(angle, period) / pole_pairs
         steady = np.convolve(speed, np.full(stride, 1 / stride), "same")
@@ -341,7 +353,7 @@ class _Motion:
         usual = np.mean((flux_map.psi_d**2 + flux_map.psi_q**2)[flux_map.inside])
         i_d, i_q = frames.to_dq(run.i_abc, run.angle).T
         factors = (np.ones(len(run)), i_d, i_q, i_d**2, i_d * i_q, i_q**2)
-        waves = [by * wave(order * angle) for order in ORDERS for by in factors for wave in (np.cos, np.sin)]
+        waves = [by * wave(order * angle) for order in orders for by in factors for wave in (np.cos, np.sin)]
 
         def under(kernel: FloatArray, x: FloatArray) -> FloatArray:
             places = np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::stride]

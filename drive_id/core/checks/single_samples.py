@@ -67,7 +67,7 @@ class SingleSamples:
                 parts = tuple(np.concatenate([old, new[1:]]) for old, new in zip(before, parts, strict=True))
             for stride, currents, angles in zip(_STRIDES, self._currents, self._angles, strict=True):
                 for first in range(stride):
-                    _scan(*(part[first::stride] for part in parts), currents, angles)
+                    _scan([np.ascontiguousarray(part[first::stride]) for part in parts], currents, angles)
             self._last = tuple(part[-_BEFORE:].copy() for part in parts)
 
     def findings(self, usual: float) -> Iterator[Message]:
@@ -89,14 +89,14 @@ class SingleSamples:
             yield _finding("angle", len(of_angle), at, size)
 
 
-def _scan(
-    i_dq: FloatArray, i_abc: FloatArray, angle: FloatArray, time: FloatArray, currents: Largest, angles: Largest
-) -> None:
+def _scan(run: Sequence[FloatArray], currents: Largest, angles: Largest) -> None:
+    """Add the bends of a run of i_dq, i_abc, angle and time."""
+    i_dq, i_abc, angle, time = run
     count = len(angle) - _AROUND
     if count < 1:
         return
     of_currents, of_angles = np.empty((count, 4)), np.empty((count, 3))
-    _bends(*map(np.ascontiguousarray, (i_dq, i_abc, angle)), of_currents, of_angles)
+    _bends(i_dq, i_abc, angle, of_currents, of_angles)
     of_currents[:, 2] = of_angles[:, 2] = time[2:-2]
     currents.add(of_currents)
     angles.add(of_angles)

@@ -358,8 +358,6 @@ def _read_harmonics(content: bytes, shape: tuple[int, ...]) -> tuple[HarmonicMap
 def _identification(
     tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
 ) -> IdentifiedDrive:
-    from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
-
     curve, metrics = tree["inverter_curve"], tree["metrics"]
     magnet = tree.get("magnet_coefficient")
     unknown = {"condition": np.inf}
@@ -386,14 +384,7 @@ def _identification(
         sigma_inverter_voltage=_array(curve.get("sigma_voltage")),
         phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
         harmonics=harmonics,
-        calibrations=tuple(
-            Calibration(
-                *(entry["name"], _number(entry["value"]), _number(entry["sigma"]), entry["unit"], entry["applied"]),
-                Message.stored(entry.get("message", entry["sentence"])),
-                entry.get("doubtful", False),
-            )
-            for entry in tree["calibrations"]
-        ),
+        calibrations=tuple(map(_read_calibration, tree["calibrations"])),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=_messages(tree, "statements"),
         torque=_with_cogging(TorqueFit, tree.get("torque")),
@@ -406,6 +397,20 @@ def _identification(
 def _calibration(entry: Calibration) -> dict[str, Any]:
     message = entry.message
     return asdict(entry) | {"sentence": message, "message": message.tree()}
+
+
+def _read_calibration(entry: Mapping[str, Any]) -> Calibration:
+    from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
+
+    return Calibration(
+        name=str(entry["name"]),
+        value=_number(entry["value"]),
+        sigma=_number(entry["sigma"]),
+        unit=str(entry["unit"]),
+        applied=bool(entry["applied"]),
+        message=Message.stored(entry.get("message", entry["sentence"])),
+        doubtful=bool(entry.get("doubtful", False)),
+    )
 
 
 def _messages(tree: Mapping[str, Any], name: str) -> tuple[Message, ...]:
@@ -423,7 +428,8 @@ _OfShaft = TypeVar("_OfShaft", TorqueFit, Mechanics)
 def _with_cogging(kind: type[_OfShaft], tree: Mapping[str, Any] | None) -> _OfShaft | None:
     if tree is None:
         return None
-    return kind(**{**tree, "cogging": tuple(Cogging(**entry) for entry in tree["cogging"])})
+    cogging = tuple(Cogging(**_numbers(entry)) for entry in tree["cogging"])
+    return kind(**_numbers({name: value for name, value in tree.items() if name != "cogging"}), cogging=cogging)
 
 
 def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
@@ -442,7 +448,7 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         duration=None if not tree.get("duration") else _positive(tree, "duration"),
         date=str(tree.get("date", "")),
         versions=dict(tree["versions"]),
-        temperature=tree.get("resistance_temperature"),
+        temperature=None if tree.get("resistance_temperature") is None else _number(tree["resistance_temperature"]),
     )
 
 
@@ -465,6 +471,13 @@ def _number(value: float | None, unknown: float = np.nan) -> float:
     if not isinstance(value, (int, float)):
         raise ValueError(f"{value!r:.40} is no number")  # noqa: TRY004  # of a file: its text is told
     return float(value)
+
+
+def _numbers(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return entries that are all numbers or None, as they are stored."""
+    for value in tree.values():
+        _number(value)
+    return dict(tree)
 
 
 def _array(values: list[float | None] | None) -> np.ndarray[Any, np.dtype[np.float64]] | None:

@@ -242,6 +242,8 @@ def with_steep_axis(written):
         (lambda written: edited(written, format_version=2), "was written by a newer drive_id (format 2, "),
         (lambda written: edited(written, inverter_curve=None), "is damaged (a value is of another kind"),
         (lambda written: edited(written, resistance="much"), "is damaged ('much' is no number)"),
+        (lambda written: edited(written, resistance_temperature=[]), "is damaged ([] is no number)"),
+        (lambda written: edited(written, torque={"gain": "1", "cogging": []}), "is damaged ('1' is no number)"),
         (lambda written: edited(written, u_dc="9" * 40), "is damaged (u_dc is '99"),
         (lambda written: edited(written, pole_pairs=[]), "is damaged (pole_pairs is []"),
         (lambda written: edited(written, pole_pairs=1e308), "is damaged (pole_pairs is 1e+308"),

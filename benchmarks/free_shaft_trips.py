@@ -2,7 +2,8 @@
 
 The drives are those of the population, with the swings planned from rough data. Each runs under the supervision of
 the trajectory publisher, without processes: messages of the drive are up to 50 ms late, friction is up to 5 % of the
-largest torque, and the acceleration that the publisher knows is up to 10 % wrong.
+largest torque, and the acceleration that the publisher knows is up to 10 % wrong. The drives tell no current limit of
+their own, at 1.1 times which the publisher trips as well: i_max is taken to be low enough.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Cell:
             experiment.resolver(self.now, steady, SampleBlock(*head, block.resolver))
         status = self.bench.status()
         if status is not None:
-            experiment.status(self.now, steady, status)
+            experiment.status(self.now, steady, replace(status, current_limit=math.nan))
         for made in experiment.advance(self.now, steady):
             d, q = made.i_dq.T
             session: dict[str, Any] = {"session": made.session, "count": made.count, "safe": made.safe}

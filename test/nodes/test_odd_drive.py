@@ -54,7 +54,7 @@ def test_a_current_above_the_limit_of_the_drive_trips(drive):
     drive.status["current_limit"] = 52.0
     drive.runs()
     drive.spike = 58.0  # within 1.25 i_max
-    drive.trips("The current of phase a is 58 A, above 57.2 A.")
+    drive.trips("The current of phase a is 58 A, above 57.2 A, 1.1 times the current_limit of the drive: lower i_max.")
 
 
 def test_exchanged_phases_trip(drive):

@@ -163,12 +163,14 @@ class Watchdog:
     def currents(self, now: int, steady: float, block: SampleBlock) -> Fault | None:
         """Check a block of phase currents, three (N,) arrays, A, and return its fault."""
         fault = _malformed(self._currents.name, block)
-        limit = min(self.settings.largest_phase_current, CURRENT_MARGIN * self.own_current_limit)
+        own = CURRENT_MARGIN * self.own_current_limit
+        limit = min(self.settings.largest_phase_current, own)
         if fault is None and len(block):
             peaks = [float(np.max(np.abs(phase))) for phase in block.values]
             if max(peaks) > limit:
                 phase = "abc"[int(np.argmax(peaks))]
-                fault = Fault(f"The current of phase {phase} is {max(peaks):.4g} A, above {limit:.4g} A.", True)
+                why = f", {CURRENT_MARGIN:g} times the current_limit of the drive: lower i_max" if limit == own else ""
+                fault = Fault(f"The current of phase {phase} is {max(peaks):.4g} A, above {limit:.4g} A{why}.", True)
         return self._take(self._currents, now, steady, block, fault)
 
     def resolver(self, now: int, steady: float, block: SampleBlock) -> Fault | None:

@@ -223,7 +223,8 @@ def _greedy(
             break
         taken = (*taken, found)
         columns = replace(columns, estimate=solver.solve(spec).estimate)
-        extended, solver, solution, columns = settled.get(best) or _settled(sums, spec, columns)
+        state = settled.get(best) or _settled(sums, spec, columns)
+        extended, solver, solution, columns = _with_hidden_ripple(sums, state, noise)
     names = {each.name for each in taken}
     if names <= {DELAY} and not _remains(solver):
         extended = sums
@@ -305,8 +306,20 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
         if "link_ripple" in spec.effects:
             beside = columns.estimate.copy()
             beside[solver.model.effect("link_ripple")] = 0.0
-            columns = replace(columns, ripple=ripple_frequency(solver.model, beside, extended.kept(), columns.ripple))
+            columns = replace(
+                columns, ripple=ripple_frequency(solver.model, beside, extended.kept(), columns.ripple)[0]
+            )
     return found
+
+
+def _with_hidden_ripple(sums: WindowSums, state: _Settled, noise: CurrentNoise) -> _Settled:
+    """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
+    extended, solver, solution, columns = state
+    beyond = 1.0 - noise.explained(solver.model, solution) / max(solution.residual_rms**2, _TINY)
+    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or beyond < 1 - _BEYOND**-2:
+        return state
+    ripple, share = ripple_frequency(solver.model, solution.estimate, extended.kept())
+    return _settled(sums, solution.spec, replace(columns, ripple=ripple)) if share > _OF_MISFIT * beyond else state
 
 
 def several_speeds(speeds: FloatArray) -> bool:
@@ -415,7 +428,7 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
     if known.any():
         mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
     elif solution.residual_rms > _BEYOND * np.sqrt(noise.explained(model, solution)):
-        ripple = ripple_frequency(model, solution.estimate, kept)
+        ripple = ripple_frequency(model, solution.estimate, kept)[0]
     columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
     return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))
 

@@ -28,6 +28,7 @@ _STRETCH = 60.0
 """Of each run, s, over which frequencies are compared: the number of frequencies grows with it."""
 _STEPS_PER_TURN = 3.0
 """Frequencies tried for each turn by which the phase would drift over a stretch."""
+_TINY = float(np.finfo(np.float64).tiny)
 _FINER = 8
 """Frequencies tried, over the whole runs, between two of the best neighbours."""
 
@@ -53,8 +54,8 @@ def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
 
 def ripple_frequency(
     model: FullModel, estimate: FloatArray, kept: Sequence[Windows], near: float | None = None
-) -> float:
-    """Return the frequency at which a variation explains most of the residuals, Hz.
+) -> tuple[float, float]:
+    """Return the frequency at which a variation explains most of the residuals, Hz, and which share of their square.
 
     Parameters
     ----------
@@ -76,14 +77,15 @@ def ripple_frequency(
     best = max(near + step * np.arange(-_FINER, _FINER + 1), key=saved)
     before, at, after = (saved(best + sign * step) for sign in (-1, 0, 1))
     bend = 2 * at - before - after
-    return float(best + (0.5 * step * (after - before) / bend if bend > 0 else 0.0))
+    return float(best + (0.5 * step * (after - before) / bend if bend > 0 else 0.0)), at
 
 
 def _saving(model: FullModel, estimate: FloatArray, windows: Windows) -> Callable[[float], float]:
-    """Return the function of a frequency, Hz, that tells how much of the squared residuals it explains, (Vs)^2."""
+    """Return the function of a frequency, Hz, that tells which share of the squared residuals it explains."""
     some = windows.scattered(_MOST_WINDOWS)
     left, weights = model.residuals(some, estimate), np.sqrt(some.weights)
     error = left[:, 0] + 1j * left[:, 1]
+    total = max(float(np.vdot(error, error).real), _TINY)
     runs, unweighted = [np.flatnonzero(some.run == run) for run in np.unique(some.run)], ripple_columns(some)
 
     def saved(frequency: float) -> float:
@@ -91,6 +93,6 @@ def _saving(model: FullModel, estimate: FloatArray, windows: Windows) -> Callabl
         for run in runs:
             moment = (columns[run].conj().T @ error[run]).real
             out += float(moment @ np.linalg.lstsq((columns[run].conj().T @ columns[run]).real, moment)[0])
-        return out
+        return out / total
 
     return saved

@@ -447,8 +447,10 @@ def test_the_limit_of_the_drive_bounds_the_measured_current(current_limit, peak,
     bench.ticks(1)
     bench.peak = peak
     bench.ticks(1)
-    wanted = f"The current of phase a is {peak:g} A, above {limit:g} A."
-    assert bench.watched.trip_reason == ("" if np.isinf(limit) else wanted)
+    said = bench.watched.trip_reason
+    assert said.startswith(f"The current of phase a is {peak:g} A, above {limit:g} A") == np.isfinite(limit)
+    assert ("1.1 times the current_limit of the drive: lower i_max." in said) == (limit == pytest.approx(1.1 * 10.5))
+    assert bool(said) == np.isfinite(limit)
 
 
 def test_nothing_exceeds_the_ceiling():

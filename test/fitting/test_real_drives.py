@@ -196,6 +196,19 @@ def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency)
     assert max(score(found, simulation.truth)) < 1e-3
 
 
+def test_a_ripple_that_heat_hides_is_found():
+    """Its frequency shows in the residuals only when the heat is in the model."""
+    heat = {"copper_heat_capacity": 30.0, "magnet_heat_capacity": 75.0}
+    settings = replace(GOOD, speeds=(150.0,), u_dc_ripple=0.015, u_dc_ripple_frequency=300.0, **heat)
+    simulation = run_experiment(machine_map("spm"), settings, seconds=SECONDS)
+    found = identify([simulation.samples])
+    names = {entry.name for entry in found.calibrations if entry.applied}
+    assert names >= {"resistance_rise", "magnet_flux_change", "link_ripple"}
+    assert not names & {"flux_lag", "current_latency"}
+    assert found.report.warnings == ()
+    assert max(score(found, simulation.truth)) < 1e-3
+
+
 @pytest.mark.parametrize(("speeds", "name"), [((500.0,), "ipm"), ((500.0, -900.0), "ipm"), ((700.0,), "spm")])
 def test_a_hard_dead_time_is_kept_out_of_the_map_and_said(speeds, name):
     """4 us at 10 kHz is a step of 4 % of the DC link, at which the currents stay for a while when they reach zero."""

@@ -49,9 +49,9 @@ _INTEGRAL_SHARE = 0.2
 """Corner of the integrator of a current controller relative to its bandwidth."""
 _DROP = 0.01
 """Drop of the inverter that a current controller does not know, relative to the DC link."""
-_SATURATED = 1.5
+_SATURATED = 2.0
 """Mean inductance over the incremental one at i_max, by which currents stray further than those of a linear machine."""
-_HIGHEST_PEAK, _LARGEST_DISTANCE = 1.12, 0.25
+_HIGHEST_PEAK, _LARGEST_DISTANCE = 1.08, 0.25
 """Current, and mean distance from its reference, relative to i_max, that a plan may expect; the publisher trips at 1.2
 and 0.35. The rest is for noise, and for what the first order leaves."""
 _HIGHEST_RATE = 0.2

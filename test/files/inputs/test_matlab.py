@@ -35,7 +35,7 @@ def test_a_good_file_is_read(tmp_path):
 
 
 def test_a_file_that_ends_the_reader_is_refused(deadly):
-    with pytest.raises(ConfigurationError, match="^The map is damaged or not a MATLAB file: export it again.$"):
+    with pytest.raises(ConfigurationError, match=r"^The map is damaged or not a MATLAB file: export it again\.$"):
         load_matlab(deadly, "The map")
     with pytest.raises(DriveIdError, match="damaged"), open_log(deadly):
         pass

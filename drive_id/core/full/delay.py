@@ -25,8 +25,9 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a physical delay from a half or a whole sample, samples."""
-_BY_CHANCE = 0.125
-"""Half of the largest possible distance, samples: with an uncertainty beyond, every other delay would seem physical."""
+_BY_CHANCE = 0.25
+"""Largest distance from a half or a whole sample that there is, samples: with such an uncertainty, any delay would seem
+physical."""
 _DECIMATED = -0.23
 """Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
 _SEGMENT = 0.25
@@ -80,12 +81,16 @@ class Delay:
 
     @property
     def physical(self) -> bool:
-        """Whether it is a half or a whole number of samples, as the timing of a drive causes, and no chance."""
+        """Whether it is a half or a whole number of samples, as the timing of a drive causes.
+
+        More than two samples are unusual, so they must not seem so by chance.
+        """
         if np.isnan(self.value):
             return False
         halves = 2 * self.value
         allowed = max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
-        return allowed < _BY_CHANCE and round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed
+        told = allowed < _BY_CHANCE or abs(self.value) <= _USUAL
+        return told and round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed
 
 
 @dataclass(frozen=True)

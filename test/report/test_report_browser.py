@@ -158,7 +158,7 @@ def test_the_surface_has_its_axes_in_order(opened, result):
 
 
 def test_the_surface_has_a_smooth_edge(opened, result):
-    """Nodes move by at most a cell, never within the data, and no cell of the data lacks a corner."""
+    """Nodes move by at most a cell, never amid the data, and the surface reaches beyond the nodes with data."""
     choose(opened, "map-quantity", "psi_d")
     choose(opened, "map-view", "surface")
     wait_for(opened, "return document.getElementById('chart-map').data[0].type === 'surface'")

@@ -33,8 +33,9 @@ _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RESEMBLANCE = 0.05
 """Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
-_BEYOND = 1.3
-"""Residuals over noise from which on a ripple of the DC link is looked for: that takes as long as all other effects."""
+_LEAST_BEYOND = 1 - 1.3**-2
+"""Share of the squared residuals beyond noise from which on a ripple of the DC link is looked for: 1.3 times the noise.
+That takes as long as all other effects."""
 _OF_LINK, _OF_MISFIT = ("link_ripple", "link_sag"), 0.5
 """Variations of the DC link, and the share of the squared residuals beyond noise that one must explain: the misfit of a
 map recurs with the trajectory and the power, and a part of it looks like theirs."""
@@ -192,7 +193,7 @@ def _greedy(
         taken_effects = solution.spec.effects
         tried = [name for name in allowed if name not in taken_effects and _BESIDE.get(name) in (None, *taken_effects)]
         savings = effect_savings(solver, solution, tried, period)
-        beyond = 1.0 - noise.explained(solver.model, solution) / max(solution.residual_rms**2, _TINY)
+        beyond = _beyond(solver.model, solution, noise)
         savings |= {name: 0.0 for name in _OF_LINK if savings.get(name, 0.0) < _OF_MISFIT * beyond}
         if turn > 0 and solution.spec.delay == 0 and not timed:
             if taken:
@@ -315,11 +316,16 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
 def _with_hidden_ripple(sums: WindowSums, state: _Settled, noise: CurrentNoise) -> _Settled:
     """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
     extended, solver, solution, columns = state
-    beyond = 1.0 - noise.explained(solver.model, solution) / max(solution.residual_rms**2, _TINY)
-    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or beyond < 1 - _BEYOND**-2:
+    beyond = _beyond(solver.model, solution, noise)
+    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or beyond <= _LEAST_BEYOND:
         return state
     ripple, share = ripple_frequency(solver.model, solution.estimate, extended.kept())
     return _settled(sums, solution.spec, replace(columns, ripple=ripple)) if share > _OF_MISFIT * beyond else state
+
+
+def _beyond(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> float:
+    """Return the share of the squared residuals that noise does not explain."""
+    return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, _TINY))
 
 
 def several_speeds(speeds: FloatArray) -> bool:
@@ -427,7 +433,7 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
     mean, ripple = np.nan, 0.0
     if known.any():
         mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
-    elif solution.residual_rms > _BEYOND * np.sqrt(noise.explained(model, solution)):
+    elif _beyond(model, solution, noise) > _LEAST_BEYOND:
         ripple = ripple_frequency(model, solution.estimate, kept)[0]
     columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
     return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))

@@ -447,10 +447,9 @@ def test_the_limit_of_the_drive_bounds_the_measured_current(current_limit, peak,
     bench.ticks(1)
     bench.peak = peak
     bench.ticks(1)
-    said = bench.watched.trip_reason
-    assert said.startswith(f"The current of phase a is {peak:g} A, above {limit:g} A") == np.isfinite(limit)
-    assert ("1.1 times the current_limit of the drive: lower i_max." in said) == (limit == pytest.approx(1.1 * 10.5))
-    assert bool(said) == np.isfinite(limit)
+    why = ", 1.1 times the current_limit of the drive: lower i_max" if limit == 11.55 else ""
+    wanted = f"The current of phase a is {peak:g} A, above {limit:g} A{why}."
+    assert bench.watched.trip_reason == ("" if np.isinf(limit) else wanted)
 
 
 def test_nothing_exceeds_the_ceiling():

@@ -124,15 +124,16 @@
     return sum;
   }
 
+  /** Rows and columns of a node of the map and its neighbours. */
+  function around(k, j) {
+    const { inside } = data.map;
+    const near = (at, count) => [at - 1, at, at + 1].filter((place) => place >= 0 && place < count);
+    return near(k, inside.length).flatMap((row) => near(j, inside[row].length).map((column) => [row, column]));
+  }
+
   /** Whether a node lies at or beside one without data, so that the continuation joins the data. */
   function nearGap(k, j) {
-    const { inside } = data.map;
-    for (let row = k - 1; row <= k + 1; row += 1) {
-      for (let column = j - 1; column <= j + 1; column += 1) {
-        if (inside[row]?.[column] === 0) return true;
-      }
-    }
-    return false;
+    return around(k, j).some(([row, column]) => data.map.inside[row][column] === 0);
   }
 
   /** Surface x, y, z with a smooth edge: nodes just beyond the data are drawn in to the edge of the smoothed region. */
@@ -140,12 +141,10 @@
     const { i_d, i_q, inside } = data.map;
     const smoothed = (nodes) => nodes.map((row, k) => row.map((_, j) => {
       let [sum, count] = [0, 0];
-      for (let r = Math.max(k - 1, 0); r <= k + 1 && r < nodes.length; r += 1) {
-        for (let c = Math.max(j - 1, 0); c <= j + 1 && c < row.length; c += 1) {
-          const weight = (r === k ? 2 : 1) * (c === j ? 2 : 1);
-          sum += weight * nodes[r][c];
-          count += weight;
-        }
+      for (const [r, c] of around(k, j)) {
+        const weight = (r === k ? 2 : 1) * (c === j ? 2 : 1);
+        sum += weight * nodes[r][c];
+        count += weight;
       }
       return sum / count;
     }));
@@ -155,17 +154,12 @@
     const y = z.map((row, k) => row.map(() => i_q[k]));
     const height = z.map((row, k) => row.map((value, j) => {
       if (region[k][j] >= level) return value;
-      let [most, at] = [level, null];
-      for (let r = Math.max(k - 1, 0); r <= k + 1 && r < z.length; r += 1) {
-        for (let c = Math.max(j - 1, 0); c <= j + 1 && c < row.length; c += 1) {
-          if (region[r][c] > most) [most, at] = [region[r][c], [r, c]];
-        }
-      }
-      if (at === null) return null;
-      const share = (level - region[k][j]) / (most - region[k][j]);
-      x[k][j] += share * (i_d[at[1]] - i_d[j]);
-      y[k][j] += share * (i_q[at[0]] - i_q[k]);
-      return interpolated(z, x[k][j], y[k][j]) ?? z[at[0]][at[1]];
+      const [r, c] = around(k, j).reduce((best, at) => (region[at[0]][at[1]] > region[best[0]][best[1]] ? at : best));
+      if (region[r][c] <= level) return null;
+      const share = (level - region[k][j]) / (region[r][c] - region[k][j]);
+      x[k][j] += share * (i_d[c] - i_d[j]);
+      y[k][j] += share * (i_q[r] - i_q[k]);
+      return interpolated(z, x[k][j], y[k][j]) ?? z[r][c];
     }));
     return { x, y, z: height };
   }
@@ -199,7 +193,8 @@
       type: "surface", x: i_d, y: i_q, z, text, name: field.name, hovertemplate: field.hovertemplate,
       colorscale: data.colours, colorbar: colourBar(chosen.unit), connectgaps: false, ...more,
     });
-    const traces = [surface(known, { ...smoothEdged(chosen.z), contours: { z: { show: true, color: colour("text"), width: 1 } } })];
+    const edged = smoothEdged(chosen.z);
+    const traces = [surface(edged.z, { x: edged.x, y: edged.y, contours: { z: { show: true, color: colour("text"), width: 1 } } })];
     if (continued) {
       const blank = text.map((row) => row.map(() => ", no data"));
       traces.push(surface(rest, { colorscale: grey, showscale: false, opacity: 0.45, text: blank }));

@@ -33,10 +33,8 @@ class PlanSettings(Checked):
     frequency_max: float = setting(
         12.0,
         "Highest frequency of the references, at which the torque does not yet disturb the speed of the load machine",
-        unit="Hz",
-        minimum=0.1,
-        maximum=1e3,
-    )
+        unit="Hz", minimum=0.1, maximum=1e3,
+    )  # fmt: skip
     speed_min: float = setting(
         250.0, "Lowest mechanical speed allowed; voltage errors weigh most there", unit="rpm", minimum=1.0
     )

@@ -33,53 +33,25 @@ Columns = tuple[NDArray[np.float32], ...]
 
 @dataclass(frozen=True, eq=False)
 class ScalarBlock:
-    """The samples of one message of an optional signal.
+    """The samples of one message of an optional signal."""
 
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns.
-    first_sample : int
-        Running count.
-    sample_period : float
-        s.
-    values : (N,) float32
-        At least one.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    values: NDArray[np.float32]
+    stamp: int  # of the first sample, ns
+    first_sample: int  # running count
+    sample_period: float  # s
+    values: NDArray[np.float32]  # (N,), at least one
 
 
 @dataclass(frozen=True, eq=False)
 class MessageBlock:
-    """The samples of one message of each topic.
+    """The samples of one message of each topic."""
 
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns.
-    first_sample : int
-        Running count.
-    sample_period : float
-        s.
-    currents, voltages : tuple of three (N,) float32
-        A, V.
-    resolver : tuple of two (N,) float32
-        Angle, rad, and speed, rad/s.
-    scalars : dict of str to ScalarBlock
-        Optional signals that have a sample in this block, by name.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    currents: Columns
-    voltages: Columns
-    resolver: Columns
-    scalars: dict[str, ScalarBlock]
+    stamp: int  # of the first sample, ns
+    first_sample: int  # running count
+    sample_period: float  # s
+    currents: Columns  # of three phases (N,), A
+    voltages: Columns  # likewise, V
+    resolver: Columns  # angle, rad, and speed, rad/s, (N,) each
+    scalars: dict[str, ScalarBlock]  # optional signals that have a sample in this block, by name
 
 
 class SimulatedBench:

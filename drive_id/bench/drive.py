@@ -34,38 +34,20 @@ _FLUX_TOLERANCE = 3e-8
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedBlock:
-    """A block of a simulated experiment, or all of it.
+    """A block of a simulated experiment, or all of it."""
 
-    Parameters
-    ----------
-    samples : Samples
-        As measured and logged by the drive.
-    i_dq_true : (N, 2) float
-        True phase currents at the samples in the true rotor frame, A.
-    angle_true : (N,) float
-        True electrical angle at the samples, not wrapped to one turn, rad.
-    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
-        Inner quantities at the samples, of a drive with effects.
-    """
-
-    samples: Samples
-    i_dq_true: FloatArray
-    angle_true: FloatArray
-    course: Course | None = None
+    samples: Samples  # as measured and logged by the drive
+    i_dq_true: FloatArray  # (N, 2), true phase currents at the samples in the true rotor frame, A
+    angle_true: FloatArray  # (N,), true electrical angle at the samples, not wrapped to one turn, rad
+    course: Course | None = None  # (N,) of dtype effects.COURSE: inner quantities of a drive with effects
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Simulation(SimulatedBlock):
-    """A simulated experiment and its ground truth.
-
-    Parameters
-    ----------
-    machine : Machine
-        Whose ``mean_flux`` is the truth at any current.
-    """
+    """A simulated experiment and its ground truth."""
 
     truth: GroundTruth
-    machine: Machine
+    machine: Machine  # whose ``mean_flux`` is the truth at any current
 
 
 class Drive:

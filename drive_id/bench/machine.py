@@ -22,32 +22,16 @@ _ROUGH_NODES = 9
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A machine of splines; build it by :meth:`from_map`.
-
-    Parameters
-    ----------
-    table : SplineTable
-        Flux linkages over currents and rotor position.
-    mean : SplineTable
-        Their exact average over the rotor position.
-    rough : SplineTable
-        What a drive engineer would know beforehand, for the current controller: the average on 9 x 9 points.
-    resistance : float
-        ohm.
-    i_max : float
-        Largest current amplitude, A: the map's own, or less where the map reaches less far.
-    u_dc : float
-        V.
-    """
+    """A machine of splines; build it by :meth:`from_map`."""
 
     name: str
-    table: SplineTable
-    mean: SplineTable
-    rough: SplineTable
-    resistance: float
+    table: SplineTable  # flux linkages over currents and rotor position
+    mean: SplineTable  # their exact average over the rotor position
+    rough: SplineTable  # what an engineer knows beforehand, for the current controller: the average on 9 x 9 points
+    resistance: float  # ohm
     pole_pairs: int
-    i_max: float
-    u_dc: float
+    i_max: float  # largest current amplitude, A: the map's own, or less where the map reaches less far
+    u_dc: float  # V
 
     @classmethod
     def from_map(

@@ -26,41 +26,19 @@ _NODES_THETA = 24
 
 @dataclass(frozen=True)
 class CoEnergyMachine:
-    """Parameters of the co-energy above.
-
-    Parameters
-    ----------
-    magnet_flux : float
-        psi_0, the magnet's flux linkage past the saturating iron, Wb.
-    magnet_current : float
-        i_f, which stands for the magnet's flux in the saturating iron, A.
-    main_inductance : (2,) tuple of float
-        Unsaturated, without the linear part, of d and q, H.
-    saturation_current : float
-        Current b on the q axis alone at which saturation sets in, A; on d it is scaled by the root of the inductances.
-    linear_inductance : (2,) tuple of float
-        L_sd, L_sq, H.
-    harmonics : tuple of (int, float, float)
-        h, k_h, m_h.
-    resistance : float
-        ohm.
-    i_max : float
-        A.
-    u_dc : float
-        V.
-    """
+    """Parameters of the co-energy above."""
 
     name: str
-    magnet_flux: float
-    magnet_current: float
-    main_inductance: tuple[float, float]
-    saturation_current: float
-    linear_inductance: tuple[float, float]
-    harmonics: tuple[tuple[int, float, float], ...]
-    resistance: float
+    magnet_flux: float  # psi_0, the magnet's flux linkage past the saturating iron, Wb
+    magnet_current: float  # i_f, which stands for the magnet's flux in the saturating iron, A
+    main_inductance: tuple[float, float]  # unsaturated, without the linear part, of d and q, H
+    saturation_current: float  # b, at which q alone begins to saturate, A; on d scaled by the root of the inductances
+    linear_inductance: tuple[float, float]  # L_sd, L_sq, H
+    harmonics: tuple[tuple[int, float, float], ...]  # h, k_h, m_h
+    resistance: float  # ohm
     pole_pairs: int
-    i_max: float
-    u_dc: float
+    i_max: float  # A
+    u_dc: float  # V
 
     @property
     def energy(self) -> float:

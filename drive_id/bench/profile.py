@@ -13,18 +13,10 @@ from drive_id.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """Mean mechanical speed, piecewise linear in time and constant before and after.
+    """Mean mechanical speed, piecewise linear in time and constant before and after."""
 
-    Parameters
-    ----------
-    time : (P,) float
-        Not decreasing, s.
-    speed : (P,) float
-        Mechanical, rpm.
-    """
-
-    time: FloatArray
-    speed: FloatArray
+    time: FloatArray  # (P,), not decreasing, s
+    speed: FloatArray  # (P,), mechanical, rpm
 
     @classmethod
     def from_settings(cls, settings: SimulationSettings, duration: float | None) -> SpeedProfile:

@@ -44,30 +44,15 @@ _COHERENT = 0.7
 
 @dataclass(frozen=True)
 class FirstStart:
-    """Result of a first start.
+    """Result of a first start."""
 
-    Parameters
-    ----------
-    current_offset : tuple of three floats
-        Of the phase currents, A; to be subtracted.
-    direction : int
-        -1 if the measured angle falls where the vector turns in the order of the phases.
-    turns_per_angle : int
-        Electrical turns per turn of the measured angle: 1 for an electrical angle, the pole pairs for one of
-        the shaft.
-    angle_offset, angle_sigma : float
-        Measured electrical angle minus that of the magnet axis, after ``direction`` and ``turns_per_angle``, in
-        [-pi, pi), and its standard error, rad.
-    load_angle : float
-        By which friction holds the rotor back, rad.
-    """
-
-    current_offset: tuple[float, float, float]
-    direction: int
-    turns_per_angle: int
+    current_offset: tuple[float, float, float]  # of the phase currents, A; to be subtracted
+    direction: int  # -1 if the measured angle falls where the vector turns in the order of the phases
+    turns_per_angle: int  # electrical turns per turn of the measured angle: 1, or the pole pairs if it is the shaft's
     angle_offset: float
-    angle_sigma: float
-    load_angle: float
+    """Measured electrical angle, after direction and turns, minus that of the magnet axis, in [-pi, pi), rad."""
+    angle_sigma: float  # its standard error, rad
+    load_angle: float  # by which friction holds the rotor back, rad
 
 
 @dataclass(frozen=True, eq=False)

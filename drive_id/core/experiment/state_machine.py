@@ -40,34 +40,16 @@ class ExperimentState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceBlock:
-    """A block of set-points.
+    """A block of set-points."""
 
-    Parameters
-    ----------
-    stamp : int
-        Due time of the first set-point, ns.
-    first_sample : int
-        Running count of the set-points published.
-    sample_period : float
-        s.
-    i_dq : (N, 2) float32
-        A.
-    session, count : int
-        Session, and running count of the first set-point in it.
-    safe : bool
-        The drive goes to zero current on receipt.
-    stator_frame : bool
-        The set-points are alpha and beta.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    i_dq: NDArray[np.float32]
+    stamp: int  # due time of the first set-point, ns
+    first_sample: int  # running count of the set-points published
+    sample_period: float  # s
+    i_dq: NDArray[np.float32]  # (N, 2), A
     session: int
-    count: int
-    safe: bool
-    stator_frame: bool = False
+    count: int  # of the first set-point in the session
+    safe: bool  # the drive goes to zero current on receipt
+    stator_frame: bool = False  # the set-points are alpha and beta
 
     @property
     def due(self) -> IntArray:

@@ -22,18 +22,10 @@ _CLEAR = "Call ~/clear_fault when the cause is gone."
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a request.
+    """Answer to a request."""
 
-    Parameters
-    ----------
-    code : str
-        A constant of the services ``StartExperiment`` and ``Command``.
-    message : str
-        A sentence.
-    """
-
-    code: str
-    message: str
+    code: str  # a constant of the services ``StartExperiment`` and ``Command``
+    message: str  # a sentence
 
     @property
     def success(self) -> bool:
@@ -43,37 +35,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Report:
-    """State of a supervised experiment.
-
-    Parameters
-    ----------
-    state : ExperimentState
-    reason : str
-        Why it tripped, was stopped, or would not start; empty otherwise.
-    session : int
-    elapsed, duration : float
-        s.
-    i_dq : (2,) float
-        Reference that is due now, A.
-    coverage : float
-        0 to 1.
-    dry_run : bool
-        Nothing is published.
-    mean_speed, mean_speed_reference, bias : float
-        Of a free shaft: electrical, rad/s; and the mean of i_q relative to its amplitude. NaN for other trajectories.
-    """
+    """State of a supervised experiment; what only a free shaft has is NaN for other trajectories."""
 
     state: ExperimentState
-    reason: str
+    reason: str  # why it tripped, was stopped, or would not start; empty otherwise
     session: int
-    elapsed: float
-    duration: float
-    i_dq: FloatArray
-    coverage: float
-    dry_run: bool
-    mean_speed: float = math.nan
+    elapsed: float  # s
+    duration: float  # s
+    i_dq: FloatArray  # (2,), reference that is due now, A
+    coverage: float  # 0 to 1
+    dry_run: bool  # nothing is published
+    mean_speed: float = math.nan  # of a free shaft, electrical, rad/s
     mean_speed_reference: float = math.nan
-    bias: float = math.nan
+    bias: float = math.nan  # mean of i_q relative to its amplitude
 
 
 def rehearse(settings: ExperimentSettings) -> None:

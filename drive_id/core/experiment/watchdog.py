@@ -33,18 +33,10 @@ Message = TypeVar("Message", SampleBlock, DriveStatus)
 
 @dataclass(frozen=True)
 class Fault:
-    """Why the drive must not be driven.
+    """Why the drive must not be driven."""
 
-    Parameters
-    ----------
-    reason : str
-        A sentence.
-    immediate : bool
-        Set the reference to zero at once, without a ramp.
-    """
-
-    reason: str
-    immediate: bool = False
+    reason: str  # a sentence
+    immediate: bool = False  # set the reference to zero at once, without a ramp
 
 
 @dataclass

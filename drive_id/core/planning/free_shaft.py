@@ -70,44 +70,20 @@ docs/free_shaft.md exceeded."""
 
 @dataclass(frozen=True)
 class FreeShaftPlan:
-    """The proposed experiment.
-
-    Parameters
-    ----------
-    settings : PlanSettings
-    machine : RoughMachine
-    inertia : float
-        Of the shaft as planned, with what is added, kg m^2.
-    added_inertia : float
-        kg m^2.
-    share : float
-        Part of the wanted amplitude of the current that the shaft allows without added inertia, 0 to 1.
-    acceleration : float
-        By the amplitude, with added inertia, mechanical, rad/s^2.
-    speed_max, mean_speed : float
-        Mechanical, rad/s.
-    frequency : float
-        Hz.
-    duration : float
-        s.
-    bandwidth : float
-        Of the current controller, with which the current follows, Hz: that of the settings, or a higher one.
-    unheld : bool
-        The shaft should have a mean speed, but the torque of the machine cannot hold it.
-    """
+    """The proposed experiment."""
 
     settings: PlanSettings
     machine: RoughMachine
-    inertia: float
-    added_inertia: float
-    share: float
-    acceleration: float
-    speed_max: float
-    mean_speed: float
-    frequency: float
-    duration: float
-    bandwidth: float
-    unheld: bool = False
+    inertia: float  # of the shaft as planned, with what is added, kg m^2
+    added_inertia: float  # kg m^2
+    share: float  # part of the wanted amplitude of the current that the shaft allows without added inertia, 0 to 1
+    acceleration: float  # by the amplitude, with added inertia, mechanical, rad/s^2
+    speed_max: float  # mechanical, rad/s
+    mean_speed: float  # mechanical, rad/s
+    frequency: float  # Hz
+    duration: float  # s
+    bandwidth: float  # of the current controller that the current follows with, Hz: of the settings, or a higher one
+    unheld: bool = False  # the shaft should have a mean speed, but the torque of the machine cannot hold it
 
     @property
     def figure(self) -> FreeShaft:

@@ -65,20 +65,11 @@ _FEWEST_SAMPLES = 4
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """An experiment to choose from: a Lissajous figure driven at one or several speeds.
-
-    Parameters
-    ----------
-    trajectory : Lissajous
-    speeds : tuple of float
-        Mechanical, rpm, each for an equal share of the time; negative: backwards.
-    duration : float
-        All speeds together, s.
-    """
+    """An experiment to choose from: a Lissajous figure driven at one or several speeds."""
 
     trajectory: Lissajous
-    speeds: tuple[float, ...]
-    duration: float
+    speeds: tuple[float, ...]  # mechanical, rpm, each for an equal share of the time; negative: backwards
+    duration: float  # all speeds together, s
 
     @property
     def share(self) -> float:
@@ -93,28 +84,15 @@ class PlannedExperiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """The proposed experiment and its predicted accuracy.
-
-    Parameters
-    ----------
-    settings : PlanSettings
-    machine : RoughMachine
-    experiment : PlannedExperiment
-    prediction : Prediction
-    paper : PlannedExperiment
-        The paper's, of the same duration.
-    paper_prediction : Prediction
-    voltages : tuple of float
-        Largest amplitude needed at each speed, V.
-    """
+    """The proposed experiment and its predicted accuracy."""
 
     settings: PlanSettings
     machine: RoughMachine
     experiment: PlannedExperiment
     prediction: Prediction
-    paper: PlannedExperiment
+    paper: PlannedExperiment  # the paper's, of the same duration
     paper_prediction: Prediction
-    voltages: tuple[float, ...]
+    voltages: tuple[float, ...]  # largest amplitude needed at each speed, V
 
     @property
     def met(self) -> bool:

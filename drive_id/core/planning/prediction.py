@@ -39,23 +39,13 @@ _CURVE_FOOT = 0.02
 
 @dataclass(frozen=True)
 class Prediction:
-    """Expected standard errors from current noise and misfit of the inverter curve, as fractions.
+    """Expected standard errors from current noise and misfit of the inverter curve, as fractions."""
 
-    Parameters
-    ----------
-    flux_d, flux_q : float
-        Root mean square over the disc, as a fraction of the largest flux of that axis.
-    inverter : float
-        Root mean square of the curve up to i_max, as a fraction of its height.
-    free_resistance : float
-        Of the resistance without the assumption of reciprocal maps.
-    """
-
-    flux_d: float
-    flux_q: float
+    flux_d: float  # root mean square over the disc, by the largest flux of that axis
+    flux_q: float  # likewise
     resistance: float
-    inverter: float
-    free_resistance: float
+    inverter: float  # root mean square of the curve up to i_max, by its height
+    free_resistance: float  # of the resistance without the assumption of reciprocal maps
 
     @property
     def flux(self) -> float:
@@ -81,19 +71,11 @@ class RoughModel(FullModel):
 
 @dataclass(frozen=True, eq=False)
 class FisherInformation:
-    """Fisher information of the windows at one speed, for unit variance.
+    """Fisher information of the windows at one speed, for unit variance."""
 
-    Parameters
-    ----------
-    normal : (size, size) float
-        Z'Z.
-    window : float
-        Mean duration of a window, s.
-    """
-
-    normal: FloatArray
+    normal: FloatArray  # Z'Z, (size, size)
     rows: float
-    window: float
+    window: float  # mean duration of a window, s
 
     def lasting(self, factor: float) -> FisherInformation:
         """Return the information of this many repetitions."""

@@ -64,30 +64,15 @@ class PlanSettings(Checked):
 
 @dataclass(frozen=True)
 class RoughMachine:
-    """Linear model of the machine, as known before the experiment.
+    """Linear model of the machine, as known before the experiment."""
 
-    Parameters
-    ----------
-    i_max : float
-        Radius of the current disc, A.
-    pole_pairs : int
-    resistance : float
-        ohm.
-    inductance_d, inductance_q : float
-        H.
-    magnet_flux : float
-        Wb.
-    u_dc : float
-        V.
-    """
-
-    i_max: float
+    i_max: float  # radius of the current disc, A
     pole_pairs: int
-    resistance: float
-    inductance_d: float
-    inductance_q: float
-    magnet_flux: float
-    u_dc: float
+    resistance: float  # ohm
+    inductance_d: float  # H
+    inductance_q: float  # H
+    magnet_flux: float  # Wb
+    u_dc: float  # V
 
     @classmethod
     def from_settings(cls, settings: PlanSettings) -> RoughMachine:

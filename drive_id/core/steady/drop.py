@@ -19,19 +19,11 @@ class DropShapes:
 
     Capacitive: x/2 for x < 1, then 1 - 1/(2x), the law of a dead time during which the current charges the capacitances
     of the legs. Hard: x for x < 1, then 1.
-
-    Parameters
-    ----------
-    scales : (S,) float
-        A, positive.
-    hard : (S,) bool
-    usual : float
-        Standard deviation of the amplitude before any data, V.
     """
 
-    scales: FloatArray
-    hard: BoolArray
-    usual: float
+    scales: FloatArray  # (S,), A, positive
+    hard: BoolArray  # (S,)
+    usual: float  # standard deviation of the amplitude before any data, V
 
     @classmethod
     def up_to(cls, i_max: float, usual: float) -> DropShapes:

@@ -15,19 +15,11 @@ _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect.
-
-    Parameters
-    ----------
-    several_speeds : bool
-        It takes several speeds to tell it from the fluxes.
-    odd : bool
-        It is a part of the map that is not symmetric about the d axis.
-    """
+    """One effect."""
 
     name: str
-    several_speeds: bool
-    odd: bool = False
+    several_speeds: bool  # it takes several speeds to tell it from the fluxes
+    odd: bool = False  # it is a part of the map that is not symmetric about the d axis
 
 
 IRON_LOSS = Effect("iron loss", several_speeds=True)

@@ -64,35 +64,17 @@ J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class StaticFit:
-    """A drive identified from operating points.
+    """A drive identified from operating points."""
 
-    Parameters
-    ----------
-    points : OperatingPoints
-        Those used.
-    posterior : Posterior
-        Its columns: R, effects, flux coefficients, and the amplitude of the drop last if there is one.
-    effects : tuple of Effect
-        Found significant, and fitted.
-    widening : float
-        Factor on all standard errors, so that +-1.96 of them hold 95 % although the noise is estimated.
-    residual : (P, 2) float
-        V.
-    misfit : float
-        Rms of the residuals, relative to the noise of the points; NaN where that is not known.
-    outlying : int
-        Points left out.
-    """
-
-    points: OperatingPoints
+    points: OperatingPoints  # those used
     basis: FluxBasis
-    posterior: Posterior
-    effects: tuple[Effect, ...]
+    posterior: Posterior  # columns: R, effects, flux coefficients, and last the amplitude of the drop
+    effects: tuple[Effect, ...]  # found significant, and fitted
     shapes: DropShapes
-    widening: float
-    residual: FloatArray
-    misfit: float
-    outlying: int
+    widening: float  # factor on all standard errors, so that +-1.96 hold 95 % although the noise is estimated
+    residual: FloatArray  # (P, 2), V
+    misfit: float  # rms of the residuals, relative to the noise of the points; NaN where that is not known
+    outlying: int  # points left out
 
     @property
     def maps(self) -> bool:

@@ -93,27 +93,13 @@ class AffineBasis:
 
 @dataclass(frozen=True, eq=False)
 class CoEnergyBasis:
-    """Gradients of a co-energy spline of degree 4 over the square of +-reach, even in i_q.
+    """Gradients of a co-energy spline of degree 4 over the square of +-reach, even in i_q."""
 
-    Parameters
-    ----------
-    reach : float
-        A.
-    cells : int
-        Along each axis, even.
-    bend : float
-        Cells at zero current are ``cosh(bend)`` times narrower than at the rim, since iron bridges saturate early.
-    relief : float
-        The roughness in narrow cells counts less, by this power of their width.
-    odd : bool
-        With psi_q at zero current and L_dq.
-    """
-
-    reach: float
-    cells: int
-    bend: float
-    relief: float = 0.0
-    odd: bool = False
+    reach: float  # A
+    cells: int  # along each axis, even
+    bend: float  # cells at zero current are cosh(bend) times narrower than at the rim: iron bridges saturate early
+    relief: float = 0.0  # the roughness in narrow cells counts less, by this power of their width
+    odd: bool = False  # with psi_q at zero current and L_dq
 
     @cached_property
     def _axis(self) -> SplineBasis:

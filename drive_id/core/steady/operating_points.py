@@ -41,34 +41,17 @@ _QUARTILE = 0.3186
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
-    """Means over segments at rest.
+    """Means over segments at rest."""
 
-    Parameters
-    ----------
-    i_dq, u_dq : (P, 2) float
-        A, V.
-    speed : (P,) float
-        Electrical, rad/s.
-    winding_temperature : (P,) float or None
-        Degrees Celsius.
-    covariance : (P, 5, 5) float or None
-        Of the errors of ``[i_d, i_q, u_d, u_q, speed]``; None where only the fit tells the noise.
-    count : (P,) int
-        Samples of each point.
-    freedom : float
-        Degrees of freedom behind the covariance.
-    samples : int
-        Of the log, those at no point included.
-    """
-
-    i_dq: FloatArray
-    u_dq: FloatArray
-    speed: FloatArray
-    winding_temperature: FloatArray | None
+    i_dq: FloatArray  # (P, 2), A
+    u_dq: FloatArray  # (P, 2), V
+    speed: FloatArray  # (P,), electrical, rad/s
+    winding_temperature: FloatArray | None  # (P,), degrees Celsius
     covariance: FloatArray | None
-    count: IntArray
-    freedom: float
-    samples: int
+    """(P, 5, 5), of the errors of ``[i_d, i_q, u_d, u_q, speed]``; None where only the fit tells the noise."""
+    count: IntArray  # (P,), samples of each point
+    freedom: float  # degrees of freedom behind the covariance
+    samples: int  # of the log, those at no point included
 
     def __len__(self) -> int:
         return len(self.speed)

@@ -15,7 +15,7 @@ from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.encoder import Encoder
-from drive_id.core.experiment.feedback import DriveStatus
+from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.errors import ConfigurationError
 from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray, GroundTruth, MachineMap
@@ -32,16 +32,6 @@ Columns = tuple[NDArray[np.float32], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class ScalarBlock:
-    """The samples of one message of an optional signal."""
-
-    stamp: int  # of the first sample, ns
-    first_sample: int  # running count
-    sample_period: float  # s
-    values: NDArray[np.float32]  # (N,), at least one
-
-
-@dataclass(frozen=True, eq=False)
 class MessageBlock:
     """The samples of one message of each topic."""
 
@@ -51,7 +41,7 @@ class MessageBlock:
     currents: Columns  # of three phases (N,), A
     voltages: Columns  # likewise, V
     resolver: Columns  # angle, rad, and speed, rad/s, (N,) each
-    scalars: dict[str, ScalarBlock]  # optional signals that have a sample in this block, by name
+    scalars: dict[str, SampleBlock]  # optional signals that have a sample in this block, by name
 
 
 class SimulatedBench:
@@ -184,7 +174,7 @@ class SimulatedBench:
         self._status_due = self._done * self._period + _STATUS_PERIOD
         self._statuses += 1
         last, references, machine = self._last, self.references, self._drive.machine
-        tripped, scalars = self.faults.trip, {name: float(block.values[-1]) for name, block in last.scalars.items()}
+        tripped, scalars = self.faults.trip, {name: float(block.values[0][-1]) for name, block in last.scalars.items()}
         return DriveStatus(
             stamp=last.stamp + round(len(last.resolver[0]) * self._period * NANOSECONDS),
             count=self._statuses - 1,
@@ -222,7 +212,7 @@ class SimulatedBench:
         self._last = block
         return block
 
-    def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, ScalarBlock]:
+    def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, SampleBlock]:
         """Return every n-th sample of the optional signals of a block that begins with sample number ``first``."""
         found = {}
         for name, values in scalars.items():
@@ -230,7 +220,7 @@ class SimulatedBench:
             number = -(-first // stride)
             chosen = values[number * stride - first :: stride].astype(np.float32)
             if len(chosen):
-                found[name] = ScalarBlock(self._stamp(number * stride), number, stride * self._period, chosen)
+                found[name] = SampleBlock(self._stamp(number * stride), number, stride * self._period, (chosen,))
         return found
 
     def health(self) -> Health:

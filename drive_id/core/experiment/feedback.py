@@ -22,7 +22,8 @@ class SampleBlock:
     stamp: int  # of the first sample, ns, by the clock of the drive
     first_sample: int  # running count
     sample_period: float  # s
-    values: tuple[NDArray[np.float32], ...]  # (N,) each: phase currents, A; or angle, rad, and electrical speed, rad/s
+    values: tuple[NDArray[np.float32], ...]
+    """(N,) each: phase currents, A; or angle, rad, and electrical speed, rad/s; or an optional signal."""
 
     def __len__(self) -> int:
         return len(self.values[0])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy import sparse
@@ -22,33 +21,6 @@ ODD = 2
 """Coefficients of an asymmetric part, psi_q at zero current and L_dq, where it is fitted: the last of a basis."""
 _NODES = 5
 """Gauss nodes per cell: exact for squares of splines of degree 4, times a weight that is constant per cell."""
-
-
-class FluxBasis(Protocol):
-    """Flux maps linear in their coefficients."""
-
-    @property
-    def odd(self) -> bool:
-        """Whether psi_q at zero current and L_dq are among them."""
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients."""
-
-    @property
-    def penalty(self) -> FloatArray:
-        """Matrix (C, C) of the roughness."""
-
-    @property
-    def free(self) -> int:
-        """Number of coefficients that the roughness leaves free."""
-
-    @property
-    def log_volume(self) -> float:
-        """Log determinant of the free coefficients less that of the penalty: makes the evidence of bases comparable."""
-
-    def rows(self, i_dq: FloatArray) -> FloatArray:
-        """Return the fluxes (N, 2, C) of the coefficients at currents (N, 2), A."""
 
 
 def affine_rows(i_dq: FloatArray) -> FloatArray:
@@ -68,7 +40,7 @@ class AffineBasis:
 
     @property
     def parameters(self) -> int:
-        """3, or 5 with an odd part."""
+        """Number of coefficients: 3, or 5 with an odd part."""
         return 3 + ODD * self.odd
 
     @property
@@ -78,7 +50,7 @@ class AffineBasis:
 
     @property
     def free(self) -> int:
-        """All of them."""
+        """Number of coefficients that the roughness leaves free: all of them."""
         return self.parameters
 
     @property
@@ -129,7 +101,7 @@ class CoEnergyBasis:
 
     @property
     def free(self) -> int:
-        """Those of an affine machine."""
+        """Number of coefficients that the roughness leaves free: those of an affine machine."""
         return 3 + ODD * self.odd
 
     def rows(self, i_dq: FloatArray) -> FloatArray:
@@ -152,7 +124,7 @@ class CoEnergyBasis:
 
     @cached_property
     def log_volume(self) -> float:
-        """Log determinant of the affine machine's coefficients less that of the penalty."""
+        """Log determinant of the affine machine's coefficients less that of the penalty, to compare bases."""
         axis = np.linspace(-self.reach, self.reach, 2 * self.cells + 1)
         sites = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         count = self._smooth
@@ -177,6 +149,9 @@ class CoEnergyBasis:
         np.put_along_axis(dense, first[:, None] + np.arange(axis.degree + 1), values, axis=1)
         at_nodes = dense @ matrix
         return np.asarray(at_nodes.T @ (mass[:, None] * at_nodes))
+
+
+FluxBasis = AffineBasis | CoEnergyBasis
 
 
 def linearized(basis: FluxBasis, gamma: FloatArray, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -147,13 +147,12 @@ class FreeShaftPlan:
                 f"current controller: raise its bandwidth from {self.settings.current_bandwidth:.3g} to "
                 f"{self.bandwidth:.3g} Hz."
             )
-        if not self.added_inertia:
-            return said
-        advice = (
-            f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled rotor), "
-            f"or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
-        )
-        return [*said, advice]
+        if self.added_inertia:
+            said.append(
+                f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled "
+                f"rotor), or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
+            )
+        return said
 
 
 def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftPlan:

@@ -58,18 +58,6 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class RoughModel(FullModel):
-    """The model of method ``full`` with a chosen number of cells."""
-
-    @classmethod
-    def over(cls, i_max: float, cells: int) -> RoughModel:
-        """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
-        low, high = np.array([-i_max, -i_max]), np.array([i_max, i_max])
-        edges = bent_edges(-i_max, i_max, cells)
-        return cls(low, high, i_max, (6,), cells=Resolution(edges, edges))
-
-
-@dataclass(frozen=True, eq=False)
 class FisherInformation:
     """Fisher information of the windows at one speed, for unit variance."""
 
@@ -80,6 +68,12 @@ class FisherInformation:
     def lasting(self, factor: float) -> FisherInformation:
         """Return the information of this many repetitions."""
         return FisherInformation(factor * self.normal, factor * self.rows, self.window)
+
+
+def rough_model(i_max: float, cells: int) -> FullModel:
+    """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
+    edges = bent_edges(-i_max, i_max, cells)
+    return FullModel(np.full(2, -i_max), np.full(2, i_max), i_max, (6,), cells=Resolution(edges, edges))
 
 
 def synthesize(
@@ -113,7 +107,7 @@ def synthesize(
     )
 
 
-def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -> FisherInformation:
+def fisher_information(model: FullModel, samples: Samples, most_windows: int) -> FisherInformation:
     """Return Z'Z of samples, extrapolated from at most ``most_windows`` of their windows."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
@@ -124,7 +118,7 @@ def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -
 
 
 def predict(
-    model: RoughModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
+    model: FullModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
 ) -> Prediction:
     """Predict the standard errors of a fit to all parts of an experiment.
 
@@ -168,7 +162,7 @@ def _standard_errors(solution: FullSolution, noise: FloatArray, forms: FloatArra
     return np.asarray(np.sqrt(np.sum(outer * (noise @ outer), axis=0)))
 
 
-def _flux_forms(model: RoughModel) -> FloatArray:
+def _flux_forms(model: FullModel) -> FloatArray:
     """Return the linear forms (2 P, size) of psi_d and psi_q at P points of the disc, interleaved."""
     axis = np.linspace(-model.i_max, model.i_max, _GRID)
     points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -178,7 +172,7 @@ def _flux_forms(model: RoughModel) -> FloatArray:
     return forms.reshape(-1, model.size)
 
 
-def _curve_forms(model: RoughModel) -> FloatArray:
+def _curve_forms(model: FullModel) -> FloatArray:
     """Return the linear forms (K, size) of the inverter curve at currents up to i_max."""
     current = model.i_max * np.linspace(_CURVE_FOOT, 1.0, _CURVE_NODES)
     forms = np.zeros((_CURVE_NODES, model.size))

@@ -76,13 +76,7 @@ class RoughMachine:
 
     @classmethod
     def from_settings(cls, settings: PlanSettings) -> RoughMachine:
-        """Take the machine from complete settings.
-
-        Raises
-        ------
-        ConfigurationError
-            Naming what is missing.
-        """
+        """Take the machine from complete settings; raises ConfigurationError that names what is missing."""
         names = tuple(cls.__dataclass_fields__)
         missing = [name for name in names if getattr(settings, name) is None]
         if missing:

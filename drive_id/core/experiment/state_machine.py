@@ -63,32 +63,29 @@ class Experiment:
     Times are integer nanoseconds of the clock that stamps the blocks. All set-points lie in the disc of ``i_max``, and
     consecutive ones differ by at most ``slew_rate`` times the sample period, except for an immediate trip.
 
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    trajectory : Trajectory, optional
-        Default: that of the settings.
+    ``trajectory`` may replace that of the settings.
     """
 
     def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
-        self.trip_reason = ""
-        self.stop_reason = ""
-        self.session = 0
-        self._first_sample = self._session_start = 0
-        self._safe = False
+        self._first_sample = 0
         self._active = False
+        self._state = ExperimentState.IDLE
+        self._rest = 0
+        self._forget_last(0, 0)
+        self.configure(settings, trajectory)
+
+    def _forget_last(self, now: int, session: int) -> None:
+        self.trip_reason = self.stop_reason = ""
+        self.session, self._session_start = session, self._first_sample
+        self._safe = False
         self._pending = False  # the next set-points are due at once, not ahead
         self._cut = False  # the reference went to zero without a ramp
-        self._epoch = 0
-        self._last_now: int | None = None
+        self._epoch = self._last_now = now
         self._next = 0
-        self._state = ExperimentState.IDLE
         self._marks: list[tuple[int, ExperimentState]] = []
         self._point = np.zeros(2)
-        self._run_start = 0
-        self._rest = 0
+        self._run_start = -1  # not yet
         self._ahead: FloatArray = np.zeros((0, 2))
-        self.configure(settings, trajectory)
 
     def configure(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
         """Change the settings for the next start; only while no experiment is active."""
@@ -137,17 +134,9 @@ class Experiment:
     def start(self, now: int, session: int = 1) -> None:
         """Start an experiment in a session of its own and clear an earlier trip; only while none is active."""
         assert not self._active
-        self.trip_reason = self.stop_reason = ""
-        self.session, self._session_start, self._safe = session, self._first_sample, False
+        self._forget_last(now, session)
         self._active = self._pending = True
-        self._cut = False
-        self._epoch = now + self._nanoseconds(self.settings.lead_time) // 2
-        self._last_now = now
-        self._next = 0
-        self._point = np.zeros(2)
-        self._ahead = np.zeros((0, 2))
-        self._marks = []
-        self._run_start = -1
+        self._epoch += self._nanoseconds(self.settings.lead_time) // 2
         self._visits.count[:] = 0
         self.feedback = speed_feedback(self.settings, self._trajectory)
         self._enter(ExperimentState.RAMP_IN)
@@ -228,7 +217,6 @@ class Experiment:
     def _check_clock(self, now: int) -> None:
         """Trip when the set-points ran out before this call, or the clock was set back."""
         last, self._last_now = self._last_now, now
-        assert last is not None
         late = now - self._stamp(self._next)
         if now < last - self._nanoseconds(self.settings.lead_time):
             self._epoch, self._next, self._ahead = now, 0, np.zeros((0, 2))

@@ -94,8 +94,7 @@ class SupervisedExperiment:
 
     def plan(self) -> str:
         """Describe the experiment that a start runs."""
-        settings = self._settings
-        seconds = total_duration(settings, make_trajectory(settings))
+        settings, seconds = self._settings, self._duration
         how_long = "until it is stopped" if math.isinf(seconds) else f"for {seconds:.4g} s"
         dry = ", published to nobody (dry_run)" if self._dry_run else ""
         return f"{settings.trajectory} within {settings.i_max:g} A {how_long}{dry}"

@@ -8,7 +8,7 @@ In a fast log, a moving current is within the tolerance for some samples, too: s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,10 @@ _QUARTILE = 0.3186
 """Of |x|, x standard normal."""
 
 
+_PER_POINT = ("i_dq", "u_dq", "speed", "winding_temperature", "covariance", "count")
+"""Arrays with an entry for each point, or None."""
+
+
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
     """Means over segments at rest."""
@@ -63,14 +67,8 @@ class OperatingPoints:
 
     def chosen(self, kept: BoolArray) -> OperatingPoints:
         """Return some of the points (P,)."""
-
-        def of(values: Any) -> Any:
-            return None if values is None else values[kept]
-
-        return OperatingPoints(
-            self.i_dq[kept], self.u_dq[kept], self.speed[kept], of(self.winding_temperature), of(self.covariance),
-            self.count[kept], self.freedom, self.samples,
-        )  # fmt: skip
+        known: dict[str, Any] = {name: getattr(self, name) for name in _PER_POINT}
+        return replace(self, **{name: values[kept] for name, values in known.items() if values is not None})
 
 
 def operating_points(data: OperatingData) -> OperatingPoints:
@@ -130,11 +128,9 @@ def joined_points(parts: list[OperatingPoints]) -> OperatingPoints:
         found = [getattr(part, name) for part in parts]
         return None if any(values is None for values in found) else np.concatenate(found)
 
-    names = ("i_dq", "u_dq", "speed", "winding_temperature", "covariance", "count")
-    arrays = {name: together(name) for name in names}
-    return OperatingPoints(
-        **arrays, freedom=sum(part.freedom for part in parts), samples=sum(part.samples for part in parts)
-    )
+    arrays = {name: together(name) for name in _PER_POINT}
+    freedom, samples = sum(part.freedom for part in parts), sum(part.samples for part in parts)
+    return OperatingPoints(**arrays, freedom=freedom, samples=samples)
 
 
 def steady_segments(data: OperatingData) -> list[slice]:

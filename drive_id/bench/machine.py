@@ -59,31 +59,17 @@ class Machine:
         mean = mean_table(table)
         amplitude = default_amplitude(machine_map) if i_max is None else i_max
         axis = np.linspace(-1.2 * amplitude, 1.2 * amplitude, _ROUGH_NODES)
-        d, q = np.meshgrid(axis, axis, indexing="ij")
-        rough = build_table(axis, axis, None, _values(mean, d, q, np.zeros_like(d))[..., :2])
-        return cls(
-            machine_map.name,
-            table,
-            mean,
-            rough,
-            machine_map.resistance,
-            machine_map.pole_pairs,
-            amplitude,
-            machine_map.u_dc,
-        )
+        rough = build_table(axis, axis, None, _flux(mean, axis[:, None], axis, 0.0))
+        source = machine_map
+        return cls(source.name, table, mean, rough, source.resistance, source.pole_pairs, amplitude, source.u_dc)
 
     def flux(self, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
         """Return the flux linkages (..., 2), Wb, at currents, A, and electrical angles, rad, that broadcast."""
-        return _values(self.table, i_d, i_q, theta)[..., :2]
+        return _flux(self.table, i_d, i_q, theta)
 
     def mean_flux(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
         """Return the flux linkages (..., 2) averaged over the rotor position, Wb, at currents, A."""
-        return _values(self.mean, i_d, i_q, 0.0)[..., :2]
-
-    def incremental_inductance(self, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
-        """Return [[dpsi_d/di_d, dpsi_d/di_q], [dpsi_q/di_d, dpsi_q/di_q]], (..., 2, 2), H."""
-        values = _values(self.table, i_d, i_q, theta)[..., 2:]
-        return values.reshape(*values.shape[:-1], 2, 2)
+        return _flux(self.mean, i_d, i_q, 0.0)
 
 
 def default_amplitude(machine_map: MachineMap) -> float:
@@ -101,9 +87,9 @@ def default_amplitude(machine_map: MachineMap) -> float:
     return amplitude
 
 
-def _values(table: SplineTable, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
+def _flux(table: SplineTable, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
     d, q, angle = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (i_d, i_q, theta)))
-    return evaluate_many(table, d.ravel(), q.ravel(), angle.ravel()).reshape(*d.shape, 6)
+    return evaluate_many(table, d.ravel(), q.ravel(), angle.ravel()).reshape(*d.shape, 6)[..., :2]
 
 
 def _with_harmonics(

@@ -40,36 +40,20 @@ class CoEnergyMachine:
     i_max: float  # A
     u_dc: float  # V
 
-    @property
-    def energy(self) -> float:
-        """E, J."""
-        return self.main_inductance[1] * self.saturation_current**2
-
-    def _scaled(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    def flux(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return psi_d = dW/di_d and psi_q = dW/di_q, Wb, at currents, A, and electrical angles, rad; all broadcast."""
         b = self.saturation_current
         a = b * float(np.sqrt(self.main_inductance[1] / self.main_inductance[0]))
+        energy = self.main_inductance[1] * b**2
         x, y = (i_d + self.magnet_current) / a, i_q / b
-        return x, y, np.sqrt(1 + x**2 + y**2), a, b
-
-    def co_energy(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return W, J, at currents, A, and electrical angles, rad, that broadcast."""
-        x, y, s, _, _ = self._scaled(i_d, i_q)
-        linear_d, linear_q = self.linear_inductance
-        w = self.energy * (s - 1) + self.magnet_flux * i_d + 0.5 * linear_d * i_d**2 + 0.5 * linear_q * i_q**2
-        for h, k, m in self.harmonics:
-            w = w + self.energy * (k * s * np.cos(h * theta) + m * x * y / s * np.sin(h * theta))
-        return np.asarray(w)
-
-    def flux(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return psi_d = dW/di_d and psi_q = dW/di_q, Wb, for arguments that broadcast."""
-        x, y, s, a, b = self._scaled(i_d, i_q)
+        s = np.sqrt(1 + x**2 + y**2)
         on_x, on_y = np.ones_like(theta), np.zeros_like(theta)
         for h, k, m in self.harmonics:
             on_x = on_x + k * np.cos(h * theta)
             on_y = on_y + m * np.sin(h * theta)
         # d(xy/s)/dx = y (1 + y^2)/s^3
-        w_x = self.energy * (x / s * on_x + y * (1 + y**2) / s**3 * on_y)
-        w_y = self.energy * (y / s * on_x + x * (1 + x**2) / s**3 * on_y)
+        w_x = energy * (x / s * on_x + y * (1 + y**2) / s**3 * on_y)
+        w_y = energy * (y / s * on_x + x * (1 + x**2) / s**3 * on_y)
         return w_x / a + self.magnet_flux + self.linear_inductance[0] * i_d, w_y / b + self.linear_inductance[1] * i_q
 
     def to_map(self) -> MachineMap:

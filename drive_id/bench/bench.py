@@ -104,13 +104,7 @@ class SimulatedBench:
         self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
 
     def set_encoder(self, encoder: Encoder) -> None:
-        """Change what the drive makes of its raw angle.
-
-        Raises
-        ------
-        ConfigurationError
-            While current flows, or a session might let it flow.
-        """
+        """Change what the drive makes of its raw angle, unless current flows or might flow: see :meth:`check_rest`."""
         self.check_rest()
         self._drive.set_encoder(encoder)
 

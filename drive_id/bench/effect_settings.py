@@ -202,8 +202,8 @@ class ShaftEffects:
     )  # fmt: skip
 
 
-EFFECT_GROUPS = (MachineEffects, InverterEffects, SensorEffects, ShaftEffects)
-EFFECT_NAMES = tuple(field.name for group in EFFECT_GROUPS for field in fields(group))
+_GROUPS = (MachineEffects, InverterEffects, SensorEffects, ShaftEffects)
+EFFECT_NAMES = tuple(field.name for group in _GROUPS for field in fields(group))
 """Names of all effects, in the order of the groups."""
 LOG_ONLY = frozenset({"log_decimation", "log_zero_sequence", "stamp_jitter"})
 """Effects on the log alone, which leave the simulated drive as it is."""

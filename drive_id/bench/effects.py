@@ -117,16 +117,15 @@ def _record(kind: np.dtype[np.void], **values: object) -> np.record:
     return record
 
 
-def active(settings: SimulationSettings) -> dict[str, object]:
-    """Return the effects whose settings differ from their defaults."""
+def active(settings: SimulationSettings) -> set[str]:
+    """Return the names of the effects whose settings differ from their defaults."""
     fields = SimulationSettings.__dataclass_fields__
-    values = {name: getattr(settings, name) for name in EFFECT_NAMES}
-    return {name: value for name, value in values.items() if value != fields[name].default}
+    return {name for name in EFFECT_NAMES if getattr(settings, name) != fields[name].default}
 
 
 def acts_inside(settings: SimulationSettings) -> bool:
     """Return whether an effect acts inside the control loop: then the course of the inner quantities is kept."""
-    return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
+    return bool(active(settings) - LOG_ONLY) or settings.inverter == "switching"
 
 
 def effects_of(machine: Machine, s: SimulationSettings) -> np.record:

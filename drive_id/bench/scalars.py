@@ -14,11 +14,7 @@ SCALAR_SETTINGS = ("log_scalars", "scalar_rate", "temperature_rate")
 
 
 def logged_scalars(
-    settings: SimulationSettings,
-    machine: Machine,
-    i_dq: FloatArray,
-    angle: FloatArray,
-    course: Course | None,
+    settings: SimulationSettings, machine: Machine, i_dq: FloatArray, angle: FloatArray, course: Course | None
 ) -> dict[str, FloatArray]:
     """Return the optional signals of ``log_scalars`` at the samples, (N,) each.
 

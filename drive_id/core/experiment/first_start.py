@@ -65,13 +65,7 @@ class _Turn:
 
 
 def first_start(samples: Samples) -> FirstStart:
-    """Evaluate the recording of trajectory ``first_start``.
-
-    Raises
-    ------
-    ExperimentError
-        When the recording does not tell the angle of the rotor.
-    """
+    """Evaluate the recording of trajectory ``first_start``; raises ExperimentError when it does not tell the angle."""
     offset = _current_offset(samples)
     width = max(1, round(_STEP / samples.sample_period))
     count = len(samples.stamp) // width
@@ -105,11 +99,12 @@ def first_start(samples: Samples) -> FirstStart:
 
 def _judged(offset: tuple[float, float, float], direction: int, pairs: int, turns: list[_Turn]) -> FirstStart:
     """Combine forwards and backwards at each amplitude, and compare the amplitudes."""
-    levels = sorted({round(turn.amplitude / max(t.amplitude for t in turns), 1) for turn in turns})
     largest = max(turn.amplitude for turn in turns)
+    levels: dict[float, list[_Turn]] = {}
+    for turn in turns:
+        levels.setdefault(round(turn.amplitude / largest, 1), []).append(turn)
     found = []
-    for level in levels:
-        own = [turn for turn in turns if round(turn.amplitude / largest, 1) == level]
+    for _, own in sorted(levels.items()):
         ways = [np.array([turn.difference for turn in own if turn.sense == sense]) for sense in (1, -1)]
         if min(len(way) for way in ways) < 2:
             continue

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from drive_id.core.experiment.free_shaft import FreeShaft
 from drive_id.core.experiment.limits import approach, follow, inside_disc
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, speed_feedback, total_duration
-from drive_id.core.experiment.trajectories import Trajectory
 from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.core.signals.signal import block_stamps
 from drive_id.types import NANOSECONDS, FloatArray, IntArray
@@ -62,17 +61,15 @@ class Experiment:
 
     Times are integer nanoseconds of the clock that stamps the blocks. All set-points lie in the disc of ``i_max``, and
     consecutive ones differ by at most ``slew_rate`` times the sample period, except for an immediate trip.
-
-    ``trajectory`` may replace that of the settings.
     """
 
-    def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
+    def __init__(self, settings: ExperimentSettings) -> None:
         self._first_sample = 0
         self._active = False
         self._state = ExperimentState.IDLE
         self._rest = 0
         self._forget_last(0, 0)
-        self.configure(settings, trajectory)
+        self.configure(settings)
 
     def _forget_last(self, now: int, session: int) -> None:
         self.trip_reason = self.stop_reason = ""
@@ -87,11 +84,11 @@ class Experiment:
         self._run_start = -1  # not yet
         self._ahead: FloatArray = np.zeros((0, 2))
 
-    def configure(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
+    def configure(self, settings: ExperimentSettings) -> None:
         """Change the settings for the next start; only while no experiment is active."""
         assert not self._active
         self.settings = settings
-        self._trajectory = trajectory or make_trajectory(settings)
+        self._trajectory = make_trajectory(settings)
         self.feedback = speed_feedback(settings, self._trajectory)
         self._turned = np.exp(-1j * (0.0 if settings.stator_frame else settings.angle_offset))
         self._step = settings.slew_rate * settings.sample_period

@@ -20,12 +20,10 @@ from drive_id.errors import ConfigurationError
 from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray, GroundTruth, MachineMap
 
-_SAMPLES_AT_ONCE = 5000
-"""Most samples simulated in one call, so that references and services are served in between."""
+_SAMPLES_AT_ONCE = 5000  # most samples simulated in one call, so that references and services are served in between
 _CLOCK_AHEAD = 0.02  # s
 _LARGEST_LAG = 0.5  # s, above which the diagnostics warn
-_STATUS_PERIOD = 0.02
-"""Time between two messages of the status, s."""
+_STATUS_PERIOD = 0.02  # time between two messages of the status, s
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 Columns = tuple[NDArray[np.float32], ...]

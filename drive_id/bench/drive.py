@@ -21,12 +21,9 @@ from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
-SETTLING_TIME = 0.05
-"""Time for which the drive runs at its first reference before the first sample, s."""
-
-_TRUTH_NODES = 81
-
-_INTERRUPTIBLE = 20_000  # samples
+SETTLING_TIME = 0.05  # for which the drive runs at its first reference before the first sample, s
+_TRUTH_NODES = 81  # of the true map, along each axis
+_INTERRUPTIBLE = 20_000  # samples simulated in one call
 _FLUX_TOLERANCE = 3e-8
 """Largest error per integration step from the bend of the inverter curve, relative to the largest flux."""
 

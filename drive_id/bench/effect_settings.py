@@ -11,8 +11,7 @@ from dataclasses import dataclass, fields
 from drive_id.settings import setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 
-MOST_ORDERS = 8
-"""Most orders of the eccentricity and of each kind of resolver error."""
+MOST_ORDERS = 8  # of the eccentricity and of each kind of resolver error
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ DEFAULT_ACCELERATION = 4000.0
 _DEFAULT_FRICTION = 0.01
 """Coulomb friction, and viscous friction at :data:`_FRICTION_SPEED`, as a fraction of the largest torque."""
 _FRICTION_SPEED = 100.0  # mechanical, rad/s
-_RIM_NODES = 721
+_RIM_NODES = 721  # angles at which the torque on the rim of the disc is sought
 
 EFFECTS = np.dtype(
     [

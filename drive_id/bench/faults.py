@@ -11,8 +11,7 @@ from typing import Generic, TypeVar
 from drive_id.settings import Checked, setting
 
 Message = TypeVar("Message")
-_OVERTAKEN = 0.03
-"""Delay of a message that others overtake, s: more than the time between two of them."""
+_OVERTAKEN = 0.03  # delay of a message that others overtake, s: more than the time between two of them
 
 
 @dataclass(frozen=True)

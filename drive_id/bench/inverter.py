@@ -18,7 +18,7 @@ from drive_id.bench.parameters import PhaseDrop
 from drive_id.bench.settings import SimulationSettings
 from drive_id.types import FloatArray
 
-_NODES = 601
+_NODES = 601  # of the true curve
 _SHARPEST = 1e-6  # of i_max: the charge current of a switching inverter without output capacitance
 
 

@@ -16,8 +16,8 @@ from drive_id.bench.splines import build_table, mean_table
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, MachineMap
 
-_SIXTH_NODES = 24
-_ROUGH_NODES = 9
+_SIXTH_NODES = 24  # angles in a period of a sixth harmonic that is added
+_ROUGH_NODES = 9  # of the map that the current controller knows, along each axis
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, MachineMap
 
-_NODES_PER_I_MAX = 32
-_NODES_OUTSIDE = 9
-_NODES_THETA = 24
+_NODES_PER_I_MAX = 32  # of the sampled map, from zero current to i_max
+_NODES_OUTSIDE = 9  # beyond i_max, on each side
+_NODES_THETA = 24  # angles in a period of the harmonics
 
 
 @dataclass(frozen=True)

@@ -33,14 +33,13 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray
 
-_FINEST = 1024
-_STICTION = 0.1
-"""Mechanical speed within which Coulomb friction changes its sign, rad/s."""
+_FINEST = 1024  # parts of a step, where the drop bends
+_STICTION = 0.1  # mechanical speed within which Coulomb friction changes its sign, rad/s
 _SQRT3 = math.sqrt(3.0)
 _REACH = (0.5, 0.5, 1.0)  # Runge-Kutta stages: fraction of the step from each rate to the next stage
-_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
-_BEND = (1.0, 0.0, -2.0, 1.0)
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the rates of the stages
+_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)  # of the powers of stages and end
+_BEND = (1.0, 0.0, -2.0, 1.0)  # of the drops of the stages: their curvature
 
 Pair = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]

@@ -15,9 +15,8 @@ from drive_id.settings import Checked, setting
 from drive_id.types import MachineMap, Samples
 
 _TICK = 0.01  # s, at which the feedback acts
-_LATENCY = 2
-"""Ticks from a measurement to its effect."""
-_RPM = 2 * np.pi / 60
+_LATENCY = 2  # ticks from a measurement to its effect
+_RPM = 2 * np.pi / 60  # rad/s
 
 
 @dataclass(frozen=True)

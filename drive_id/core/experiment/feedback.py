@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from drive_id.core.experiment.state_machine import ReferenceBlock
 from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-_KEPT = NANOSECONDS
-"""Age of references that feedback may still belong to, ns: twice what a drive is ever late."""
+_KEPT = NANOSECONDS  # age of references that feedback may still belong to, ns: twice what a drive is ever late
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,27 +19,22 @@ from drive_id.types import FloatArray, Samples
 
 _STEP = 0.01
 """Interval of the mean vectors that are evaluated, s: short against a turn of the vector, long against the noise."""
-_IDLE = 0.2
-"""Share of the largest current below which a vector counts as none."""
-_BEFORE = 40
-"""Mean vectors before the first current, for its offset."""
+_IDLE = 0.2  # share of the largest current below which a vector counts as none
+_BEFORE = 40  # mean vectors before the first current, for its offset
 _SMOOTH = 25
 """Mean vectors over which its speed is taken: the rotor oscillates about the vector, and takes the currents with it."""
 _EVEN = 0.4
 """Deviation from the usual speed of the vector that is tolerated: the inverter's voltage error makes it uneven."""
-_LEAST_MOTION = 0.5
-"""Motion of the rotor, relative to that of the vector, below which it does not follow."""
-_LARGEST_RATIO_ERROR = 0.05
-"""Deviation of the ratio of the angles from a whole number that is tolerated."""
+_LEAST_MOTION = 0.5  # motion of the rotor, relative to that of the vector, below which it does not follow
+_LARGEST_RATIO_ERROR = 0.05  # deviation of the ratio of the angles from a whole number that is tolerated
 _AGREEMENT = math.radians(2.0)
 """Distance between the offsets at two currents that is tolerated beyond what their scatter explains."""
-_LARGEST_LOAD_ANGLE = math.radians(35.0)
-_MOST_PAIRS = 50
+_LARGEST_LOAD_ANGLE = math.radians(35.0)  # by which friction may hold the rotor back
+_MOST_PAIRS = 50  # pole pairs
 _SHAKES = 2  # periods of a shake in a window
 _HIGHEST = 2.5
 """Highest harmonic of i_q whose torque counts; halves count as well, between which the sweep of i_d leads."""
-_COHERENT = 0.7
-"""Least cosine of the angle between torque and acceleration."""
+_COHERENT = 0.7  # least cosine of the angle between torque and acceleration
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Traj
 from drive_id.errors import ConfigurationError
 from drive_id.settings import Checked, setting
 
-FREE_SHAFT, FIRST_START = "free_shaft", "first_start"
+FREE_SHAFT = "free_shaft"
+FIRST_START = "first_start"
 TRAJECTORIES = ("lissajous", "stair", "spiral", FREE_SHAFT, FIRST_START)
-_MOST_AHEAD = 100_000  # set-points
-_LONGEST_RAMP = 10.0  # s
+_MOST_AHEAD = 100_000  # set-points published ahead
+_LONGEST_RAMP = 10.0  # from i_max to zero, s
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,9 @@ from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.core.signals.signal import block_stamps
 from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-LARGEST_BLOCK = 1000
-"""Most set-points in one block."""
-_COVERAGE_NODES = 21
-_COVERAGE_STEP = 10
+LARGEST_BLOCK = 1000  # set-points
+_COVERAGE_NODES = 21  # along each axis of the grid on which visited places are counted
+_COVERAGE_STEP = 10  # set-points, of which one is counted
 
 
 class ExperimentState(Enum):

@@ -18,9 +18,11 @@ from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.signals.signal import SampleCount
 from drive_id.types import NANOSECONDS, FloatArray
 
-CURRENTS, RESOLVER, STATUS = SIGNALS = ("phase_currents", "resolver", "drive_status")
-_STRAY = 1_000_000
-"""Deviation of stamps from an even grid, ns, besides half a block, that is no step of the clock."""
+CURRENTS = "phase_currents"
+RESOLVER = "resolver"
+STATUS = "drive_status"
+SIGNALS = (CURRENTS, RESOLVER, STATUS)
+_STRAY = 1_000_000  # deviation of stamps from an even grid, ns, besides half a block, that is no step of the clock
 _BRIEFLY = 0.1
 """Time for which an offset of the clock or another session may last, s: a stalled process catches up meanwhile."""
 

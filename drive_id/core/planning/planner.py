@@ -31,15 +31,12 @@ from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, Progress, silent
 
-PAPER_FREQUENCIES = (3.7, 1.1)
-"""Hz, of d and q."""
-PAPER_SPEED = 500.0
-"""rpm."""
+PAPER_FREQUENCIES = (3.7, 1.1)  # of d and q, Hz
+PAPER_SPEED = 500.0  # rpm
 
-_SHORTEST = 4.0
-"""s; less leaves gaps between the lines of the figure."""
+_SHORTEST = 4.0  # s; less leaves gaps between the lines of the figure
 _FIRST_GUESS = 10.0  # s
-_RESERVE = 1.05
+_RESERVE = 1.05  # factor on the duration that the wanted accuracy needs: it was predicted for another one
 _WEIGHTS = np.array([2.0, 2.0, 1.0, 1.0, 1.0])
 """Of the logarithms of the standard errors in the cost: logarithms need no scales."""
 _MARGIN = 0.95  # standard error by the paper's that no plan should exceed
@@ -47,21 +44,15 @@ _LOSS = 20.0  # cost of exceeding it, by its logarithm: no gain of another makes
 _COARSE = (8, 2000)  # cells of the map along each axis, and windows, to choose speeds
 _MIDDLE = (12, 3000)  # to choose the figure
 _FINE = (16, 6000)  # to predict the standard errors
-LONGEST_FIGURE = 10.0
-"""s; longer experiments repeat the figure."""
-
-FEWEST_CYCLES = 8
-"""Of the higher frequency, in one figure."""
-
-_RATIOS = (1.0, 0.618, 0.382, 0.236)
-"""Of the lower to the higher frequency."""
-_SHARES = (1.0, 0.5)
-"""Of the highest frequency allowed."""
-_MOST_SPEEDS = 4
-_BANDWIDTH_SHARE = 0.1
-_SLOPE_VOLTAGE_SHARE = 0.2
-_VOLTAGE_SHARE = 0.95
-_FEWEST_SAMPLES = 4
+LONGEST_FIGURE = 10.0  # s; longer experiments repeat the figure
+FEWEST_CYCLES = 8  # of the higher frequency, in one figure
+_RATIOS = (1.0, 0.618, 0.382, 0.236)  # of the lower to the higher frequency
+_SHARES = (1.0, 0.5)  # of the highest frequency allowed
+_MOST_SPEEDS = 4  # speeds from the lowest to the highest that are combined
+_BANDWIDTH_SHARE = 0.1  # highest frequency of the references by the bandwidth of the current controller
+_SLOPE_VOLTAGE_SHARE = 0.2  # part of the largest voltage that the slopes of the references may take
+_VOLTAGE_SHARE = 0.95  # part of the largest voltage that an experiment may take
+_FEWEST_SAMPLES = 4  # in a window, at the highest speed
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,11 @@ DROP_SHARE = 0.01
 CURVE_ERROR = 1e-5
 """Assumed misfit of the inverter curve, as a fraction of the DC-link voltage; it weighs more in longer windows."""
 
-_SAMPLES_PER_WINDOW = 8
-_COARSEST = 1e-3
-"""s."""
-_GRID = 25
-_CURVE_NODES = 50
-_CURVE_FOOT = 0.02
+_SAMPLES_PER_WINDOW = 8  # of synthesized samples: a figure is smooth within a window
+_COARSEST = 1e-3  # longest period of synthesized samples, s
+_GRID = 25  # points of the map along each axis at which its standard errors are averaged
+_CURVE_NODES = 50  # currents at which those of the curve are averaged
+_CURVE_FOOT = 0.02  # the lowest of them, by i_max
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from drive_id.types import FloatArray, Samples
 
 AVERAGED = 0.1
 """Time over which samples are averaged, s."""
-_LARGEST_TURN = 0.5
-"""Turn per sample, rad, up to which phase quantities and an angle give d and q components."""
+_LARGEST_TURN = 0.5  # turn per sample, rad, up to which phase quantities and an angle give d and q components
 
 
 def averaged(samples: Samples) -> OperatingData:

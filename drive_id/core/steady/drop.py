@@ -8,9 +8,8 @@ import numpy as np
 
 from drive_id.types import BoolArray, FloatArray
 
-_ANGLES = 720
-_SHARP = 1e-6
-"""Scale of a curve that jumps at zero current, by i_max."""
+_ANGLES = 720  # of a turn, for the fundamental
+_SHARP = 1e-6  # scale of a curve that jumps at zero current, by i_max
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,40 +25,26 @@ MAP_POINTS = 15
 """Least number of distinct currents, mirror images counted once, for maps instead of inductances."""
 DISTINCT = 0.05
 """Distance of distinct currents, by i_max."""
-_MAP_SPREAD = 0.3
-"""Least range of i_d and of |i_q|, by i_max, for maps."""
-_SAME_SPEED = 0.05
-"""Distance, by the largest speed, within which points count as of one speed."""
+_MAP_SPREAD = 0.3  # least range of i_d and of |i_q|, by i_max, for maps
+_SAME_SPEED = 0.05  # distance, by the largest speed, within which points count as of one speed
 _STANDSTILL = 0.01
 """Speed, by the largest, below which the fluxes induce nothing to speak of and a drop is not averaged over a turn."""
-_NEAR_ZERO = 0.02
-"""Current, by i_max, below which the drop is not known from the mean current."""
-_SPARE = 4
-"""Least number of equations more than unknowns to test for effects."""
+_NEAR_ZERO = 0.02  # current, by i_max, below which the drop is not known from the mean current
+_SPARE = 4  # least number of equations more than unknowns to test for effects
 USUAL_DROP = 0.03
 """Standard deviation of the drop before any data, by the DC-link voltage."""
-_DROP_AT_REST = 0.3
-"""Rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude."""
-_CELLS = 10
-"""Cells of the splines per axis; the penalty of the roughness, not their number, limits the detail."""
-_BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))
-"""Bend and relief of the bases that compete where there are maps."""
-_VAGUE = 10.0
-"""Width of the weak prior, in units of what the voltages and currents suggest."""
-_PASSES = 2
-"""Times that the weights, which depend on the map, are renewed by a solution."""
-_MISFIT = 1.25
-"""Residuals, by the noise of the points, from which the misfit of the model counts as noise, too."""
-_RARE = 3e-5
-"""Probability with which chance alone makes an effect seem significant."""
+_DROP_AT_REST = 0.3  # rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude
+_CELLS = 10  # cells of the splines per axis; the penalty of the roughness, not their number, limits the detail
+_BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))  # bend and relief of the bases that compete where there are maps
+_VAGUE = 10.0  # width of the weak prior, in units of what the voltages and currents suggest
+_PASSES = 2  # times that the weights, which depend on the map, are renewed by a solution
+_MISFIT = 1.25  # residuals, by the noise of the points, from which the misfit of the model counts as noise, too
+_RARE = 3e-5  # probability with which chance alone makes an effect seem significant
 _OUTLYING = 6.0
 """Size of a whitened residual, in typical ones, from which a point is left out: Gaussian ones exceed it with 1.5e-8."""
-_MOST_OUTLYING = 0.1
-"""Share of the points: if more are far away, it is the model that is wrong."""
-_FEW = 20
-"""Points below which the typical size is not known well enough to leave any out."""
-_FLOOR = 1e-6
-"""Least noise, by the voltage: exact data must not give infinite weights."""
+_MOST_OUTLYING = 0.1  # share of the points: if more are far away, it is the model that is wrong
+_FEW = 20  # points below which the typical size is not known well enough to leave any out
+_FLOOR = 1e-6  # least noise, by the voltage: exact data must not give infinite weights
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

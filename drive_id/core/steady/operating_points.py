@@ -19,25 +19,20 @@ from drive_id.types import BoolArray, FloatArray, IntArray
 
 TOLERANCE = 0.02
 """Range within a segment at rest, by the largest current amplitude or speed."""
-_LARGEST_TOLERANCE = 0.10
-_NOISE = 8.0
-"""Range of white noise in some hundred samples, in standard deviations."""
-LEAST_SAMPLES = 3
-_SETTLED = 4.0
-_SETTLED_SHARE = 0.005
+_LARGEST_TOLERANCE = 0.10  # however large the noise
+_NOISE = 8.0  # range of white noise in some hundred samples, in standard deviations
+LEAST_SAMPLES = 3  # of a segment
+_SETTLED = 4.0  # distance from the final voltages within which they are settled, in standard deviations of their noise
+_SETTLED_SHARE = 0.005  # the same by the largest voltage, in addition
 _LARGEST_SLOPE = 0.01
 """Change of the current within a segment, by the largest current and while the rotor turns by 1 rad electrical at the
 largest speed: about the share of the voltage that a changing flux then takes, which is not in the equations."""
-_GAP = 3.0
-"""Periods without a sample that end a segment."""
-_POOLED_SAMPLES = 30.0
-"""Weight of the scatter of all segments beside that of the own one, samples."""
-_MOST_CORRELATED = 0.95
-_BLOCK = 64
-_SURE = 3.0
-_QUARTILE = 0.3186
-"""Of |x|, x standard normal."""
-
+_GAP = 3.0  # periods without a sample that end a segment
+_POOLED_SAMPLES = 30.0  # weight of the scatter of all segments beside that of the own one, samples
+_MOST_CORRELATED = 0.95  # correlation from sample to sample that is believed: beyond, the means would have no weight
+_BLOCK = 64  # samples that are looked at first for the end of a segment
+_SURE = 3.0  # standard errors of a slope that noise explains
+_QUARTILE = 0.3186  # of |x|, x standard normal
 
 _PER_POINT = ("i_dq", "u_dq", "speed", "winding_temperature", "covariance", "count")
 """Arrays with an entry for each point, or None."""

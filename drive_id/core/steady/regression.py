@@ -14,10 +14,9 @@ from scipy import linalg
 
 from drive_id.types import FloatArray
 
-_WEIGHTS = np.geomspace(1e-9, 1e3, 25)
-_ROUNDING = 1e-13
-_UNLIKELY = 40.0
-"""Distance in -2 log likelihood beyond which a solution is left out of the mixture."""
+_WEIGHTS = np.geomspace(1e-9, 1e3, 25)  # of the roughness, relative to the columns
+_ROUNDING = 1e-13  # added to the scaled diagonal, so that rounding leaves it positive definite
+_UNLIKELY = 40.0  # distance in -2 log likelihood beyond which a solution is left out of the mixture
 
 
 @dataclass(frozen=True, eq=False)

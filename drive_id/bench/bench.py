@@ -45,15 +45,7 @@ class MessageBlock:
 class SimulatedBench:
     """A simulated drive that runs with a clock; building it also loads or compiles its kernels.
 
-    Parameters
-    ----------
-    faults : FaultSettings, optional
-        They can be replaced at any time.
-
-    Raises
-    ------
-    ConfigurationError
-        When the settings fit neither each other nor the machine.
+    Its faults can be replaced at any time. Raises ConfigurationError when settings and machine do not fit.
     """
 
     def __init__(
@@ -250,16 +242,9 @@ class SimulatedBench:
 
 
 class Pace:
-    """Scales a steady clock to the time of the bench.
+    """Scales a steady clock, which is ``steady`` at the time ``start``, ns, to the time of the bench.
 
-    Parameters
-    ----------
-    start : int
-        First time, ns.
-    steady : int
-        The steady clock then, ns.
-    scale : float
-        Simulated time per real time. Other than 1, time waits for the simulation, since all other nodes follow it.
+    ``scale`` is simulated time per real time. Other than 1, time waits for the simulation: all other nodes follow it.
     """
 
     def __init__(self, start: int, steady: int, scale: float) -> None:

@@ -20,17 +20,9 @@ class SpeedProfile:
 
     @classmethod
     def from_settings(cls, settings: SimulationSettings, duration: float | None) -> SpeedProfile:
-        """Lay out the speeds of the settings.
+        """Lay out the speeds of the settings over the duration of the whole experiment, s; None when that is open.
 
-        Parameters
-        ----------
-        duration : float or None
-            Of the whole experiment for equal shares, s; None when it is open.
-
-        Raises
-        ------
-        ConfigurationError
-            When several speeds have no durations, or a piece is shorter than its ramp.
+        Raises ConfigurationError when several speeds have no durations, or a piece is shorter than its ramp.
         """
         if len(settings.speeds) == 1:
             return cls(np.zeros(1), np.array(settings.speeds))

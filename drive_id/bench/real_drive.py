@@ -222,17 +222,10 @@ def _accelerate(effects: np.record, more: np.record, impulse: float, torque: flo
 
 @compiled()
 def integrate(plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, span: Pair) -> bool:
-    """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
+    """Integrate the plant over a span of a sample period, s, under a constant stator voltage, V.
 
     The steps are halved, down to 1/1024, where the drop bends sharply, that is where a phase current crosses zero. The
-    rotor moves as ``more.motion`` says, which a free shaft updates after each step.
-
-    Parameters
-    ----------
-    u : (float, float)
-        Voltage in the stator frame, V.
-    span : (float, float)
-        The part of the period, s.
+    rotor moves as ``more.motion`` says, which a free shaft updates after each step. Returns False where Newton fails.
     """
     steps = max(1, math.ceil((span[1] - span[0]) / effects.largest_step - 1e-9))
     tick = (span[1] - span[0]) / (steps * _FINEST)

@@ -32,19 +32,10 @@ _LEAST_MOTION = 1e-3  # rad
 
 
 def swing_frequency(acceleration: float, speed_max: float, mean_speed: float = 0.0) -> float:
-    """Return the frequency of i_q whose swing fits the speeds, Hz.
+    """Return the frequency of i_q whose swing fits the speeds, Hz, at least that of the slowest swing.
 
-    Parameters
-    ----------
-    acceleration : float
-        By the largest torque, T_max p / J, electrical, rad/s^2.
-    speed_max, mean_speed : float
-        Electrical, rad/s.
-
-    Raises
-    ------
-    ConfigurationError
-        When the mean speed leaves no band.
+    The acceleration by the largest torque, T_max p / J, rad/s^2, and the speeds, rad/s, are electrical. Raises
+    ConfigurationError when the mean speed leaves no band.
     """
     band = _SWING_SHARE * (speed_max - abs(mean_speed))
     if band <= 0:
@@ -96,13 +87,7 @@ class FreeShaft(Checked):
 
 
 class MeanSpeed:
-    """Mean speed over whole periods of the swing, from the angle: exact where the speed signal lags.
-
-    Parameters
-    ----------
-    frequency : float
-        Of the swing, Hz.
-    """
+    """Mean speed over whole periods of a swing of ``frequency``, Hz, from the angle: exact where the speed lags."""
 
     def __init__(self, frequency: float) -> None:
         self.window = math.ceil(_WINDOW * frequency) / frequency

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from drive_id.core.experiment.free_shaft import (
     FASTEST_SWING,
-    SLOWEST_SWING,
     TRIP_FACTOR,
     FreeShaft,
     RotatingVector,
@@ -266,7 +265,7 @@ def _swing(settings: ExperimentSettings) -> FreeShaft:
         assert settings.shaft_acceleration is not None
         assert settings.shaft_speed_max is not None
         wanted = swing_frequency(amplitude * settings.shaft_acceleration, settings.shaft_speed_max, settings.mean_speed)
-        frequency = min(max(wanted, SLOWEST_SWING), FASTEST_SWING)
+        frequency = min(wanted, FASTEST_SWING)
         amplitude *= min(1.0, frequency / wanted)
     return FreeShaft(amplitude * settings.i_max, frequency, settings.duration)
 

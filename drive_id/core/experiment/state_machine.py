@@ -144,17 +144,7 @@ class Experiment:
             self._override(now, immediate=False)
 
     def trip(self, now: int, reason: str, *, immediate: bool) -> None:
-        """Stop because of a fault.
-
-        Parameters
-        ----------
-        now : int
-            ns.
-        reason : str
-            A sentence; the first one of an experiment is kept.
-        immediate : bool
-            Set the reference to zero at once, without a ramp.
-        """
+        """Stop because of a fault, whose sentence is kept if it is the first one; ``immediate``: without a ramp."""
         if not self._active:
             return
         self.trip_reason = self.trip_reason or reason

@@ -64,11 +64,7 @@ class SupervisedExperiment:
 
     ``now`` is the time of the clock that stamps the blocks, ns; ``steady`` that of a monotonic clock, s.
 
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    names : mapping of str to str, optional
-        Of topics, for messages: see :class:`~.watchdog.Watchdog`.
+    The names of topics are for messages, see :class:`~.watchdog.Watchdog`.
     """
 
     def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:
@@ -104,14 +100,7 @@ class SupervisedExperiment:
     ) -> Answer:
         """Start, or return why not.
 
-        Parameters
-        ----------
-        now, steady
-            As for the class.
-        publishers : int
-            Publishers of references, this one included.
-        dry_run, require_lease : bool
-            In addition to the settings, which they cannot loosen.
+        ``publishers`` counts those of references, this one included; the options cannot loosen the settings.
         """
         self._watchdog.publishers = publishers
         leased = steady - self._heartbeat <= self._settings.lease_time

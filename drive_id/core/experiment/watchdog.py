@@ -120,11 +120,8 @@ class _Stream(Generic[Message]):
 class Watchdog:
     """Judges the messages of a drive, and what does not come.
 
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    names : mapping of str to str, optional
-        Names of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stops``, for messages.
+    ``names`` are those of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stops``, for
+    messages.
     """
 
     def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:

@@ -17,8 +17,7 @@ from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
-AMPLITUDE = 0.95
-"""Of the current, relative to i_max."""
+AMPLITUDE = 0.95  # of the current, relative to i_max
 _BANDWIDTH_SHARE = 0.25  # highest frequency of the swing relative to the bandwidth of the current controller
 _VOLTAGE_SHARE = 0.9  # of the largest voltage that a swing may take: the rest is for what the rough machine leaves out
 _HEAVY = 0.25  # swing relative to the highest speed below which the shaft is let run at half of that speed

@@ -283,24 +283,10 @@ def speed_sets(low: float, high: float, *, reverse: bool) -> list[tuple[float, .
 
 
 def figures(i_max: float, highest: float, period: float) -> Iterator[Lissajous]:
-    """Yield figures that close after a given time.
+    """Yield figures of an amplitude, A, up to the highest frequency, Hz, that close after a period, s.
 
     Their frequencies are coprime multiples of its inverse, so that the figure closes then and not before, and covers
-    the disc with evenly spaced lines.
-
-    Parameters
-    ----------
-    i_max : float
-        A.
-    highest : float
-        Frequency, Hz.
-    period : float
-        s.
-
-    Raises
-    ------
-    ConfigurationError
-        When the time is too short for these frequencies.
+    the disc with evenly spaced lines. Raises ConfigurationError when the period is too short for these frequencies.
     """
     if highest * period < FEWEST_CYCLES:
         raise ConfigurationError(

@@ -22,10 +22,8 @@ from drive_id.core.maps.coenergy import bent_edges
 from drive_id.core.planning.settings import RoughMachine
 from drive_id.types import FloatArray, Samples
 
-PENALTY = 1e-3
-"""Weight of the roughness penalty: the one that cross-validation finds for recordings of ten seconds."""
-DROP_SHARE = 0.01
-"""Assumed height of an unknown inverter's voltage error, as a fraction of the DC-link voltage."""
+PENALTY = 1e-3  # weight of the roughness penalty: the one that cross-validation finds for recordings of ten seconds
+DROP_SHARE = 0.01  # assumed height of an unknown inverter's voltage error, as a fraction of the DC-link voltage
 CURVE_ERROR = 1e-5
 """Assumed misfit of the inverter curve, as a fraction of the DC-link voltage; it weighs more in longer windows."""
 
@@ -78,14 +76,9 @@ def rough_model(i_max: float, cells: int) -> FullModel:
 def synthesize(
     machine: RoughMachine, trajectory: Trajectory, speed: float, seconds: float, sample_period: float
 ) -> Samples:
-    """Return noise-free samples of a drive that follows a trajectory perfectly.
+    """Return noise-free samples of a drive that follows a trajectory perfectly at a mechanical speed, rpm.
 
-    Parameters
-    ----------
-    speed : float
-        Mechanical, rpm.
-    sample_period : float
-        Lower bound, s; longer where a window of 60 degrees needs fewer samples.
+    The sample period, s, is a lower bound: it is longer where a window of 60 degrees needs fewer samples.
     """
     omega = machine.electrical(speed)
     period = float(np.clip(WINDOW_ANGLE / abs(omega) / _SAMPLES_PER_WINDOW, sample_period, _COARSEST))
@@ -119,14 +112,9 @@ def fisher_information(model: FullModel, samples: Samples, most_windows: int) ->
 def predict(
     model: FullModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
 ) -> Prediction:
-    """Predict the standard errors of a fit to all parts of an experiment.
+    """Predict the standard errors of a fit to all parts of an experiment, one for each speed.
 
-    Parameters
-    ----------
-    parts : sequence of FisherInformation
-        One for each speed.
-    current_noise : float
-        Standard deviation of each phase current's noise as a fraction of i_max.
+    ``current_noise`` is the standard deviation of each phase current's noise as a fraction of i_max.
     """
     total = np.sum([part.normal for part in parts], axis=0)
     solver = Solver(model, total[None], np.array([sum(part.rows for part in parts)]))

@@ -9,8 +9,7 @@ from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import SamplePeriodError
 from drive_id.types import FloatArray, Samples
 
-AVERAGED = 0.1
-"""Time over which samples are averaged, s."""
+AVERAGED = 0.1  # time over which samples are averaged, s
 _LARGEST_TURN = 0.5  # turn per sample, rad, up to which phase quantities and an angle give d and q components
 
 

@@ -19,20 +19,16 @@ from drive_id.errors import CoverageError, StandstillError
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
-REACH = 1.05
-"""Half width of the map by i_max."""
-MAP_POINTS = 15
-"""Least number of distinct currents, mirror images counted once, for maps instead of inductances."""
-DISTINCT = 0.05
-"""Distance of distinct currents, by i_max."""
+REACH = 1.05  # half width of the map by i_max
+MAP_POINTS = 15  # least number of distinct currents, mirror images counted once, for maps instead of inductances
+DISTINCT = 0.05  # distance of distinct currents, by i_max
 _MAP_SPREAD = 0.3  # least range of i_d and of |i_q|, by i_max, for maps
 _SAME_SPEED = 0.05  # distance, by the largest speed, within which points count as of one speed
 _STANDSTILL = 0.01
 """Speed, by the largest, below which the fluxes induce nothing to speak of and a drop is not averaged over a turn."""
 _NEAR_ZERO = 0.02  # current, by i_max, below which the drop is not known from the mean current
 _SPARE = 4  # least number of equations more than unknowns to test for effects
-USUAL_DROP = 0.03
-"""Standard deviation of the drop before any data, by the DC-link voltage."""
+USUAL_DROP = 0.03  # standard deviation of the drop before any data, by the DC-link voltage
 _DROP_AT_REST = 0.3  # rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude
 _CELLS = 10  # cells of the splines per axis; the penalty of the roughness, not their number, limits the detail
 _BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))  # bend and relief of the bases that compete where there are maps

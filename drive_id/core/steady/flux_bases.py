@@ -17,8 +17,7 @@ from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
 from drive_id.types import FloatArray
 
 DEGREE = 4  # of the co-energy: its third derivatives are penalized
-ODD = 2
-"""Coefficients of an asymmetric part, psi_q at zero current and L_dq, where it is fitted: the last of a basis."""
+ODD = 2  # coefficients of an asymmetric part, psi_q at zero current and L_dq, where it is fitted: the last of a basis
 _NODES = 5  # Gauss nodes per cell: exact for squares of splines of degree 4, times a weight that is constant per cell
 
 

@@ -17,8 +17,7 @@ from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import CoverageError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-TOLERANCE = 0.02
-"""Range within a segment at rest, by the largest current amplitude or speed."""
+TOLERANCE = 0.02  # range within a segment at rest, by the largest current amplitude or speed
 _LARGEST_TOLERANCE = 0.10  # however large the noise
 _NOISE = 8.0  # range of white noise in some hundred samples, in standard deviations
 LEAST_SAMPLES = 3  # of a segment

@@ -15,85 +15,37 @@ from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.core.experiment.encoder import Encoder
-from drive_id.core.experiment.feedback import DriveStatus
+from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.errors import ConfigurationError
 from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray, GroundTruth, MachineMap
 
-_SAMPLES_AT_ONCE = 5000
-"""Most samples simulated in one call, so that references and services are served in between."""
+_SAMPLES_AT_ONCE = 5000  # most samples simulated in one call, so that references and services are served in between
 _CLOCK_AHEAD = 0.02  # s
 _LARGEST_LAG = 0.5  # s, above which the diagnostics warn
-_STATUS_PERIOD = 0.02
-"""Time between two messages of the status, s."""
+_STATUS_PERIOD = 0.02  # time between two messages of the status, s
 _JUST_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
 Columns = tuple[NDArray[np.float32], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class ScalarBlock:
-    """The samples of one message of an optional signal.
-
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns.
-    first_sample : int
-        Running count.
-    sample_period : float
-        s.
-    values : (N,) float32
-        At least one.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    values: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
 class MessageBlock:
-    """The samples of one message of each topic.
+    """The samples of one message of each topic."""
 
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns.
-    first_sample : int
-        Running count.
-    sample_period : float
-        s.
-    currents, voltages : tuple of three (N,) float32
-        A, V.
-    resolver : tuple of two (N,) float32
-        Angle, rad, and speed, rad/s.
-    scalars : dict of str to ScalarBlock
-        Optional signals that have a sample in this block, by name.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    currents: Columns
-    voltages: Columns
-    resolver: Columns
-    scalars: dict[str, ScalarBlock]
+    stamp: int  # of the first sample, ns
+    first_sample: int  # running count
+    sample_period: float  # s
+    currents: Columns  # of three phases (N,), A
+    voltages: Columns  # likewise, V
+    resolver: Columns  # angle, rad, and speed, rad/s, (N,) each
+    scalars: dict[str, SampleBlock]  # optional signals that have a sample in this block, by name
 
 
 class SimulatedBench:
     """A simulated drive that runs with a clock; building it also loads or compiles its kernels.
 
-    Parameters
-    ----------
-    faults : FaultSettings, optional
-        They can be replaced at any time.
-
-    Raises
-    ------
-    ConfigurationError
-        When the settings fit neither each other nor the machine.
+    Its faults can be replaced at any time. Raises ConfigurationError when settings and machine do not fit.
     """
 
     def __init__(
@@ -142,13 +94,7 @@ class SimulatedBench:
         self._drive.profile = SpeedProfile(np.array([now, now + ramp_time]), np.array([present, speeds[0]]))
 
     def set_encoder(self, encoder: Encoder) -> None:
-        """Change what the drive makes of its raw angle.
-
-        Raises
-        ------
-        ConfigurationError
-            While current flows, or a session might let it flow.
-        """
+        """Change what the drive makes of its raw angle, unless current flows or might flow: see :meth:`check_rest`."""
         self.check_rest()
         self._drive.set_encoder(encoder)
 
@@ -212,7 +158,7 @@ class SimulatedBench:
         self._status_due = self._done * self._period + _STATUS_PERIOD
         self._statuses += 1
         last, references, machine = self._last, self.references, self._drive.machine
-        tripped, scalars = self.faults.trip, {name: float(block.values[-1]) for name, block in last.scalars.items()}
+        tripped, scalars = self.faults.trip, {name: float(block.values[0][-1]) for name, block in last.scalars.items()}
         return DriveStatus(
             stamp=last.stamp + round(len(last.resolver[0]) * self._period * NANOSECONDS),
             count=self._statuses - 1,
@@ -250,7 +196,7 @@ class SimulatedBench:
         self._last = block
         return block
 
-    def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, ScalarBlock]:
+    def _scalar_blocks(self, first: int, scalars: dict[str, FloatArray]) -> dict[str, SampleBlock]:
         """Return every n-th sample of the optional signals of a block that begins with sample number ``first``."""
         found = {}
         for name, values in scalars.items():
@@ -258,7 +204,7 @@ class SimulatedBench:
             number = -(-first // stride)
             chosen = values[number * stride - first :: stride].astype(np.float32)
             if len(chosen):
-                found[name] = ScalarBlock(self._stamp(number * stride), number, stride * self._period, chosen)
+                found[name] = SampleBlock(self._stamp(number * stride), number, stride * self._period, (chosen,))
         return found
 
     def health(self) -> Health:
@@ -296,16 +242,9 @@ class SimulatedBench:
 
 
 class Pace:
-    """Scales a steady clock to the time of the bench.
+    """Scales a steady clock, which is ``steady`` at the time ``start``, ns, to the time of the bench.
 
-    Parameters
-    ----------
-    start : int
-        First time, ns.
-    steady : int
-        The steady clock then, ns.
-    scale : float
-        Simulated time per real time. Other than 1, time waits for the simulation, since all other nodes follow it.
+    ``scale`` is simulated time per real time. Other than 1, time waits for the simulation: all other nodes follow it.
     """
 
     def __init__(self, start: int, steady: int, scale: float) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.bench import effects, kernels, parameters
+from drive_id.bench.effects import Course
 from drive_id.bench.inverter import drop_curve, phase_drop_of
 from drive_id.bench.machine import Machine
 from drive_id.bench.profile import SpeedProfile
@@ -20,52 +21,29 @@ from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
-Course = np.recarray[Any, np.dtype[np.record]]
-
-SETTLING_TIME = 0.05
-"""Time for which the drive runs at its first reference before the first sample, s."""
-
-_TRUTH_NODES = 81
-
-_INTERRUPTIBLE = 20_000  # samples
+SETTLING_TIME = 0.05  # for which the drive runs at its first reference before the first sample, s
+_TRUTH_NODES = 81  # of the true map, along each axis
+_INTERRUPTIBLE = 20_000  # samples simulated in one call
 _FLUX_TOLERANCE = 3e-8
 """Largest error per integration step from the bend of the inverter curve, relative to the largest flux."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedBlock:
-    """A block of a simulated experiment, or all of it.
+    """A block of a simulated experiment, or all of it."""
 
-    Parameters
-    ----------
-    samples : Samples
-        As measured and logged by the drive.
-    i_dq_true : (N, 2) float
-        True phase currents at the samples in the true rotor frame, A.
-    angle_true : (N,) float
-        True electrical angle at the samples, not wrapped to one turn, rad.
-    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
-        Inner quantities at the samples, of a drive with effects.
-    """
-
-    samples: Samples
-    i_dq_true: FloatArray
-    angle_true: FloatArray
-    course: Course | None = None
+    samples: Samples  # as measured and logged by the drive
+    i_dq_true: FloatArray  # (N, 2), true phase currents at the samples in the true rotor frame, A
+    angle_true: FloatArray  # (N,), true electrical angle at the samples, not wrapped to one turn, rad
+    course: Course | None = None  # (N,) of dtype effects.COURSE: inner quantities of a drive with effects
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Simulation(SimulatedBlock):
-    """A simulated experiment and its ground truth.
-
-    Parameters
-    ----------
-    machine : Machine
-        Whose ``mean_flux`` is the truth at any current.
-    """
+    """A simulated experiment and its ground truth."""
 
     truth: GroundTruth
-    machine: Machine
+    machine: Machine  # whose ``mean_flux`` is the truth at any current
 
 
 class Drive:
@@ -135,16 +113,13 @@ class Drive:
         """Time of the next sample, s."""
         return self._next * self.settings.sample_period
 
-    def step_block(self, i_dq_reference: FloatArray, mean_speed: FloatArray | None = None) -> SimulatedBlock:
+    def step_block(self, i_dq_reference: FloatArray) -> SimulatedBlock:
         """Run the drive over the samples of one block.
 
         Parameters
         ----------
         i_dq_reference : (N, 2) float
             References, each valid from its sample on, A; with ``log_decimation``, fewer samples than these are logged.
-        mean_speed : (N + 1,) float, optional
-            Electrical speed without ripple at the samples and at the end of the block, rad/s, linear in between.
-            Default: that of the settings.
 
         Raises
         ------
@@ -157,20 +132,20 @@ class Drive:
         n = len(reference)
         period = self.settings.sample_period
         ticks = self._next + np.arange(n + 1, dtype=np.float64)
-        speed = self._speed(ticks * period) if mean_speed is None else np.ascontiguousarray(mean_speed, np.float64)
-        if speed.shape != (n + 1,) or not np.isfinite(speed).all():
-            raise DataError(f"mean_speed has shape {speed.shape}: give {n + 1} finite values for {n} samples.")
         every = self.settings.log_decimation
         logged = slice(-self._next % every, None, every)
         if logged.start >= n:
             raise DataError(f"None of the {n} samples is logged with log_decimation {every}: give longer blocks.")
-        out, course = self._run(reference, speed)
+        out, course = self._run(reference, self._speed(ticks * period))
         self._next += n
         stamp, u_abc = ticks[:-1][logged] * (period * 1e9), out.u_abc[logged]
         if self.settings.stamp_jitter > 0:
             stamp += self._generators[3].uniform(0, self.settings.stamp_jitter * 1e9, len(stamp))
         if self.settings.log_zero_sequence:
             u_abc = u_abc - 0.5 * (u_abc.max(axis=1, keepdims=True) + u_abc.min(axis=1, keepdims=True))
+        i_dq, angle = out.i_dq_true[logged], out.angle_true[logged]
+        inner: Any = None if course is None else course[logged]
+        scalars: dict[str, Any] = logged_scalars(self.settings, self.machine, i_dq, angle, inner)
         samples = Samples(
             stamp=np.round(stamp).astype(np.int64),
             i_abc=out.i_abc[logged],
@@ -179,23 +154,8 @@ class Drive:
             speed=out.speed[logged],
             sample_period=period * every,
             i_dq_reference=reference[logged].copy(),
+            **scalars,
         )
-        inner: Any = None if course is None else course[logged]
-        i_dq, angle = out.i_dq_true[logged], out.angle_true[logged]
-        if inner is None:
-            scalars = logged_scalars(self.settings, self.machine, i_dq, angle)
-        else:
-            scalars = logged_scalars(
-                self.settings,
-                self.machine,
-                inner.i_dq_machine,
-                angle,
-                psi_dq=inner.psi_dq,
-                u_dc=inner.u_dc,
-                temperature=inner.temperature,
-            )
-        known: dict[str, Any] = scalars
-        samples = dataclasses.replace(samples, **known) if known else samples
         return SimulatedBlock(samples=samples, i_dq_true=i_dq, angle_true=angle, course=inner)
 
     def truth(self) -> GroundTruth:
@@ -362,15 +322,7 @@ def simulate(machine_map: MachineMap, settings: SimulationSettings, i_dq_referen
     reference = _checked(i_dq_reference)
     start = (float(reference[0, 0]), float(reference[0, 1]))
     drive = Drive(machine, settings, i_dq_start=start, duration=len(reference) * settings.sample_period)
-    block = drive.step_block(reference)
-    return Simulation(
-        samples=block.samples,
-        i_dq_true=block.i_dq_true,
-        angle_true=block.angle_true,
-        course=block.course,
-        truth=drive.truth(),
-        machine=machine,
-    )
+    return Simulation(**vars(drive.step_block(reference)), truth=drive.truth(), machine=machine)
 
 
 def build_machine(machine_map: MachineMap, settings: SimulationSettings) -> Machine:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ DEFAULT_ACCELERATION = 4000.0
 _DEFAULT_FRICTION = 0.01
 """Coulomb friction, and viscous friction at :data:`_FRICTION_SPEED`, as a fraction of the largest torque."""
 _FRICTION_SPEED = 100.0  # mechanical, rad/s
-_RIM_NODES = 721
+_RIM_NODES = 721  # angles at which the torque on the rim of the disc is sought
 
 EFFECTS = np.dtype(
     [
@@ -32,7 +32,7 @@ EFFECTS = np.dtype(
         ("iron_hysteresis", float),  # A
         ("iron_hysteresis_voltage", float),  # V
         ("iron_rate", float),  # 1/s, 0 without iron loss
-        ("lag_share", float),
+        ("flux_lag", float),
         ("lag_rate", float),  # 1/s
         ("eccentricity", float, (MOST_ORDERS,)),  # at the mechanical orders 1, 2, ...
         ("orders", int, (3,)),  # used, of eccentricity, electrical and mechanical resolver errors
@@ -42,23 +42,23 @@ EFFECTS = np.dtype(
         ("thermal_coefficient", float, (2,)),  # of copper and magnet, 1/K
         ("heat_rate", float, (2,)),  # 1 / heat capacity, 0 for constant temperature, K/J
         ("cooling_rate", float, (2,)),  # 1/s
-        ("ambient", float),  # degC
+        ("ambient_temperature", float),  # degC
         ("drop_factor", float, (3,)),
         ("drop_asymmetry", float, (3,)),
-        ("hexagon", bool),  # limit the average voltages of the legs to the DC link
+        ("hexagon_limit", bool),  # limit the average voltages of the legs to the DC link
         ("switching", bool),
         ("dead_time", float),  # s
-        ("capacitance", float),  # F
-        ("clamping", bool),  # a current that reaches zero in the dead time stays zero
+        ("output_capacitance", float),  # F
+        ("current_clamping", bool),  # a current that reaches zero in the dead time stays zero
         ("u_dc", float),  # DC-link voltage assumed by the commands, V
         ("u_dc_waves", float, (2, 2)),  # amplitude as a fraction and frequency, Hz, of ripple and drift
         ("filter_pole", complex),  # of the current filter, 1/s; 0 without
         ("filter_gain", complex),  # the output is Re(gain z) with dz/dt = pole z + i
-        ("skew", float, (3,)),  # s
-        ("dead_band", float),  # A
+        ("current_skew", float, (3,)),  # s
+        ("current_dead_band", float),  # A
         ("cubic", float),  # 1/A^2
-        ("latency", float),  # of the angle, s
-        ("angle_quantum", float),  # rad, 0 for none
+        ("resolver_latency", float),  # of the angle, s
+        ("resolver_quantization", float),  # rad, 0 for none
         ("resolver_electrical", float, (MOST_ORDERS, 2)),  # amplitude and phase of the orders 1, 2, ..., rad
         ("resolver_mechanical", float, (MOST_ORDERS, 2)),
         ("largest_step", float),  # of the integration, s
@@ -103,6 +103,7 @@ COURSE = np.dtype(
     align=True,
 )
 """True quantities at each sample of a simulation with effects, which no sensor measures."""
+Course = np.recarray[Any, np.dtype[np.record]]
 
 
 def _record(kind: np.dtype[np.void], **values: object) -> np.record:
@@ -116,20 +117,19 @@ def _record(kind: np.dtype[np.void], **values: object) -> np.record:
     return record
 
 
-def active(settings: SimulationSettings) -> dict[str, object]:
-    """Return the effects whose settings differ from their defaults."""
+def active(settings: SimulationSettings) -> set[str]:
+    """Return the names of the effects whose settings differ from their defaults."""
     fields = SimulationSettings.__dataclass_fields__
-    values = {name: getattr(settings, name) for name in EFFECT_NAMES}
-    return {name: value for name, value in values.items() if value != fields[name].default}
+    return {name for name in EFFECT_NAMES if getattr(settings, name) != fields[name].default}
 
 
 def acts_inside(settings: SimulationSettings) -> bool:
     """Return whether an effect acts inside the control loop: then the course of the inner quantities is kept."""
-    return bool(active(settings).keys() - LOG_ONLY) or settings.inverter == "switching"
+    return bool(active(settings) - LOG_ONLY) or settings.inverter == "switching"
 
 
 def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
-    """Return the constants for settings ``s``."""
+    """Return the constants for settings ``s``; those that are named as a setting are its value."""
     iron = s.iron_conductance > 0 or s.iron_hysteresis > 0
     steps = [s.sample_period / s.substeps]
     steps += [0.5 * s.iron_time_constant] if iron else []
@@ -137,56 +137,36 @@ def effects_of(machine: Machine, s: SimulationSettings) -> np.record:
     pole, gain = _filter(s.current_filter, s.current_filter_order)
     shaft = shaft_of(machine, s)
     capacities = (s.copper_heat_capacity, s.magnet_heat_capacity)
-    return _record(
-        EFFECTS,
-        iron_conductance=s.iron_conductance,
-        iron_hysteresis=s.iron_hysteresis,
-        iron_hysteresis_voltage=s.iron_hysteresis_voltage or 0.005 * machine.u_dc,
-        iron_rate=1 / s.iron_time_constant if iron else 0.0,
-        lag_share=s.flux_lag,
-        lag_rate=1 / s.flux_lag_time if s.flux_lag > 0 else 0.0,
-        eccentricity=_padded(s.eccentricity),
-        orders=[len(x) for x in (s.eccentricity, s.resolver_electrical_errors, s.resolver_mechanical_errors)],
-        pole_pairs=machine.pole_pairs,
-        resistance_factor=np.array(s.resistance_factor),
-        magnet_flux=float(machine.mean_flux(0.0, 0.0)[0]),
-        thermal_coefficient=np.array((s.copper_coefficient, -s.magnet_coefficient)),
-        heat_rate=np.array([1 / capacity if capacity > 0 else 0.0 for capacity in capacities]),
-        cooling_rate=np.array((1 / s.copper_time_constant, 1 / s.magnet_time_constant)),
-        ambient=s.ambient_temperature,
-        drop_factor=np.array(s.drop_factor),
-        drop_asymmetry=np.array(s.drop_asymmetry),
-        hexagon=s.hexagon_limit,
-        switching=s.inverter == "switching",
-        dead_time=s.dead_time,
-        capacitance=s.output_capacitance,
-        clamping=s.current_clamping,
-        u_dc=machine.u_dc,
-        u_dc_waves=np.array(((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency))),
-        filter_pole=pole,
-        filter_gain=gain,
-        skew=np.array(s.current_skew),
-        dead_band=s.current_dead_band,
-        cubic=s.current_cubic / machine.i_max**2,
-        latency=s.resolver_latency,
-        angle_quantum=s.resolver_quantization,
-        resolver_electrical=np.stack(
-            (_padded(s.resolver_electrical_errors), _padded(s.resolver_electrical_phases)), axis=-1
-        ),
-        resolver_mechanical=np.stack(
-            (_padded(s.resolver_mechanical_errors), _padded(s.resolver_mechanical_phases)), axis=-1
-        ),
-        largest_step=min(steps),
-        free_shaft=s.free_shaft,
-        stator_frame=False,
-        angle_scale=angle_scale(s),
-        torque_factor=1.5 * machine.pole_pairs,
-        rotor_rate=machine.pole_pairs / shaft.inertia,
-        friction=np.array((shaft.viscous_friction / machine.pole_pairs, shaft.coulomb_friction)),
-        cogging=np.array((s.cogging_torque, (s.cogging_order or 6 * machine.pole_pairs) / machine.pole_pairs)),
-        load_torque=s.load_torque,
-        observer_rate=2 * math.pi * s.speed_observer,
-    )
+    given = {name: getattr(s, name) for name in EFFECTS.names or () if hasattr(s, name)}
+    own = {
+        "iron_hysteresis_voltage": s.iron_hysteresis_voltage or 0.005 * machine.u_dc,
+        "iron_rate": 1 / s.iron_time_constant if iron else 0.0,
+        "lag_rate": 1 / s.flux_lag_time if s.flux_lag > 0 else 0.0,
+        "eccentricity": _padded(s.eccentricity),
+        "orders": [len(x) for x in (s.eccentricity, s.resolver_electrical_errors, s.resolver_mechanical_errors)],
+        "pole_pairs": machine.pole_pairs,
+        "magnet_flux": float(machine.mean_flux(0.0, 0.0)[0]),
+        "thermal_coefficient": (s.copper_coefficient, -s.magnet_coefficient),
+        "heat_rate": [1 / capacity if capacity > 0 else 0.0 for capacity in capacities],
+        "cooling_rate": (1 / s.copper_time_constant, 1 / s.magnet_time_constant),
+        "switching": s.inverter == "switching",
+        "u_dc": machine.u_dc,
+        "u_dc_waves": ((s.u_dc_ripple, s.u_dc_ripple_frequency), (s.u_dc_drift, s.u_dc_drift_frequency)),
+        "filter_pole": pole,
+        "filter_gain": gain,
+        "cubic": s.current_cubic / machine.i_max**2,
+        "resolver_electrical": _waves(s.resolver_electrical_errors, s.resolver_electrical_phases),
+        "resolver_mechanical": _waves(s.resolver_mechanical_errors, s.resolver_mechanical_phases),
+        "largest_step": min(steps),
+        "stator_frame": False,
+        "angle_scale": angle_scale(s),
+        "torque_factor": 1.5 * machine.pole_pairs,
+        "rotor_rate": machine.pole_pairs / shaft.inertia,
+        "friction": (shaft.viscous_friction / machine.pole_pairs, shaft.coulomb_friction),
+        "cogging": (s.cogging_torque, (s.cogging_order or 6 * machine.pole_pairs) / machine.pole_pairs),
+        "observer_rate": 2 * math.pi * s.speed_observer,
+    }
+    return _record(EFFECTS, **given | own)
 
 
 def angle_scale(settings: SimulationSettings) -> float:
@@ -232,6 +212,10 @@ def _padded(values: tuple[float, ...]) -> tuple[float, ...]:
     return (*values, *(0.0,) * (MOST_ORDERS - len(values)))
 
 
+def _waves(amplitudes: tuple[float, ...], phases: tuple[float, ...]) -> list[tuple[float, float]]:
+    return list(zip(_padded(amplitudes), _padded(phases), strict=True))
+
+
 def effect_state(settings: SimulationSettings, effects: np.record, plant: Plant, start: DriveState) -> np.record:
     """Return the state at rest on the currents and at the angle of ``start``, at the temperatures of the settings."""
     i_d, i_q = start.current
@@ -255,21 +239,20 @@ def effect_state(settings: SimulationSettings, effects: np.record, plant: Plant,
 
 def truth_of(settings: SimulationSettings, machine: Machine, state: np.record, duration: float) -> dict[str, float]:
     """Return the details of the truth for scoring a fit of the ``duration``, s, simulated so far."""
-    powers = dict(zip(("input", "copper", "inverter", "iron", "magnet"), state.energy, strict=True))
-    warm = {"start": settings.copper_temperature, "end": float(state.temperature[0])}
-    shaft = shaft_of(machine, settings)._asdict() if settings.free_shaft else {}
-    means = {f"{name}_power_mean": float(value) / duration for name, value in powers.items()} if duration else {}
+    copper, magnet = state.temperature.tolist()
+    start, end = (
+        machine.resistance * (1 + settings.copper_coefficient * (temperature - REFERENCE_TEMPERATURE))
+        for temperature in (settings.copper_temperature, copper)
+    )
+    powers = zip(("input", "copper", "inverter", "iron", "magnet"), state.energy.tolist(), strict=True)
     return {
-        **{
-            f"resistance_{when}": machine.resistance
-            * (1 + settings.copper_coefficient * (value - REFERENCE_TEMPERATURE))
-            for when, value in warm.items()
-        },
-        "copper_temperature_end": warm["end"],
-        "magnet_temperature_end": float(state.temperature[1]),
+        "resistance_start": start,
+        "resistance_end": end,
+        "copper_temperature_end": copper,
+        "magnet_temperature_end": magnet,
         "magnet_flux": float(machine.mean_flux(0.0, 0.0)[0]),
-        **means,
-        **shaft,
+        **({f"{name}_power_mean": value / duration for name, value in powers} if duration else {}),
+        **(shaft_of(machine, settings)._asdict() if settings.free_shaft else {}),
     }
 
 

@@ -11,8 +11,7 @@ from typing import Generic, TypeVar
 from drive_id.settings import Checked, setting
 
 Message = TypeVar("Message")
-_OVERTAKEN = 0.03
-"""Delay of a message that others overtake, s: more than the time between two of them."""
+_OVERTAKEN = 0.03  # delay of a message that others overtake, s: more than the time between two of them
 
 
 @dataclass(frozen=True)
@@ -23,12 +22,9 @@ class FaultSettings(Checked):
         0.0, "What the clock of the drive is ahead; a change is a step", unit="s", minimum=-1e4, maximum=1e4
     )
     clock_drift: float = setting(
-        0.0,
-        "What the clock of the drive gains in every second; 0 synchronizes it again",
-        unit="s",
-        minimum=-0.9,
-        maximum=10.0,
-    )
+        0.0, "What the clock of the drive gains in every second; 0 synchronizes it again",
+        unit="s", minimum=-0.9, maximum=10.0,
+    )  # fmt: skip
     ignore_references: bool = setting(False, "Do not listen to references, not even to safe ones")
     restarts: int = setting(
         0, "Each change restarts the drive: counts begin with 0, the session ends", minimum=0, maximum=1_000_000

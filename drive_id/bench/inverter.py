@@ -18,20 +18,12 @@ from drive_id.bench.parameters import PhaseDrop
 from drive_id.bench.settings import SimulationSettings
 from drive_id.types import FloatArray
 
-_NODES = 601
+_NODES = 601  # of the true curve
 _SHARPEST = 1e-6  # of i_max: the charge current of a switching inverter without output capacitance
 
 
 def phase_drop_of(settings: SimulationSettings, u_dc: float, i_max: float) -> PhaseDrop:
-    """Return the parameters of the law chosen.
-
-    Parameters
-    ----------
-    u_dc : float
-        DC-link voltage, V.
-    i_max : float
-        Largest current amplitude, A.
-    """
+    """Return the parameters of the law chosen, for a DC-link voltage, V, and a largest current amplitude, A."""
     voltage = 0.01 * u_dc if settings.inverter_voltage is None else settings.inverter_voltage
     current = 0.01 * i_max if settings.inverter_current is None else settings.inverter_current
     threshold = 0.0025 * u_dc if settings.device_voltage is None else settings.device_voltage

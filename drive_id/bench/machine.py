@@ -16,38 +16,22 @@ from drive_id.bench.splines import build_table, mean_table
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, MachineMap
 
-_SIXTH_NODES = 24
-_ROUGH_NODES = 9
+_SIXTH_NODES = 24  # angles in a period of a sixth harmonic that is added
+_ROUGH_NODES = 9  # of the map that the current controller knows, along each axis
 
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A machine of splines; build it by :meth:`from_map`.
-
-    Parameters
-    ----------
-    table : SplineTable
-        Flux linkages over currents and rotor position.
-    mean : SplineTable
-        Their exact average over the rotor position.
-    rough : SplineTable
-        What a drive engineer would know beforehand, for the current controller: the average on 9 x 9 points.
-    resistance : float
-        ohm.
-    i_max : float
-        Largest current amplitude, A: the map's own, or less where the map reaches less far.
-    u_dc : float
-        V.
-    """
+    """A machine of splines; build it by :meth:`from_map`."""
 
     name: str
-    table: SplineTable
-    mean: SplineTable
-    rough: SplineTable
-    resistance: float
+    table: SplineTable  # flux linkages over currents and rotor position
+    mean: SplineTable  # their exact average over the rotor position
+    rough: SplineTable  # what an engineer knows beforehand, for the current controller: the average on 9 x 9 points
+    resistance: float  # ohm
     pole_pairs: int
-    i_max: float
-    u_dc: float
+    i_max: float  # largest current amplitude, A: the map's own, or less where the map reaches less far
+    u_dc: float  # V
 
     @classmethod
     def from_map(
@@ -75,31 +59,17 @@ class Machine:
         mean = mean_table(table)
         amplitude = default_amplitude(machine_map) if i_max is None else i_max
         axis = np.linspace(-1.2 * amplitude, 1.2 * amplitude, _ROUGH_NODES)
-        d, q = np.meshgrid(axis, axis, indexing="ij")
-        rough = build_table(axis, axis, None, _values(mean, d, q, np.zeros_like(d))[..., :2])
-        return cls(
-            machine_map.name,
-            table,
-            mean,
-            rough,
-            machine_map.resistance,
-            machine_map.pole_pairs,
-            amplitude,
-            machine_map.u_dc,
-        )
+        rough = build_table(axis, axis, None, _flux(mean, axis[:, None], axis, 0.0))
+        source = machine_map
+        return cls(source.name, table, mean, rough, source.resistance, source.pole_pairs, amplitude, source.u_dc)
 
     def flux(self, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
         """Return the flux linkages (..., 2), Wb, at currents, A, and electrical angles, rad, that broadcast."""
-        return _values(self.table, i_d, i_q, theta)[..., :2]
+        return _flux(self.table, i_d, i_q, theta)
 
     def mean_flux(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
         """Return the flux linkages (..., 2) averaged over the rotor position, Wb, at currents, A."""
-        return _values(self.mean, i_d, i_q, 0.0)[..., :2]
-
-    def incremental_inductance(self, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
-        """Return [[dpsi_d/di_d, dpsi_d/di_q], [dpsi_q/di_d, dpsi_q/di_q]], (..., 2, 2), H."""
-        values = _values(self.table, i_d, i_q, theta)[..., 2:]
-        return values.reshape(*values.shape[:-1], 2, 2)
+        return _flux(self.mean, i_d, i_q, 0.0)
 
 
 def default_amplitude(machine_map: MachineMap) -> float:
@@ -117,9 +87,9 @@ def default_amplitude(machine_map: MachineMap) -> float:
     return amplitude
 
 
-def _values(table: SplineTable, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
+def _flux(table: SplineTable, i_d: ArrayLike, i_q: ArrayLike, theta: ArrayLike) -> FloatArray:
     d, q, angle = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (i_d, i_q, theta)))
-    return evaluate_many(table, d.ravel(), q.ravel(), angle.ravel()).reshape(*d.shape, 6)
+    return evaluate_many(table, d.ravel(), q.ravel(), angle.ravel()).reshape(*d.shape, 6)[..., :2]
 
 
 def _with_harmonics(

@@ -19,79 +19,41 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, MachineMap
 
-_NODES_PER_I_MAX = 32
-_NODES_OUTSIDE = 9
-_NODES_THETA = 24
+_NODES_PER_I_MAX = 32  # of the sampled map, from zero current to i_max
+_NODES_OUTSIDE = 9  # beyond i_max, on each side
+_NODES_THETA = 24  # angles in a period of the harmonics
 
 
 @dataclass(frozen=True)
 class CoEnergyMachine:
-    """Parameters of the co-energy above.
-
-    Parameters
-    ----------
-    magnet_flux : float
-        psi_0, the magnet's flux linkage past the saturating iron, Wb.
-    magnet_current : float
-        i_f, which stands for the magnet's flux in the saturating iron, A.
-    main_inductance : (2,) tuple of float
-        Unsaturated, without the linear part, of d and q, H.
-    saturation_current : float
-        Current b on the q axis alone at which saturation sets in, A; on d it is scaled by the root of the inductances.
-    linear_inductance : (2,) tuple of float
-        L_sd, L_sq, H.
-    harmonics : tuple of (int, float, float)
-        h, k_h, m_h.
-    resistance : float
-        ohm.
-    i_max : float
-        A.
-    u_dc : float
-        V.
-    """
+    """Parameters of the co-energy above."""
 
     name: str
-    magnet_flux: float
-    magnet_current: float
-    main_inductance: tuple[float, float]
-    saturation_current: float
-    linear_inductance: tuple[float, float]
-    harmonics: tuple[tuple[int, float, float], ...]
-    resistance: float
+    magnet_flux: float  # psi_0, the magnet's flux linkage past the saturating iron, Wb
+    magnet_current: float  # i_f, which stands for the magnet's flux in the saturating iron, A
+    main_inductance: tuple[float, float]  # unsaturated, without the linear part, of d and q, H
+    saturation_current: float  # b, at which q alone begins to saturate, A; on d scaled by the root of the inductances
+    linear_inductance: tuple[float, float]  # L_sd, L_sq, H
+    harmonics: tuple[tuple[int, float, float], ...]  # h, k_h, m_h
+    resistance: float  # ohm
     pole_pairs: int
-    i_max: float
-    u_dc: float
-
-    @property
-    def energy(self) -> float:
-        """E, J."""
-        return self.main_inductance[1] * self.saturation_current**2
-
-    def _scaled(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-        b = self.saturation_current
-        a = b * float(np.sqrt(self.main_inductance[1] / self.main_inductance[0]))
-        x, y = (i_d + self.magnet_current) / a, i_q / b
-        return x, y, np.sqrt(1 + x**2 + y**2), a, b
-
-    def co_energy(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return W, J, at currents, A, and electrical angles, rad, that broadcast."""
-        x, y, s, _, _ = self._scaled(i_d, i_q)
-        linear_d, linear_q = self.linear_inductance
-        w = self.energy * (s - 1) + self.magnet_flux * i_d + 0.5 * linear_d * i_d**2 + 0.5 * linear_q * i_q**2
-        for h, k, m in self.harmonics:
-            w = w + self.energy * (k * s * np.cos(h * theta) + m * x * y / s * np.sin(h * theta))
-        return np.asarray(w)
+    i_max: float  # A
+    u_dc: float  # V
 
     def flux(self, i_d: FloatArray, i_q: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return psi_d = dW/di_d and psi_q = dW/di_q, Wb, for arguments that broadcast."""
-        x, y, s, a, b = self._scaled(i_d, i_q)
+        """Return psi_d = dW/di_d and psi_q = dW/di_q, Wb, at currents, A, and electrical angles, rad; all broadcast."""
+        b = self.saturation_current
+        a = b * float(np.sqrt(self.main_inductance[1] / self.main_inductance[0]))
+        energy = self.main_inductance[1] * b**2
+        x, y = (i_d + self.magnet_current) / a, i_q / b
+        s = np.sqrt(1 + x**2 + y**2)
         on_x, on_y = np.ones_like(theta), np.zeros_like(theta)
         for h, k, m in self.harmonics:
             on_x = on_x + k * np.cos(h * theta)
             on_y = on_y + m * np.sin(h * theta)
         # d(xy/s)/dx = y (1 + y^2)/s^3
-        w_x = self.energy * (x / s * on_x + y * (1 + y**2) / s**3 * on_y)
-        w_y = self.energy * (y / s * on_x + x * (1 + x**2) / s**3 * on_y)
+        w_x = energy * (x / s * on_x + y * (1 + y**2) / s**3 * on_y)
+        w_y = energy * (y / s * on_x + x * (1 + x**2) / s**3 * on_y)
         return w_x / a + self.magnet_flux + self.linear_inductance[0] * i_d, w_y / b + self.linear_inductance[1] * i_q
 
     def to_map(self) -> MachineMap:

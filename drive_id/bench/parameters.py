@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from drive_id.types import FloatArray
 
-HISTORY = 6
-"""Commands kept: the coming one, the one held now, and older ones for the fault of a late voltage log."""
+HISTORY = 6  # commands kept: the coming one, the one held now, and older ones for the fault of a late voltage log
 
 
 class SplineTable(NamedTuple):

@@ -13,32 +13,16 @@ from drive_id.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """Mean mechanical speed, piecewise linear in time and constant before and after.
+    """Mean mechanical speed, piecewise linear in time and constant before and after."""
 
-    Parameters
-    ----------
-    time : (P,) float
-        Not decreasing, s.
-    speed : (P,) float
-        Mechanical, rpm.
-    """
-
-    time: FloatArray
-    speed: FloatArray
+    time: FloatArray  # (P,), not decreasing, s
+    speed: FloatArray  # (P,), mechanical, rpm
 
     @classmethod
     def from_settings(cls, settings: SimulationSettings, duration: float | None) -> SpeedProfile:
-        """Lay out the speeds of the settings.
+        """Lay out the speeds of the settings over the duration of the whole experiment, s; None when that is open.
 
-        Parameters
-        ----------
-        duration : float or None
-            Of the whole experiment for equal shares, s; None when it is open.
-
-        Raises
-        ------
-        ConfigurationError
-            When several speeds have no durations, or a piece is shorter than its ramp.
+        Raises ConfigurationError when several speeds have no durations, or a piece is shorter than its ramp.
         """
         if len(settings.speeds) == 1:
             return cls(np.zeros(1), np.array(settings.speeds))

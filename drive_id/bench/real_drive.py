@@ -33,14 +33,13 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray
 
-_FINEST = 1024
-_STICTION = 0.1
-"""Mechanical speed within which Coulomb friction changes its sign, rad/s."""
+_FINEST = 1024  # parts of a step, where the drop bends
+_STICTION = 0.1  # mechanical speed within which Coulomb friction changes its sign, rad/s
 _SQRT3 = math.sqrt(3.0)
 _REACH = (0.5, 0.5, 1.0)  # Runge-Kutta stages: fraction of the step from each rate to the next stage
-_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)
-_BEND = (1.0, 0.0, -2.0, 1.0)
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the rates of the stages
+_SIMPSON = (1 / 6, 0.0, 2 / 3, 0.0, 1 / 6)  # of the powers of stages and end
+_BEND = (1.0, 0.0, -2.0, 1.0)  # of the drops of the stages: their curvature
 
 Pair = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]
@@ -59,7 +58,7 @@ def _modulation(effects: np.record, theta: float) -> float:
 def _map_flux(effects: np.record, offset: float, y: Six, theta: float) -> Pair:
     """Return the flux f of the map, rotor frame, that belongs to the state ``y``."""
     c, s = math.cos(theta), math.sin(theta)
-    factor, k = _modulation(effects, theta), effects.lag_share
+    factor, k = _modulation(effects, theta), effects.flux_lag
     f_d = ((c * y[0] + s * y[1] - offset) / factor - k * y[4]) / (1.0 - k)
     f_q = ((c * y[1] - s * y[0]) / factor - k * y[5]) / (1.0 - k)
     return f_d, f_q
@@ -97,10 +96,10 @@ def _rates(
     e_alpha = u[0] - (2 * r_a - r_b - r_c) / 3 - drop[0]
     e_beta = u[1] - (r_b - r_c) / _SQRT3 - drop[1]
     lag_d, lag_q, magnet = effects.lag_rate * (f[0] - y[4]), effects.lag_rate * (f[1] - y[5]), 0.0
-    if effects.lag_share > 0.0:  # the lagging flux belongs to another current; the difference flows in the magnets
+    if effects.flux_lag > 0.0:  # the lagging flux belongs to another current; the difference flows in the magnets
         l_d, l_q, _ = current_of_flux(plant.table, y[4], y[5], theta, i_dq[0], i_dq[1], plant.current_tolerance)
         magnet = (i_dq[0] - l_d) * lag_d + (i_dq[1] - l_q) * lag_q
-        magnet *= 1.5 * effects.lag_share * _modulation(effects, theta)
+        magnet *= 1.5 * effects.flux_lag * _modulation(effects, theta)
     powers = (
         1.5 * (u[0] * i_alpha + u[1] * i_beta),
         r_a * i_alpha + r_b * i_b + r_c * i_c,
@@ -223,17 +222,10 @@ def _accelerate(effects: np.record, more: np.record, impulse: float, torque: flo
 
 @compiled()
 def integrate(plant: Plant, effects: np.record, state: DriveState, more: np.record, u: Pair, span: Pair) -> bool:
-    """Integrate the plant over part of a sample period under a constant voltage; False where Newton fails.
+    """Integrate the plant over a span of a sample period, s, under a constant stator voltage, V.
 
     The steps are halved, down to 1/1024, where the drop bends sharply, that is where a phase current crosses zero. The
-    rotor moves as ``more.motion`` says, which a free shaft updates after each step.
-
-    Parameters
-    ----------
-    u : (float, float)
-        Voltage in the stator frame, V.
-    span : (float, float)
-        The part of the period, s.
+    rotor moves as ``more.motion`` says, which a free shaft updates after each step. Returns False where Newton fails.
     """
     steps = max(1, math.ceil((span[1] - span[0]) / effects.largest_step - 1e-9))
     tick = (span[1] - span[0]) / (steps * _FINEST)
@@ -278,7 +270,7 @@ def _heat(effects: np.record, more: np.record, energy: Six, time: float) -> None
         more.energy[k] += energy[k]
     for k, heat in ((0, energy[1]), (1, energy[1] + energy[3] + energy[4])):
         if effects.heat_rate[k] > 0.0:
-            cooled = effects.cooling_rate[k] * (more.temperature[k] - effects.ambient) * time
+            cooled = effects.cooling_rate[k] * (more.temperature[k] - effects.ambient_temperature) * time
             more.temperature[k] += effects.heat_rate[k] * heat - cooled
 
 
@@ -320,19 +312,19 @@ def _measure(
     for j in range(3):
         i = more.sampled[j]
         i += effects.cubic * i**3
-        i = math.copysign(max(abs(i) - effects.dead_band, 0.0), i)
+        i = math.copysign(max(abs(i) - effects.current_dead_band, 0.0), i)
         i = sensors.current_gain[j] * i + sensors.current_offset[j] + noise.current[k, j]
         if sensors.current_quantum > 0.0:
             i = sensors.current_quantum * np.rint(i / sensors.current_quantum)
         out.i_abc[k, j] = i
     if sensors.two:
         out.i_abc[k, 2] = -out.i_abc[k, 0] - out.i_abc[k, 1]
-    mean, late = state.mean_angle[0], effects.latency
+    mean, late = state.mean_angle[0], effects.resolver_latency
     theta = with_ripple(plant, mean)
     seen = with_ripple(plant, mean - late * (speed - 0.5 * more.motion[3] * late))
     angle = effects.angle_scale * (seen + _angle_error(effects, seen)) + sensors.angle_offset + noise.angle[k]
-    if effects.angle_quantum > 0.0:
-        angle = effects.angle_quantum * np.rint(angle / effects.angle_quantum)
+    if effects.resolver_quantization > 0.0:
+        angle = effects.resolver_quantization * np.rint(angle / effects.resolver_quantization)
     out.angle[k] = wrap(angle)
     out.speed[k] = effects.angle_scale * speed * (1.0 + plant.ripple * math.cos(plant.ripple_order * mean))
     if effects.observer_rate > 0.0:
@@ -400,11 +392,11 @@ def edge_delay(effects: np.record, u_dc: float, i: float, i_stays: float, i_move
     zero stays there until the end of the dead time, which fixes the mean voltage. ``i_stays`` and ``i_moves`` are the
     currents at that end if the leg stayed high, or fell at once. A rising edge is a falling edge with negated currents.
     """
-    if not effects.clamping:
+    if not effects.current_clamping:
         i, i_stays, i_moves = max(i, 0.0), 1.0, 0.0
     elif i <= 0.0:  # the mean over the part that becomes positive
         i = 0.5 * i_stays**2 / (i_stays - i) if i_stays > 0.0 else 0.0
-    x = i * effects.dead_time / max(effects.capacitance * u_dc, 1e-30)
+    x = i * effects.dead_time / max(effects.output_capacitance * u_dc, 1e-30)
     charged = 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
     clamped = min(max(-i_moves / max(i_stays - i_moves, 1e-30), 0.0), 1.0)
     return float(effects.dead_time * max(charged, clamped))
@@ -419,7 +411,7 @@ def _set_marks(effects: np.record, sensors: Sensors, legs: FloatArray, period: f
     """
     marks[:] = math.inf
     for j in range(3):
-        marks[j] = period - effects.skew[j]
+        marks[j] = period - effects.current_skew[j]
     marks[3] = sensors.held_fraction * period
     if effects.switching:
         for j in range(3):
@@ -435,7 +427,7 @@ def _command(effects: np.record, state: DriveState, row: int, legs: FloatArray) 
     """Fill ``legs`` with the voltages commanded to the legs, V: with min-max injection if legs are limited."""
     for j in range(3):
         legs[j] = state.commands[row, j] + state.compensations[row, j]
-    if effects.switching or effects.hexagon:
+    if effects.switching or effects.hexagon_limit:
         middle = 0.5 * (max(legs[0], legs[1], legs[2]) + min(legs[0], legs[1], legs[2]))
         for j in range(3):
             legs[j] = min(max(legs[j] - middle, -0.5 * effects.u_dc), 0.5 * effects.u_dc)

@@ -17,10 +17,8 @@ from drive_id.types import NANOSECONDS, BoolArray, FloatArray, IntArray
 _LARGEST = 5_000_000  # set-points in the buffer
 _EARLY = 0.1  # sample periods by which a set-point may come due after the sample that takes it
 _HOLD = 1.5  # periods for which the last set-point is held before the current goes to zero
-_QUIET = 1.0
-"""Time at rest without a message after which the drive is free again, and a fault forgotten, s."""
-_RUN_BITS = 16
-"""Lowest bits of a session, which count the runs of one publisher."""
+_QUIET = 1.0  # time at rest without a message after which the drive is free again, and a fault forgotten, s
+_RUN_BITS = 16  # lowest bits of a session, which count the runs of one publisher
 
 
 @dataclass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drive_id.bench.effects import Course
 from drive_id.bench.machine import Machine
 from drive_id.bench.settings import SimulationSettings
 from drive_id.temperature import REFERENCE_TEMPERATURE
@@ -13,14 +14,7 @@ SCALAR_SETTINGS = ("log_scalars", "scalar_rate", "temperature_rate")
 
 
 def logged_scalars(
-    settings: SimulationSettings,
-    machine: Machine,
-    i_dq: FloatArray,
-    angle: FloatArray,
-    *,
-    psi_dq: FloatArray | None = None,
-    u_dc: FloatArray | None = None,
-    temperature: FloatArray | None = None,
+    settings: SimulationSettings, machine: Machine, i_dq: FloatArray, angle: FloatArray, course: Course | None
 ) -> dict[str, FloatArray]:
     """Return the optional signals of ``log_scalars`` at the samples, (N,) each.
 
@@ -32,21 +26,19 @@ def logged_scalars(
         True currents in the true rotor frame, A.
     angle : (N,) float
         True electrical angle, rad.
-    psi_dq : (N, 2) float, optional
-        Flux linkages, Wb. Default: those of the machine at these currents.
-    u_dc : (N,) float, optional
-        DC-link voltage, V. Default: that of the machine.
-    temperature : (N, 2) float, optional
-        Of winding and magnet, degrees Celsius. Default: 20.
+    course : (N,) recarray of dtype :data:`~drive_id.bench.effects.COURSE`, or None
+        Inner quantities of a drive with effects; without, the machine stays at 20 degrees Celsius and its own voltage.
     """
-    if temperature is None:
-        temperature = np.full((len(i_dq), 2), REFERENCE_TEMPERATURE)
+    if course is None:
+        u_dc, temperature = np.full(len(i_dq), machine.u_dc), np.full((len(i_dq), 2), REFERENCE_TEMPERATURE)
+    else:
+        i_dq, u_dc, temperature = course.i_dq_machine, course.u_dc, course.temperature
     found = {}
     for name in settings.log_scalars:
         if name == "dc_link_voltage":
-            found[name] = np.full(len(i_dq), machine.u_dc) if u_dc is None else u_dc
+            found[name] = u_dc
         elif name == "shaft_torque":
-            psi = machine.flux(i_dq[:, 0], i_dq[:, 1], angle) if psi_dq is None else psi_dq
+            psi = machine.flux(i_dq[:, 0], i_dq[:, 1], angle) if course is None else course.psi_dq
             found[name] = 1.5 * machine.pole_pairs * (psi[:, 0] * i_dq[:, 1] - psi[:, 1] * i_dq[:, 0])
         else:
             found[name] = temperature[:, int(name == "magnet_temperature")]

@@ -17,12 +17,9 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
     """Settings of the simulated drive; faults act inside the control loop, zero switches them off."""
 
     i_max: float | None = setting(
-        None,
-        "Largest current amplitude; default: the machine's, as far as its map reaches",
-        unit="A",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        None, "Largest current amplitude; default: the machine's, as far as its map reaches",
+        unit="A", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     sample_period: float = setting(1e-4, "Period of sampling and control", unit="s", minimum=1e-6, maximum=1e-2)
     seed: int = setting(0, "Seed of all noise", minimum=0, maximum=2**63 - 1)
     substeps: int = setting(2, "Integration steps of the machine per sample", minimum=1, maximum=1000)
@@ -49,19 +46,13 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
         None, "Current scale of the voltage error; default: 1 % of i_max", unit="A", minimum=1e-9, maximum=1e6
     )
     device_voltage: float | None = setting(
-        None,
-        "Threshold of the devices in two_stage and switching; default: 0.25 % of the DC link",
-        unit="V",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        None, "Threshold of the devices in two_stage and switching; default: 0.25 % of the DC link",
+        unit="V", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     device_resistance: float | None = setting(
-        None,
-        "Slope of the devices in two_stage and switching; default: 0.2 % of the DC link at i_max",
-        unit="ohm",
-        minimum=0.0,
-        maximum=1e3,
-    )
+        None, "Slope of the devices in two_stage and switching; default: 0.2 % of the DC link at i_max",
+        unit="ohm", minimum=0.0, maximum=1e3,
+    )  # fmt: skip
     inverter_compensation: bool = setting(False, "Compensate the voltage error in the commands")
     current_noise: float = setting(
         0.0, "Standard deviation of the current noise as a fraction of i_max", minimum=0.0, maximum=1.0
@@ -85,12 +76,9 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
         0.0, "Delay of the voltages relative to the log", unit="samples", minimum=-4.0, maximum=1.99
     )
     current_bandwidth: float = setting(
-        200.0,
-        "Bandwidth of the current controller, at most 3 % of the sampling frequency",
-        unit="Hz",
-        minimum=1.0,
-        maximum=1e5,
-    )
+        200.0, "Bandwidth of the current controller, at most 3 % of the sampling frequency",
+        unit="Hz", minimum=1.0, maximum=1e5,
+    )  # fmt: skip
     controller_inductance: float = setting(
         1.0, "Factor on the inductances that the current controller assumes", minimum=0.1, maximum=10.0
     )
@@ -99,12 +87,9 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
     )
     log_scalars: tuple[str, ...] = setting((), "Optional signals to log", choices=SCALARS)
     scalar_rate: float = setting(
-        0.0,
-        "Rate of dc_link_voltage and shaft_torque in bags and topics; 0: every sample",
-        unit="Hz",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        0.0, "Rate of dc_link_voltage and shaft_torque in bags and topics; 0: every sample",
+        unit="Hz", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     temperature_rate: float = setting(
         10.0, "Rate of temperatures in bags and topics; 0: every sample", unit="Hz", minimum=0.0, maximum=1e6
     )
@@ -168,18 +153,14 @@ class BenchSettings(Checked):
     time_scale: float = setting(
         1.0,
         "Simulated time per real time; other than 1, this node publishes /clock, and all others must set use_sim_time",
-        minimum=0.001,
-        maximum=100.0,
-    )
+        minimum=0.001, maximum=100.0,
+    )  # fmt: skip
     zero_slew_rate: float = setting(
         10000.0, "|di/dt| to zero current when references run out", unit="A/s", minimum=1.0, maximum=1e9
     )
     speed_limit: float = setting(
-        10000.0,
-        "Mechanical speed in both directions above which the drive switches off",
-        unit="rpm",
-        minimum=1.0,
-        maximum=1e6,
-    )
+        10000.0, "Mechanical speed in both directions above which the drive switches off",
+        unit="rpm", minimum=1.0, maximum=1e6,
+    )  # fmt: skip
     frame_id: str = setting("drive", "Name of the drive in the message headers")
     truth_file: str = setting("", "File for the ground truth of the simulated machine (.npz); empty: none")

@@ -11,10 +11,8 @@ from scipy.interpolate import make_interp_spline
 from drive_id.bench.parameters import SplineTable
 from drive_id.types import FloatArray
 
-EXTENSION = 0.3
-"""Part of its width by which a map is extended on each side, linearly, so that currents may overshoot it."""
-
-_MOST_NODES = 401
+EXTENSION = 0.3  # part of its width by which a map is extended on each side, linearly: currents may overshoot it
+_MOST_NODES = 401  # along an axis that is resampled
 
 
 def interpolate(values: FloatArray, axis: int) -> FloatArray:

@@ -9,15 +9,14 @@ import numpy as np
 from drive_id.bench.drive import Drive, SimulatedBlock, Simulation, build_machine
 from drive_id.bench.effects import largest_torque, shaft_of
 from drive_id.bench.settings import SimulationSettings
-from drive_id.core.experiment.free_shaft import FASTEST_SWING, SLOWEST_SWING, FreeShaft, SpeedFeedback, swing_frequency
+from drive_id.core.experiment.free_shaft import FASTEST_SWING, FreeShaft, SpeedFeedback, swing_frequency
 from drive_id.errors import ConfigurationError
 from drive_id.settings import Checked, setting
 from drive_id.types import MachineMap, Samples
 
 _TICK = 0.01  # s, at which the feedback acts
-_LATENCY = 2
-"""Ticks from a measurement to its effect."""
-_RPM = 2 * np.pi / 60
+_LATENCY = 2  # ticks from a measurement to its effect
+_RPM = 2 * np.pi / 60  # rad/s
 
 
 @dataclass(frozen=True)
@@ -40,26 +39,16 @@ class Swing(Checked):
 
 
 def simulate_swing(machine_map: MachineMap, settings: SimulationSettings, swing: Swing, seconds: float) -> Simulation:
-    """Let a simulated drive without load machine swing its shaft.
+    """Let a simulated drive with ``free_shaft`` swing its shaft for whole periods, together at least ``seconds``.
 
-    Parameters
-    ----------
-    settings : SimulationSettings
-        With ``free_shaft``.
-    seconds : float
-        Duration, s; rounded up to whole periods of the swing.
-
-    Raises
-    ------
-    ConfigurationError
-        When machine and settings do not make an experiment.
+    Raises ConfigurationError when machine and settings do not make an experiment.
     """
     machine = build_machine(machine_map, settings)
     acceleration = swing.amplitude * largest_torque(machine) * machine.pole_pairs / shaft_of(machine, settings).inertia
     electrical = _RPM * machine.pole_pairs
     mean_speed = swing.mean_speed * electrical
     wanted = swing.frequency or swing_frequency(acceleration, swing.speed_max * electrical, mean_speed)
-    frequency = swing.frequency or min(max(wanted, SLOWEST_SWING), FASTEST_SWING)
+    frequency = swing.frequency or min(wanted, FASTEST_SWING)
     reduced = min(1.0, frequency / wanted)  # a light rotor swings at the highest frequency with less current
     figure = FreeShaft(reduced * swing.amplitude * machine.i_max, frequency, seconds)
     feedback = SpeedFeedback(frequency, reduced * acceleration, mean_speed, _LATENCY * _TICK)

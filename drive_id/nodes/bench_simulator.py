@@ -140,7 +140,7 @@ class BenchSimulator(Node):
             message = ScalarSamples(first_sample=scalar.first_sample, sample_period=scalar.sample_period)
             message.header.stamp = Time(nanoseconds=scalar.stamp).to_msg()
             message.header.frame_id = self._settings.frame_id
-            message.value = array.array("f", scalar.values.tobytes())
+            message.value = array.array("f", scalar.values[0].tobytes())
             self._scalar_publishers[name].publish(message)
 
     def _on_reference(self, message: CurrentReference) -> None:

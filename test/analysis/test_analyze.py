@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_results import exact_result
-from machine_kinds import mean_torque
+from machine_kinds import co_energy, mean_torque
 
 import drive_id
 from drive_id.analysis.field_weakening import DriveLimits
@@ -139,7 +139,7 @@ def test_the_ripple_is_that_of_the_co_energy(analysis, result):
     for i_d, i_q in ((-12.0, 25.0), (9.0, -17.0), (-30.0, -5.0)):
         step = 1e-5
         change = [
-            MACHINE.co_energy(i_d, i_q, theta + side * step) - MACHINE.co_energy(0.0, 0.0, theta + side * step)
+            co_energy(MACHINE, i_d, i_q, theta + side * step) - co_energy(MACHINE, 0.0, 0.0, theta + side * step)
             for side in (1, -1)
         ]
         psi_d, psi_q = MACHINE.flux(np.array(i_d), np.array(i_q), theta)

@@ -9,6 +9,7 @@ import pytest
 
 from drive_id.bench.bench import Pace, SimulatedBench
 from drive_id.bench.drive import Drive, build_machine, simulate
+from drive_id.bench.effects import COURSE
 from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
@@ -403,12 +404,11 @@ def test_optional_signals_come_at_their_rates_without_a_gap():
         for scalar in found:
             assert (scalar.first_sample, scalar.stamp) == (number, T0 + round(number * period * 1e9))
             assert scalar.sample_period == pytest.approx(period)
-            assert scalar.values.dtype == np.float32
-            number += len(scalar.values)
+            assert scalar.values[0].dtype == np.float32
+            number += len(scalar)
         assert number == -(-len(blocks) * 70 // round(period / T))
-    assert set(np.concatenate([block.scalars["dc_link_voltage"].values for block in blocks if block.scalars])) == {
-        400.0
-    }
+    voltages = [block.scalars["dc_link_voltage"].values[0] for block in blocks if block.scalars]
+    assert set(np.concatenate(voltages)) == {400.0}
     plain = SimulatedBench(machine_map("ipm"), SimulationSettings(), BenchSettings())
     plain.advance(T0)
     assert all(block.scalars == {} for block in plain.advance(T0 + 50 * MS))
@@ -430,9 +430,10 @@ def test_the_torque_is_that_of_the_mean_power():
 def test_a_drive_that_knows_more_logs_what_it_knows():
     machine = build_machine(machine_map("ipm"), SimulationSettings())
     settings = SimulationSettings(log_scalars=SCALARS)
-    i_dq, psi = np.array([[-50.0, 100.0], [0.0, 200.0]]), np.array([[0.1, 0.05], [0.2, 0.1]])
-    temperature, u_dc = np.array([[40.0, 60.0], [41.0, 61.0]]), np.array([390.0, 410.0])
-    found = logged_scalars(settings, machine, i_dq, np.zeros(2), psi_dq=psi, u_dc=u_dc, temperature=temperature)
+    course = np.recarray(2, COURSE)
+    course.i_dq_machine[:], course.psi_dq[:] = [[-50.0, 100.0], [0.0, 200.0]], [[0.1, 0.05], [0.2, 0.1]]
+    course.temperature[:], course.u_dc[:] = [[40.0, 60.0], [41.0, 61.0]], [390.0, 410.0]
+    found = logged_scalars(settings, machine, np.zeros((2, 2)), np.zeros(2), course)
     assert found["winding_temperature"].tolist() == [40.0, 41.0]
     assert found["magnet_temperature"].tolist() == [60.0, 61.0]
     assert found["dc_link_voltage"].tolist() == [390.0, 410.0]

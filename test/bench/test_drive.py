@@ -181,15 +181,6 @@ def test_given_durations_and_an_open_end():
     np.testing.assert_allclose(rpm, [100, 100, 200, 300, 300])
 
 
-def test_block_speed_can_be_given():
-    settings = SimulationSettings()
-    drive = Drive(build_machine(IPM, settings), settings)
-    block = drive.step_block(np.zeros((50, 2)), np.linspace(200.0, 250.0, 51))
-    np.testing.assert_allclose(block.samples.speed, np.linspace(200.0, 250.0, 51)[:-1])
-    with pytest.raises(DataError, match="mean_speed has shape"):
-        drive.step_block(np.zeros((50, 2)), np.zeros(50))
-
-
 def test_truth_travels_beside_the_samples():
     simulation = run(inverter="tanh", inverter_voltage=5.0, inverter_current=1.0, i_max=250.0)
     truth = simulation.truth

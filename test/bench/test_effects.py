@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from machine_kinds import co_energy
 from scipy.integrate import solve_ivp
 
 from drive_id.bench import real_drive
@@ -219,9 +220,9 @@ def test_energy_is_conserved(name, instants):
 
     def energies(d, q):
         """Return W, dW/dtheta and E."""
-        by_theta = (machine.co_energy(d, q, theta + 1e-5) - machine.co_energy(d, q, theta - 1e-5)) / 2e-5
+        by_theta = (co_energy(machine, d, q, theta + 1e-5) - co_energy(machine, d, q, theta - 1e-5)) / 2e-5
         psi_d, psi_q = machine.flux(d, q, theta)
-        w = machine.co_energy(d, q, theta)
+        w = co_energy(machine, d, q, theta)
         return w, by_theta, d * psi_d + q * psi_q - w
 
     w, by_theta, stored = energies(i_d, i_q)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drive_id.bench.kernels import evaluate_many
 from drive_id.bench.machines import MACHINES, CoEnergyMachine
 
 KINDS = {
@@ -17,6 +18,26 @@ KINDS = {
         "synrm", 0.0, 0.0, (45e-3, 6e-3), 8.0, (2.5e-3, 3e-3), (), 0.3, 2, 40.0, 540.0
     ),
 }
+
+
+def co_energy(machine, i_d, i_q, theta):
+    """Return W, J, of an analytic machine, as :mod:`drive_id.bench.machines` prints it."""
+    b = machine.saturation_current
+    a = b * np.sqrt(machine.main_inductance[1] / machine.main_inductance[0])
+    energy, (linear_d, linear_q) = machine.main_inductance[1] * b**2, machine.linear_inductance
+    x, y = (i_d + machine.magnet_current) / a, i_q / b
+    s = np.sqrt(1 + x**2 + y**2)
+    w = energy * (s - 1) + machine.magnet_flux * i_d + 0.5 * linear_d * i_d**2 + 0.5 * linear_q * i_q**2
+    for h, k, m in machine.harmonics:
+        w = w + energy * (k * s * np.cos(h * theta) + m * x * y / s * np.sin(h * theta))
+    return w
+
+
+def inductances(machine, i_d, i_q, theta):
+    """Return the incremental inductances (..., 2, 2), H, of a machine of splines."""
+    i_d, i_q, theta = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (i_d, i_q, theta)))
+    values = evaluate_many(machine.table, i_d.ravel(), i_q.ravel(), theta.ravel())
+    return values[:, 2:].reshape(*i_d.shape, 2, 2)
 
 
 def mean_flux(machine, i_d, i_q):

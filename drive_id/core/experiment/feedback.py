@@ -11,30 +11,18 @@ from numpy.typing import NDArray
 from drive_id.core.experiment.state_machine import ReferenceBlock
 from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-_KEPT = NANOSECONDS
-"""Age of references that feedback may still belong to, ns: twice what a drive is ever late."""
+_KEPT = NANOSECONDS  # age of references that feedback may still belong to, ns: twice what a drive is ever late
 
 
 @dataclass(frozen=True, eq=False)
 class SampleBlock:
-    """A block of measured samples.
+    """A block of measured samples."""
 
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns, by the clock of the drive.
-    first_sample : int
-        Running count.
-    sample_period : float
-        s.
-    values : tuple of (N,) float32
-        Phase currents, A; or angle, rad, and electrical speed, rad/s.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
+    stamp: int  # of the first sample, ns, by the clock of the drive
+    first_sample: int  # running count
+    sample_period: float  # s
     values: tuple[NDArray[np.float32], ...]
+    """(N,) each: phase currents, A; or angle, rad, and electrical speed, rad/s; or an optional signal."""
 
     def __len__(self) -> int:
         return len(self.values[0])
@@ -47,38 +35,24 @@ class SampleBlock:
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """What a drive says of itself; the fields of the message ``DriveStatus``, NaN where the drive does not know.
+    """What a drive says of itself; the fields of the message ``DriveStatus``, NaN where the drive does not know."""
 
-    Parameters
-    ----------
-    stamp : int
-        ns, by the clock of the drive.
-    i_d, i_q : float
-        Reference in force, A.
-    speed : float
-        Electrical, rad/s.
-    dc_link_voltage, winding_temperature, magnet_temperature : float
-        V, degC.
-    current_limit, speed_limit, dc_link_voltage_limit, winding_temperature_limit : float
-        A, rad/s, V, degC.
-    """
-
-    stamp: int
+    stamp: int  # ns, by the clock of the drive
     count: int
     enabled: bool = True
     fault: str = ""
     session: int = 0
     applied: int = 0
-    i_d: float = 0.0
+    i_d: float = 0.0  # reference in force, A
     i_q: float = 0.0
-    speed: float = np.nan
-    dc_link_voltage: float = np.nan
-    winding_temperature: float = np.nan
+    speed: float = np.nan  # electrical, rad/s
+    dc_link_voltage: float = np.nan  # V
+    winding_temperature: float = np.nan  # degC
     magnet_temperature: float = np.nan
-    current_limit: float = np.nan
-    speed_limit: float = np.nan
-    dc_link_voltage_limit: float = np.nan
-    winding_temperature_limit: float = np.nan
+    current_limit: float = np.nan  # A
+    speed_limit: float = np.nan  # rad/s
+    dc_link_voltage_limit: float = np.nan  # V
+    winding_temperature_limit: float = np.nan  # degC
 
 
 class PublishedReferences:

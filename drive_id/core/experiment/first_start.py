@@ -19,55 +19,35 @@ from drive_id.types import FloatArray, Samples
 
 _STEP = 0.01
 """Interval of the mean vectors that are evaluated, s: short against a turn of the vector, long against the noise."""
-_IDLE = 0.2
-"""Share of the largest current below which a vector counts as none."""
-_BEFORE = 40
-"""Mean vectors before the first current, for its offset."""
+_IDLE = 0.2  # share of the largest current below which a vector counts as none
+_BEFORE = 40  # mean vectors before the first current, for its offset
 _SMOOTH = 25
 """Mean vectors over which its speed is taken: the rotor oscillates about the vector, and takes the currents with it."""
 _EVEN = 0.4
 """Deviation from the usual speed of the vector that is tolerated: the inverter's voltage error makes it uneven."""
-_LEAST_MOTION = 0.5
-"""Motion of the rotor, relative to that of the vector, below which it does not follow."""
-_LARGEST_RATIO_ERROR = 0.05
-"""Deviation of the ratio of the angles from a whole number that is tolerated."""
+_LEAST_MOTION = 0.5  # motion of the rotor, relative to that of the vector, below which it does not follow
+_LARGEST_RATIO_ERROR = 0.05  # deviation of the ratio of the angles from a whole number that is tolerated
 _AGREEMENT = math.radians(2.0)
 """Distance between the offsets at two currents that is tolerated beyond what their scatter explains."""
-_LARGEST_LOAD_ANGLE = math.radians(35.0)
-_MOST_PAIRS = 50
+_LARGEST_LOAD_ANGLE = math.radians(35.0)  # by which friction may hold the rotor back
+_MOST_PAIRS = 50  # pole pairs
 _SHAKES = 2  # periods of a shake in a window
 _HIGHEST = 2.5
 """Highest harmonic of i_q whose torque counts; halves count as well, between which the sweep of i_d leads."""
-_COHERENT = 0.7
-"""Least cosine of the angle between torque and acceleration."""
+_COHERENT = 0.7  # least cosine of the angle between torque and acceleration
 
 
 @dataclass(frozen=True)
 class FirstStart:
-    """Result of a first start.
+    """Result of a first start."""
 
-    Parameters
-    ----------
-    current_offset : tuple of three floats
-        Of the phase currents, A; to be subtracted.
-    direction : int
-        -1 if the measured angle falls where the vector turns in the order of the phases.
-    turns_per_angle : int
-        Electrical turns per turn of the measured angle: 1 for an electrical angle, the pole pairs for one of
-        the shaft.
-    angle_offset, angle_sigma : float
-        Measured electrical angle minus that of the magnet axis, after ``direction`` and ``turns_per_angle``, in
-        [-pi, pi), and its standard error, rad.
-    load_angle : float
-        By which friction holds the rotor back, rad.
-    """
-
-    current_offset: tuple[float, float, float]
-    direction: int
-    turns_per_angle: int
+    current_offset: tuple[float, float, float]  # of the phase currents, A; to be subtracted
+    direction: int  # -1 if the measured angle falls where the vector turns in the order of the phases
+    turns_per_angle: int  # electrical turns per turn of the measured angle: 1, or the pole pairs if it is the shaft's
     angle_offset: float
-    angle_sigma: float
-    load_angle: float
+    """Measured electrical angle, after direction and turns, minus that of the magnet axis, in [-pi, pi), rad."""
+    angle_sigma: float  # its standard error, rad
+    load_angle: float  # by which friction holds the rotor back, rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +60,7 @@ class _Turn:
 
 
 def first_start(samples: Samples) -> FirstStart:
-    """Evaluate the recording of trajectory ``first_start``.
-
-    Raises
-    ------
-    ExperimentError
-        When the recording does not tell the angle of the rotor.
-    """
+    """Evaluate the recording of trajectory ``first_start``; raises ExperimentError when it does not tell the angle."""
     offset = _current_offset(samples)
     width = max(1, round(_STEP / samples.sample_period))
     count = len(samples.stamp) // width
@@ -120,11 +94,12 @@ def first_start(samples: Samples) -> FirstStart:
 
 def _judged(offset: tuple[float, float, float], direction: int, pairs: int, turns: list[_Turn]) -> FirstStart:
     """Combine forwards and backwards at each amplitude, and compare the amplitudes."""
-    levels = sorted({round(turn.amplitude / max(t.amplitude for t in turns), 1) for turn in turns})
     largest = max(turn.amplitude for turn in turns)
+    levels: dict[float, list[_Turn]] = {}
+    for turn in turns:
+        levels.setdefault(round(turn.amplitude / largest, 1), []).append(turn)
     found = []
-    for level in levels:
-        own = [turn for turn in turns if round(turn.amplitude / largest, 1) == level]
+    for _, own in sorted(levels.items()):
         ways = [np.array([turn.difference for turn in own if turn.sense == sense]) for sense in (1, -1)]
         if min(len(way) for way in ways) < 2:
             continue

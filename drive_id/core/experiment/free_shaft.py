@@ -13,45 +13,29 @@ from drive_id.errors import ConfigurationError
 from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray
 
-SLOWEST_SWING, FASTEST_SWING = 5.0, 60.0
-"""Frequencies of the swing, Hz: slower ones visit the disc too seldom, faster ones strain current controllers."""
-TRIP_FACTOR = 1.2
-"""Speed and current at which a free shaft trips, relative to the largest ones planned."""
-_SWING_SHARE = 0.85
-"""Part of the speed band that the swing is planned to take."""
+SLOWEST_SWING = 5.0  # Hz; slower swings visit the disc too seldom
+FASTEST_SWING = 60.0  # Hz; faster swings strain current controllers
+TRIP_FACTOR = 1.2  # speed and current at which a free shaft trips, relative to the largest ones planned
+_SWING_SHARE = 0.85  # part of the speed band that the swing is planned to take
 _RATIO = (3 - math.sqrt(5)) / 2
 """f_d / f_q, 0.382, the golden angle: the figure never closes, and i_d changes its sign each or every other period.
 Where i_d and i_q lag differently, reluctance torque has a mean of that sign: slower figures swing the mean speed."""
-_LARGEST_SKEW = 0.8
-"""Largest modulation of the phase of i_q, rad: mean of 0.37 of the amplitude."""
+_LARGEST_SKEW = 0.8  # largest modulation of the phase of i_q, rad: mean of 0.37 of the amplitude
 _RAMP_TIME = 0.2  # s, at least, in whole periods of f_q
 _WINDOW = 0.1  # s, at least, in whole periods of f_q, over which the mean speed is taken
-_PHASE_LAG = 0.35
-"""Crossover of the speed's feedback times its dead time, rad: 20 degrees of lag."""
-_INTEGRAL = 0.25
-"""Corner of the integrator relative to the crossover."""
-_RUN_UP = 0.15
-"""Part of the largest torque that brings the shaft to its mean speed."""
-LARGEST_BIAS = 0.36
-"""Of i_q, relative to its amplitude, that the feedback of the mean speed gives."""
-_DECIMATION = 10
+_PHASE_LAG = 0.35  # crossover of the speed's feedback times its dead time, rad: 20 degrees of lag
+_INTEGRAL = 0.25  # corner of the integrator relative to the crossover
+_RUN_UP = 0.15  # part of the largest torque that brings the shaft to its mean speed
+LARGEST_BIAS = 0.36  # of i_q, relative to its amplitude, that the feedback of the mean speed gives
+_DECIMATION = 10  # of the angles that are kept for the mean speed
 _LEAST_MOTION = 1e-3  # rad
 
 
 def swing_frequency(acceleration: float, speed_max: float, mean_speed: float = 0.0) -> float:
-    """Return the frequency of i_q whose swing fits the speeds, Hz.
+    """Return the frequency of i_q whose swing fits the speeds, Hz, at least that of the slowest swing.
 
-    Parameters
-    ----------
-    acceleration : float
-        By the largest torque, T_max p / J, electrical, rad/s^2.
-    speed_max, mean_speed : float
-        Electrical, rad/s.
-
-    Raises
-    ------
-    ConfigurationError
-        When the mean speed leaves no band.
+    The acceleration by the largest torque, T_max p / J, rad/s^2, and the speeds, rad/s, are electrical. Raises
+    ConfigurationError when the mean speed leaves no band.
     """
     band = _SWING_SHARE * (speed_max - abs(mean_speed))
     if band <= 0:
@@ -103,13 +87,7 @@ class FreeShaft(Checked):
 
 
 class MeanSpeed:
-    """Mean speed over whole periods of the swing, from the angle: exact where the speed signal lags.
-
-    Parameters
-    ----------
-    frequency : float
-        Of the swing, Hz.
-    """
+    """Mean speed over whole periods of a swing of ``frequency``, Hz, from the angle: exact where the speed lags."""
 
     def __init__(self, frequency: float) -> None:
         self.window = math.ceil(_WINDOW * frequency) / frequency

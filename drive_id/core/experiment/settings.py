@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from drive_id.core.experiment.free_shaft import (
     FASTEST_SWING,
-    SLOWEST_SWING,
     TRIP_FACTOR,
     FreeShaft,
     RotatingVector,
@@ -18,10 +17,11 @@ from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Traj
 from drive_id.errors import ConfigurationError
 from drive_id.settings import Checked, setting
 
-FREE_SHAFT, FIRST_START = "free_shaft", "first_start"
+FREE_SHAFT = "free_shaft"
+FIRST_START = "first_start"
 TRAJECTORIES = ("lissajous", "stair", "spiral", FREE_SHAFT, FIRST_START)
-_MOST_AHEAD = 100_000  # set-points
-_LONGEST_RAMP = 10.0  # s
+_MOST_AHEAD = 100_000  # set-points published ahead
+_LONGEST_RAMP = 10.0  # from i_max to zero, s
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,8 @@ class ExperimentSettings(Checked):
     trajectory: str = setting(
         "lissajous",
         "Trajectory in the current disc: the paper's Lissajous figure, a stair of operating points, or a spiral; "
-        "without load machine: free_shaft; to find the angle of a new drive: first_start",
-        choices=TRAJECTORIES,
-    )
+        "without load machine: free_shaft; to find the angle of a new drive: first_start", choices=TRAJECTORIES,
+    )  # fmt: skip
     i_max: float = setting(
         100.0, "Radius of the current disc, which no reference ever leaves", unit="A", minimum=1e-3, maximum=1e6
     )
@@ -53,44 +52,27 @@ class ExperimentSettings(Checked):
     dwell_time: float = setting(0.2, "Stair: time at each operating point", unit="s", minimum=1e-3, maximum=1e4)
     spiral_turns: float = setting(10.0, "Spiral: turns from the centre to the rim", minimum=0.5, maximum=1000.0)
     shaft_acceleration: float | None = setting(
-        None,
-        "free_shaft: electrical acceleration by the largest torque, T_max pole_pairs / J; without it, only with "
-        "swing_frequency, and nothing holds the mean speed",
-        unit="rad/s^2",
-        minimum=1e-3,
-        maximum=1e9,
-    )
+        None, "free_shaft: electrical acceleration by the largest torque, T_max pole_pairs / J; without it, only with "
+        "swing_frequency, and nothing holds the mean speed", unit="rad/s^2", minimum=1e-3, maximum=1e9,
+    )  # fmt: skip
     shaft_speed_max: float | None = setting(
-        None,
-        "free_shaft: highest electrical speed planned; it trips at 1.2 times this",
-        unit="rad/s",
-        minimum=1e-3,
-        maximum=1e6,
-    )
+        None, "free_shaft: highest electrical speed planned; it trips at 1.2 times this",
+        unit="rad/s", minimum=1e-3, maximum=1e6,
+    )  # fmt: skip
     mean_speed: float = setting(
-        0.0,
-        "free_shaft: mean electrical speed, for heavy rotors about half of shaft_speed_max",
-        unit="rad/s",
-        minimum=-1e6,
-        maximum=1e6,
-    )
+        0.0, "free_shaft: mean electrical speed, for heavy rotors about half of shaft_speed_max",
+        unit="rad/s", minimum=-1e6, maximum=1e6,
+    )  # fmt: skip
     swing_frequency: float | None = setting(
-        None,
-        "free_shaft: frequency of i_q; default: so that the swing takes 85 % of the speeds, from 5 to 60 Hz",
-        unit="Hz",
-        minimum=0.5,
-        maximum=200.0,
-    )
+        None, "free_shaft: frequency of i_q; default: so that the swing takes 85 % of the speeds, from 5 to 60 Hz",
+        unit="Hz", minimum=0.5, maximum=200.0,
+    )  # fmt: skip
     amplitude: float = setting(0.95, "free_shaft: amplitude relative to i_max", minimum=1e-3, maximum=1.0)
     first_start_current: float = setting(0.15, "first_start: amplitude relative to i_max", minimum=1e-3, maximum=1.0)
     angle_offset: float = setting(
-        0.0,
-        "What the drive's electrical angle is ahead of the magnet axis, as a first start finds it: references are "
-        "turned back by it",
-        unit="rad",
-        minimum=-math.pi,
-        maximum=math.pi,
-    )
+        0.0, "What the drive's electrical angle is ahead of the magnet axis, as a first start finds it: references are "
+        "turned back by it", unit="rad", minimum=-math.pi, maximum=math.pi,
+    )  # fmt: skip
     repeat: int = setting(1, "Repetitions of the trajectory; 0: until it is stopped", minimum=0, maximum=1_000_000)
     slew_rate: float = setting(
         10000.0, "Largest |di/dt| of the references, also when ramping in and out", unit="A/s", minimum=1.0, maximum=1e9
@@ -100,12 +82,9 @@ class ExperimentSettings(Checked):
     )
     publish_rate: float = setting(50.0, "Rate at which blocks are published", unit="Hz", minimum=1.0, maximum=1000.0)
     lead_time: float = setting(
-        0.3,
-        "How far ahead set-points are published: as long, the drive goes on if this node dies",
-        unit="s",
-        minimum=5e-3,
-        maximum=10.0,
-    )
+        0.3, "How far ahead set-points are published: as long, the drive goes on if this node dies",
+        unit="s", minimum=5e-3, maximum=10.0,
+    )  # fmt: skip
     frame_id: str = setting("drive", "Name of the drive in the message headers")
     dry_run: bool = setting(False, "Compute and supervise an experiment, but publish no references")
     watch: bool = setting(
@@ -115,24 +94,16 @@ class ExperimentSettings(Checked):
     watch_timeout: float = setting(
         0.5,
         "Longest time without a message of resolver, phase_currents or drive_status, or with a clock that stands still",
-        unit="s",
-        minimum=1e-2,
-        maximum=60.0,
-    )
+        unit="s", minimum=1e-2, maximum=60.0,
+    )  # fmt: skip
     clock_offset: float | None = setting(
-        None,
-        "Largest distance of the drive's stamps from the clock of this node; default: half of lead_time",
-        unit="s",
-        minimum=1e-3,
-        maximum=60.0,
-    )
+        None, "Largest distance of the drive's stamps from the clock of this node; default: half of lead_time",
+        unit="s", minimum=1e-3, maximum=60.0,
+    )  # fmt: skip
     follow_band: float | None = setting(
-        None,
-        "Largest distance of measured currents from the references; default: 0.2 i_max, free_shaft 0.35 i_max",
-        unit="A",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        None, "Largest distance of measured currents from the references; default: 0.2 i_max, free_shaft 0.35 i_max",
+        unit="A", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     follow_time: float = setting(
         0.1, "Time constant by which this distance is averaged", unit="s", minimum=1e-3, maximum=10.0
     )
@@ -140,34 +111,22 @@ class ExperimentSettings(Checked):
         None, "Lowest electrical speed allowed; default: -speed_max", unit="rad/s", minimum=-1e6, maximum=1e6
     )
     speed_max: float | None = setting(
-        None,
-        "Highest electrical speed allowed; default: the limit in drive_status, or no start",
-        unit="rad/s",
-        minimum=-1e6,
-        maximum=1e6,
-    )
+        None, "Highest electrical speed allowed; default: the limit in drive_status, or no start",
+        unit="rad/s", minimum=-1e6, maximum=1e6,
+    )  # fmt: skip
     current_limit: float | None = setting(
         None,
         "Largest measured phase current allowed, besides 1.1 times the limit in drive_status; default: 1.25 i_max, "
-        "free_shaft 1.2 i_max",
-        unit="A",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        "free_shaft 1.2 i_max", unit="A", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     current_ceiling: float | None = setting(
-        None,
-        "What neither i_max nor current_limit may exceed; fixed at start: what machine and inverter stand",
-        unit="A",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        None, "What neither i_max nor current_limit may exceed; fixed at start: what machine and inverter stand",
+        unit="A", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     temperature_max: float | None = setting(
-        None,
-        "Highest winding or magnet temperature allowed; default: the limit in drive_status",
-        unit="degC",
-        minimum=-60.0,
-        maximum=1000.0,
-    )
+        None, "Highest winding or magnet temperature allowed; default: the limit in drive_status",
+        unit="degC", minimum=-60.0, maximum=1000.0,
+    )  # fmt: skip
     dc_link_voltage_min: float | None = setting(
         None, "Lowest DC-link voltage allowed; default: any", unit="V", minimum=0.0, maximum=1e6
     )
@@ -178,20 +137,14 @@ class ExperimentSettings(Checked):
         ("emergency_stop",), "Topics of the emergency stops, one for each button: any of them trips"
     )
     emergency_stop_timeout: float | None = setting(
-        None,
-        "Longest time without a message on any of emergency_stops; default: they may be silent",
-        unit="s",
-        minimum=1e-2,
-        maximum=60.0,
-    )
+        None, "Longest time without a message on any of emergency_stops; default: they may be silent",
+        unit="s", minimum=1e-2, maximum=60.0,
+    )  # fmt: skip
     require_lease: bool = setting(False, "Start only for a client that sends heartbeats")
     lease_time: float = setting(
-        2.0,
-        "Longest time without a heartbeat, if the client that started has sent any",
-        unit="s",
-        minimum=0.1,
-        maximum=60.0,
-    )
+        2.0, "Longest time without a heartbeat, if the client that started has sent any",
+        unit="s", minimum=0.1, maximum=60.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -312,7 +265,7 @@ def _swing(settings: ExperimentSettings) -> FreeShaft:
         assert settings.shaft_acceleration is not None
         assert settings.shaft_speed_max is not None
         wanted = swing_frequency(amplitude * settings.shaft_acceleration, settings.shaft_speed_max, settings.mean_speed)
-        frequency = min(max(wanted, SLOWEST_SWING), FASTEST_SWING)
+        frequency = min(wanted, FASTEST_SWING)
         amplitude *= min(1.0, frequency / wanted)
     return FreeShaft(amplitude * settings.i_max, frequency, settings.duration)
 

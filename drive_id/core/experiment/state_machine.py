@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 from drive_id.core.experiment.free_shaft import FreeShaft
 from drive_id.core.experiment.limits import approach, follow, inside_disc
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, speed_feedback, total_duration
-from drive_id.core.experiment.trajectories import Trajectory
 from drive_id.core.maps.coverage import Visits, disc_points
 from drive_id.core.signals.signal import block_stamps
 from drive_id.types import NANOSECONDS, FloatArray, IntArray
 
-LARGEST_BLOCK = 1000
-"""Most set-points in one block."""
-_COVERAGE_NODES = 21
-_COVERAGE_STEP = 10
+LARGEST_BLOCK = 1000  # set-points
+_COVERAGE_NODES = 21  # along each axis of the grid on which visited places are counted
+_COVERAGE_STEP = 10  # set-points, of which one is counted
 
 
 class ExperimentState(Enum):
@@ -40,34 +38,16 @@ class ExperimentState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceBlock:
-    """A block of set-points.
+    """A block of set-points."""
 
-    Parameters
-    ----------
-    stamp : int
-        Due time of the first set-point, ns.
-    first_sample : int
-        Running count of the set-points published.
-    sample_period : float
-        s.
-    i_dq : (N, 2) float32
-        A.
-    session, count : int
-        Session, and running count of the first set-point in it.
-    safe : bool
-        The drive goes to zero current on receipt.
-    stator_frame : bool
-        The set-points are alpha and beta.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    i_dq: NDArray[np.float32]
+    stamp: int  # due time of the first set-point, ns
+    first_sample: int  # running count of the set-points published
+    sample_period: float  # s
+    i_dq: NDArray[np.float32]  # (N, 2), A
     session: int
-    count: int
-    safe: bool
-    stator_frame: bool = False
+    count: int  # of the first set-point in the session
+    safe: bool  # the drive goes to zero current on receipt
+    stator_frame: bool = False  # the set-points are alpha and beta
 
     @property
     def due(self) -> IntArray:
@@ -80,39 +60,34 @@ class Experiment:
 
     Times are integer nanoseconds of the clock that stamps the blocks. All set-points lie in the disc of ``i_max``, and
     consecutive ones differ by at most ``slew_rate`` times the sample period, except for an immediate trip.
-
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    trajectory : Trajectory, optional
-        Default: that of the settings.
     """
 
-    def __init__(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
-        self.trip_reason = ""
-        self.stop_reason = ""
-        self.session = 0
-        self._first_sample = self._session_start = 0
-        self._safe = False
+    def __init__(self, settings: ExperimentSettings) -> None:
+        self._first_sample = 0
         self._active = False
+        self._state = ExperimentState.IDLE
+        self._rest = 0
+        self._forget_last(0, 0)
+        self.configure(settings)
+
+    def _forget_last(self, now: int, session: int) -> None:
+        self.trip_reason = self.stop_reason = ""
+        self.session, self._session_start = session, self._first_sample
+        self._safe = False
         self._pending = False  # the next set-points are due at once, not ahead
         self._cut = False  # the reference went to zero without a ramp
-        self._epoch = 0
-        self._last_now: int | None = None
+        self._epoch = self._last_now = now
         self._next = 0
-        self._state = ExperimentState.IDLE
         self._marks: list[tuple[int, ExperimentState]] = []
         self._point = np.zeros(2)
-        self._run_start = 0
-        self._rest = 0
+        self._run_start = -1  # not yet
         self._ahead: FloatArray = np.zeros((0, 2))
-        self.configure(settings, trajectory)
 
-    def configure(self, settings: ExperimentSettings, trajectory: Trajectory | None = None) -> None:
+    def configure(self, settings: ExperimentSettings) -> None:
         """Change the settings for the next start; only while no experiment is active."""
         assert not self._active
         self.settings = settings
-        self._trajectory = trajectory or make_trajectory(settings)
+        self._trajectory = make_trajectory(settings)
         self.feedback = speed_feedback(settings, self._trajectory)
         self._turned = np.exp(-1j * (0.0 if settings.stator_frame else settings.angle_offset))
         self._step = settings.slew_rate * settings.sample_period
@@ -155,17 +130,9 @@ class Experiment:
     def start(self, now: int, session: int = 1) -> None:
         """Start an experiment in a session of its own and clear an earlier trip; only while none is active."""
         assert not self._active
-        self.trip_reason = self.stop_reason = ""
-        self.session, self._session_start, self._safe = session, self._first_sample, False
+        self._forget_last(now, session)
         self._active = self._pending = True
-        self._cut = False
-        self._epoch = now + self._nanoseconds(self.settings.lead_time) // 2
-        self._last_now = now
-        self._next = 0
-        self._point = np.zeros(2)
-        self._ahead = np.zeros((0, 2))
-        self._marks = []
-        self._run_start = -1
+        self._epoch += self._nanoseconds(self.settings.lead_time) // 2
         self._visits.count[:] = 0
         self.feedback = speed_feedback(self.settings, self._trajectory)
         self._enter(ExperimentState.RAMP_IN)
@@ -177,17 +144,7 @@ class Experiment:
             self._override(now, immediate=False)
 
     def trip(self, now: int, reason: str, *, immediate: bool) -> None:
-        """Stop because of a fault.
-
-        Parameters
-        ----------
-        now : int
-            ns.
-        reason : str
-            A sentence; the first one of an experiment is kept.
-        immediate : bool
-            Set the reference to zero at once, without a ramp.
-        """
+        """Stop because of a fault, whose sentence is kept if it is the first one; ``immediate``: without a ramp."""
         if not self._active:
             return
         self.trip_reason = self.trip_reason or reason
@@ -246,7 +203,6 @@ class Experiment:
     def _check_clock(self, now: int) -> None:
         """Trip when the set-points ran out before this call, or the clock was set back."""
         last, self._last_now = self._last_now, now
-        assert last is not None
         late = now - self._stamp(self._next)
         if now < last - self._nanoseconds(self.settings.lead_time):
             self._epoch, self._next, self._ahead = now, 0, np.zeros((0, 2))

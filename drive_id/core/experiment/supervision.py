@@ -22,18 +22,10 @@ _CLEAR = "Call ~/clear_fault when the cause is gone."
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a request.
+    """Answer to a request."""
 
-    Parameters
-    ----------
-    code : str
-        A constant of the services ``StartExperiment`` and ``Command``.
-    message : str
-        A sentence.
-    """
-
-    code: str
-    message: str
+    code: str  # a constant of the services ``StartExperiment`` and ``Command``
+    message: str  # a sentence
 
     @property
     def success(self) -> bool:
@@ -43,37 +35,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Report:
-    """State of a supervised experiment.
-
-    Parameters
-    ----------
-    state : ExperimentState
-    reason : str
-        Why it tripped, was stopped, or would not start; empty otherwise.
-    session : int
-    elapsed, duration : float
-        s.
-    i_dq : (2,) float
-        Reference that is due now, A.
-    coverage : float
-        0 to 1.
-    dry_run : bool
-        Nothing is published.
-    mean_speed, mean_speed_reference, bias : float
-        Of a free shaft: electrical, rad/s; and the mean of i_q relative to its amplitude. NaN for other trajectories.
-    """
+    """State of a supervised experiment; what only a free shaft has is NaN for other trajectories."""
 
     state: ExperimentState
-    reason: str
+    reason: str  # why it tripped, was stopped, or would not start; empty otherwise
     session: int
-    elapsed: float
-    duration: float
-    i_dq: FloatArray
-    coverage: float
-    dry_run: bool
-    mean_speed: float = math.nan
+    elapsed: float  # s
+    duration: float  # s
+    i_dq: FloatArray  # (2,), reference that is due now, A
+    coverage: float  # 0 to 1
+    dry_run: bool  # nothing is published
+    mean_speed: float = math.nan  # of a free shaft, electrical, rad/s
     mean_speed_reference: float = math.nan
-    bias: float = math.nan
+    bias: float = math.nan  # mean of i_q relative to its amplitude
 
 
 def rehearse(settings: ExperimentSettings) -> None:
@@ -90,11 +64,7 @@ class SupervisedExperiment:
 
     ``now`` is the time of the clock that stamps the blocks, ns; ``steady`` that of a monotonic clock, s.
 
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    names : mapping of str to str, optional
-        Of topics, for messages: see :class:`~.watchdog.Watchdog`.
+    The names of topics are for messages, see :class:`~.watchdog.Watchdog`.
     """
 
     def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:
@@ -120,8 +90,7 @@ class SupervisedExperiment:
 
     def plan(self) -> str:
         """Describe the experiment that a start runs."""
-        settings = self._settings
-        seconds = total_duration(settings, make_trajectory(settings))
+        settings, seconds = self._settings, self._duration
         how_long = "until it is stopped" if math.isinf(seconds) else f"for {seconds:.4g} s"
         dry = ", published to nobody (dry_run)" if self._dry_run else ""
         return f"{settings.trajectory} within {settings.i_max:g} A {how_long}{dry}"
@@ -131,14 +100,7 @@ class SupervisedExperiment:
     ) -> Answer:
         """Start, or return why not.
 
-        Parameters
-        ----------
-        now, steady
-            As for the class.
-        publishers : int
-            Publishers of references, this one included.
-        dry_run, require_lease : bool
-            In addition to the settings, which they cannot loosen.
+        ``publishers`` counts those of references, this one included; the options cannot loosen the settings.
         """
         self._watchdog.publishers = publishers
         leased = steady - self._heartbeat <= self._settings.lease_time

@@ -40,11 +40,9 @@ class Lissajous(Checked):
     frequency_d: float = setting(3.7, "frequency of the d reference, Phi_d / 2 pi", unit="Hz", minimum=0.0)
     frequency_q: float = setting(1.1, "frequency of the q reference, Phi_q / 2 pi", unit="Hz", minimum=0.0)
     form: str = setting(
-        "smooth",
-        "printed: i_d follows the root as the paper prints it, with a kink wherever i_q touches the rim; "
-        "smooth: the signed root, the same disc without kinks",
-        choices=("smooth", "printed"),
-    )
+        "smooth", "printed: i_d follows the root as the paper prints it, with a kink wherever i_q touches the rim; "
+        "smooth: the signed root, the same disc without kinks", choices=("smooth", "printed"),
+    )  # fmt: skip
 
     @property
     def duration(self) -> float:

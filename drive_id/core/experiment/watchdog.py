@@ -18,9 +18,11 @@ from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.signals.signal import SampleCount
 from drive_id.types import NANOSECONDS, FloatArray
 
-CURRENTS, RESOLVER, STATUS = SIGNALS = ("phase_currents", "resolver", "drive_status")
-_STRAY = 1_000_000
-"""Deviation of stamps from an even grid, ns, besides half a block, that is no step of the clock."""
+CURRENTS = "phase_currents"
+RESOLVER = "resolver"
+STATUS = "drive_status"
+SIGNALS = (CURRENTS, RESOLVER, STATUS)
+_STRAY = 1_000_000  # deviation of stamps from an even grid, ns, besides half a block, that is no step of the clock
 _BRIEFLY = 0.1
 """Time for which an offset of the clock or another session may last, s: a stalled process catches up meanwhile."""
 
@@ -33,18 +35,10 @@ Message = TypeVar("Message", SampleBlock, DriveStatus)
 
 @dataclass(frozen=True)
 class Fault:
-    """Why the drive must not be driven.
+    """Why the drive must not be driven."""
 
-    Parameters
-    ----------
-    reason : str
-        A sentence.
-    immediate : bool
-        Set the reference to zero at once, without a ramp.
-    """
-
-    reason: str
-    immediate: bool = False
+    reason: str  # a sentence
+    immediate: bool = False  # set the reference to zero at once, without a ramp
 
 
 @dataclass
@@ -126,11 +120,8 @@ class _Stream(Generic[Message]):
 class Watchdog:
     """Judges the messages of a drive, and what does not come.
 
-    Parameters
-    ----------
-    settings : ExperimentSettings
-    names : mapping of str to str, optional
-        Names of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stops``, for messages.
+    ``names`` are those of the topics ``phase_currents``, ``resolver``, ``drive_status`` and ``emergency_stops``, for
+    messages.
     """
 
     def __init__(self, settings: ExperimentSettings, names: Mapping[str, str] | None = None) -> None:

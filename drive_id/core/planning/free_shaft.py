@@ -17,52 +17,39 @@ from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
-AMPLITUDE = 0.95
-"""Of the current, relative to i_max."""
-_BANDWIDTH_SHARE = 0.25
-"""Highest frequency of the swing relative to the bandwidth of the current controller."""
-_VOLTAGE_SHARE = 0.9
-_HEAVY = 0.25
-"""Swing relative to the highest speed below which the shaft is let run at half of that speed."""
-_FEWEST_TURNS = 10.0
-"""Electrical revolutions in an experiment, at least; below, the shaft creeps."""
+AMPLITUDE = 0.95  # of the current, relative to i_max
+_BANDWIDTH_SHARE = 0.25  # highest frequency of the swing relative to the bandwidth of the current controller
+_VOLTAGE_SHARE = 0.9  # of the largest voltage that a swing may take: the rest is for what the rough machine leaves out
+_HEAVY = 0.25  # swing relative to the highest speed below which the shaft is let run at half of that speed
+_FEWEST_TURNS = 10.0  # electrical revolutions in an experiment, at least; below, the shaft creeps
 _DURATION = 20.0  # s
-_RIM_NODES = 721
-_FREQUENCIES, _PARTS = 12, 25
-"""Highest frequencies of the swing and parts of the highest speed that are tried."""
-_MAGNETS, _SALIENT_SHARE = 0.2, 0.08
-"""Mean torque by the bias, relative to the largest, below which reluctance torque prevails; swings are then slower,
-relative to the bandwidth: where i_d and i_q lag differently, reluctance torque has a mean, alternating with i_d."""
-_LEAST_HELD = 0.03
-"""The same, below which friction exceeds it, so that no mean speed can be held."""
-_LEAST_PART = 0.2
-"""Smallest part of the highest speed that is left for the sake of the voltage and of the currents."""
-_STEPS, _PERIODS = 100, 13
-"""Instants in a period of the swing, and periods, in which i_d sweeps five times."""
-_SETTLED = 2 * _STEPS
-"""Instants at each end that are not judged: there the figure does not quite close."""
+_RIM_NODES = 721  # angles at which the torque on the rim of the disc is sought
+_FREQUENCIES = 12  # highest frequencies of the swing that are tried
+_PARTS = 25  # parts of the highest speed that are tried
+_MAGNETS = 0.2  # mean torque by the bias, relative to the largest, below which reluctance torque prevails
+_LEAST_HELD = 0.03  # the same, below which friction exceeds it, so that no mean speed can be held
+_SALIENT_SHARE = 0.08
+"""Highest frequency of the swing by the bandwidth where reluctance torque prevails: where i_d and i_q lag differently,
+it has a mean, alternating with i_d."""
+_LEAST_PART = 0.2  # smallest part of the highest speed that is left for the sake of the voltage and of the currents
+_STEPS = 100  # instants in a period of the swing
+_PERIODS = 13  # periods of the swing, in which i_d sweeps five times
+_SETTLED = 2 * _STEPS  # instants at each end that are not judged: there the figure does not quite close
 _ASSUMED = tuple(product((0.7, 1.2), (0.85, 1.1)))
 """What a current controller may assume, relative to the inductances and to the magnet flux."""
-_OBSERVER = 60.0
-"""Bandwidth of the slowest observer of the speed by which a current controller decouples, Hz."""
-_INTEGRAL_SHARE = 0.2
-"""Corner of the integrator of a current controller relative to its bandwidth."""
-_DROP = 0.01
-"""Drop of the inverter that a current controller does not know, relative to the DC link."""
+_OBSERVER = 60.0  # bandwidth of the slowest observer of the speed by which a current controller decouples, Hz
+_INTEGRAL_SHARE = 0.2  # corner of the integrator of a current controller relative to its bandwidth
+_DROP = 0.01  # drop of the inverter that a current controller does not know, relative to the DC link
 _SATURATED = 2.0
 """Mean inductance over the incremental one at i_max, by which currents stray further than those of a linear machine."""
-_HIGHEST_PEAK, _LARGEST_DISTANCE = 1.08, 0.25
-"""Current, and mean distance from its reference, relative to i_max, that a plan may expect; the publisher trips at 1.2
-and 0.35. The rest is for noise, and for what the first order leaves."""
-_HIGHEST_RATE = 0.2
-"""Bandwidth of a current controller times the sample period, at most: it acts 1.5 periods late."""
-_RAISED = 1.25
-"""Factor by which the bandwidth is raised until the current follows."""
-_RPM = 30 / math.pi
-
-_CREEP = 60.0 / _RPM
-"""Usual speed of creeping, mechanical, rad/s."""
-
+_HIGHEST_PEAK = 1.08  # current by i_max that a plan may expect; the publisher trips at 1.2, see _LARGEST_DISTANCE
+_LARGEST_DISTANCE = 0.25
+"""Mean distance of the current from its reference, by i_max, that a plan may expect; the publisher trips at 0.35. The
+rest is for noise, and for what the first order leaves."""
+_HIGHEST_RATE = 0.2  # bandwidth of a current controller times the sample period, at most: it acts 1.5 periods late
+_RAISED = 1.25  # factor by which the bandwidth is raised until the current follows
+_RPM = 30 / math.pi  # of 1 rad/s
+_CREEP = 60.0 / _RPM  # usual speed of creeping, mechanical, rad/s
 _EXPECTED = ((10.0, 0.05, 0.1), (30.0, 0.06, 0.2), (math.inf, 0.1, 0.5))
 """Up to a frequency of the swing, Hz: error of the flux and of the inertia, percent, that no simulated drive of
 docs/free_shaft.md exceeded."""
@@ -70,44 +57,20 @@ docs/free_shaft.md exceeded."""
 
 @dataclass(frozen=True)
 class FreeShaftPlan:
-    """The proposed experiment.
-
-    Parameters
-    ----------
-    settings : PlanSettings
-    machine : RoughMachine
-    inertia : float
-        Of the shaft as planned, with what is added, kg m^2.
-    added_inertia : float
-        kg m^2.
-    share : float
-        Part of the wanted amplitude of the current that the shaft allows without added inertia, 0 to 1.
-    acceleration : float
-        By the amplitude, with added inertia, mechanical, rad/s^2.
-    speed_max, mean_speed : float
-        Mechanical, rad/s.
-    frequency : float
-        Hz.
-    duration : float
-        s.
-    bandwidth : float
-        Of the current controller, with which the current follows, Hz: that of the settings, or a higher one.
-    unheld : bool
-        The shaft should have a mean speed, but the torque of the machine cannot hold it.
-    """
+    """The proposed experiment."""
 
     settings: PlanSettings
     machine: RoughMachine
-    inertia: float
-    added_inertia: float
-    share: float
-    acceleration: float
-    speed_max: float
-    mean_speed: float
-    frequency: float
-    duration: float
-    bandwidth: float
-    unheld: bool = False
+    inertia: float  # of the shaft as planned, with what is added, kg m^2
+    added_inertia: float  # kg m^2
+    share: float  # part of the wanted amplitude of the current that the shaft allows without added inertia, 0 to 1
+    acceleration: float  # by the amplitude, with added inertia, mechanical, rad/s^2
+    speed_max: float  # mechanical, rad/s
+    mean_speed: float  # mechanical, rad/s
+    frequency: float  # Hz
+    duration: float  # s
+    bandwidth: float  # of the current controller that the current follows with, Hz: of the settings, or a higher one
+    unheld: bool = False  # the shaft should have a mean speed, but the torque of the machine cannot hold it
 
     @property
     def figure(self) -> FreeShaft:
@@ -171,13 +134,12 @@ class FreeShaftPlan:
                 f"current controller: raise its bandwidth from {self.settings.current_bandwidth:.3g} to "
                 f"{self.bandwidth:.3g} Hz."
             )
-        if not self.added_inertia:
-            return said
-        advice = (
-            f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled rotor), "
-            f"or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
-        )
-        return [*said, advice]
+        if self.added_inertia:
+            said.append(
+                f"The rotor is too light for its torque: add {self.added_inertia:.3g} kg m^2 (a disc or a coupled "
+                f"rotor), or only {100 * self.share:.0f} % of i_max can be mapped at {self.frequency:.3g} Hz."
+            )
+        return said
 
 
 def plan_free_shaft(settings: PlanSettings, inertia: float | None) -> FreeShaftPlan:

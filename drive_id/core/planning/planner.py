@@ -22,63 +22,46 @@ from drive_id.core.planning.prediction import (
     DROP_SHARE,
     FisherInformation,
     Prediction,
-    RoughModel,
     fisher_information,
     predict,
+    rough_model,
     synthesize,
 )
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray, Progress, silent
 
-PAPER_FREQUENCIES = (3.7, 1.1)
-"""Hz, of d and q."""
-PAPER_SPEED = 500.0
-"""rpm."""
+PAPER_FREQUENCIES = (3.7, 1.1)  # of d and q, Hz
+PAPER_SPEED = 500.0  # rpm
 
-_SHORTEST = 4.0
-"""s; less leaves gaps between the lines of the figure."""
+_SHORTEST = 4.0  # s; less leaves gaps between the lines of the figure
 _FIRST_GUESS = 10.0  # s
-_RESERVE = 1.05
+_RESERVE = 1.05  # factor on the duration that the wanted accuracy needs: it was predicted for another one
 _WEIGHTS = np.array([2.0, 2.0, 1.0, 1.0, 1.0])
+"""Of the logarithms of the standard errors in the cost: logarithms need no scales."""
 _MARGIN = 0.95  # standard error by the paper's that no plan should exceed
 _LOSS = 20.0  # cost of exceeding it, by its logarithm: no gain of another makes up for it
 _COARSE = (8, 2000)  # cells of the map along each axis, and windows, to choose speeds
 _MIDDLE = (12, 3000)  # to choose the figure
 _FINE = (16, 6000)  # to predict the standard errors
-LONGEST_FIGURE = 10.0
-"""s; longer experiments repeat the figure."""
-
-FEWEST_CYCLES = 8
-"""Of the higher frequency, in one figure."""
-
-_RATIOS = (1.0, 0.618, 0.382, 0.236)
-"""Of the lower to the higher frequency."""
-_SHARES = (1.0, 0.5)
-"""Of the highest frequency allowed."""
-_MOST_SPEEDS = 4
-_BANDWIDTH_SHARE = 0.1
-_SLOPE_VOLTAGE_SHARE = 0.2
-_VOLTAGE_SHARE = 0.95
-_FEWEST_SAMPLES = 4
+LONGEST_FIGURE = 10.0  # s; longer experiments repeat the figure
+FEWEST_CYCLES = 8  # of the higher frequency, in one figure
+_RATIOS = (1.0, 0.618, 0.382, 0.236)  # of the lower to the higher frequency
+_SHARES = (1.0, 0.5)  # of the highest frequency allowed
+_MOST_SPEEDS = 4  # speeds from the lowest to the highest that are combined
+_BANDWIDTH_SHARE = 0.1  # highest frequency of the references by the bandwidth of the current controller
+_SLOPE_VOLTAGE_SHARE = 0.2  # part of the largest voltage that the slopes of the references may take
+_VOLTAGE_SHARE = 0.95  # part of the largest voltage that an experiment may take
+_FEWEST_SAMPLES = 4  # in a window, at the highest speed
 
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """An experiment to choose from: a Lissajous figure driven at one or several speeds.
-
-    Parameters
-    ----------
-    trajectory : Lissajous
-    speeds : tuple of float
-        Mechanical, rpm, each for an equal share of the time; negative: backwards.
-    duration : float
-        All speeds together, s.
-    """
+    """An experiment to choose from: a Lissajous figure driven at one or several speeds."""
 
     trajectory: Lissajous
-    speeds: tuple[float, ...]
-    duration: float
+    speeds: tuple[float, ...]  # mechanical, rpm, each for an equal share of the time; negative: backwards
+    duration: float  # all speeds together, s
 
     @property
     def share(self) -> float:
@@ -93,28 +76,15 @@ class PlannedExperiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """The proposed experiment and its predicted accuracy.
-
-    Parameters
-    ----------
-    settings : PlanSettings
-    machine : RoughMachine
-    experiment : PlannedExperiment
-    prediction : Prediction
-    paper : PlannedExperiment
-        The paper's, of the same duration.
-    paper_prediction : Prediction
-    voltages : tuple of float
-        Largest amplitude needed at each speed, V.
-    """
+    """The proposed experiment and its predicted accuracy."""
 
     settings: PlanSettings
     machine: RoughMachine
     experiment: PlannedExperiment
     prediction: Prediction
-    paper: PlannedExperiment
+    paper: PlannedExperiment  # the paper's, of the same duration
     paper_prediction: Prediction
-    voltages: tuple[float, ...]
+    voltages: tuple[float, ...]  # largest amplitude needed at each speed, V
 
     @property
     def met(self) -> bool:
@@ -142,9 +112,8 @@ class Plan:
             )
             sentences.append("At one speed, a delay of the voltages looks like a rotation of the map, too.")
         else:
-            what = "several speeds" if len({abs(speed) for speed in speeds}) > 1 else "two directions"
-            if len({abs(speed) for speed in speeds}) > 1 and min(speeds) < 0:
-                what = "several speeds in both directions"
+            several, both = len({abs(speed) for speed in speeds}) > 1, min(speeds) < 0
+            what = f"several speeds{' in both directions' if both else ''}" if several else "two directions"
             sentences.append(
                 f"The {what} separate R from a rotation of the map: even without reciprocity, R is determined "
                 f"to {free:.2g} %, and so is a delay of the voltages."
@@ -157,27 +126,19 @@ class Plan:
 
     def warnings(self) -> list[str]:
         """Say what is not as wanted."""
-        found = []
+        found, reached, wanted = [], 100 * self.prediction.flux, self.settings.accuracy
         if not self.met:
+            needed = self.experiment.duration * (reached / wanted) ** 2
             found.append(
-                f"In {self.experiment.duration:g} s the flux reaches {100 * self.prediction.flux:.2g} %, not the "
-                f"wanted {self.settings.accuracy:g} %: allow {self.needed_duration():.3g} s, or reduce the noise."
+                f"In {self.experiment.duration:g} s the flux reaches {reached:.2g} %, not the wanted {wanted:g} %: "
+                f"allow {needed:.3g} s, or reduce the noise."
             )
-        if self.paper_infeasible():
+        inside = self.settings.speed_min <= PAPER_SPEED <= self.settings.speed_max
+        if not inside or self.machine.steady_voltage(PAPER_SPEED) > self.machine.largest_voltage:
             found.append(
                 f"The bench does not allow the paper's {PAPER_SPEED:g} rpm: the comparison assumes that it does."
             )
         return found
-
-    def needed_duration(self) -> float:
-        """Return the duration that the wanted accuracy needs, s."""
-        ratio = 100 * self.prediction.flux / self.settings.accuracy
-        return self.experiment.duration * ratio**2
-
-    def paper_infeasible(self) -> bool:
-        """Tell whether the paper's speed lies outside of the allowed range or above the voltage limit."""
-        inside = self.settings.speed_min <= PAPER_SPEED <= self.settings.speed_max
-        return not inside or self.machine.steady_voltage(PAPER_SPEED) > self.machine.largest_voltage
 
 
 @one_blas_thread()
@@ -228,18 +189,13 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     return Plan(settings, machine, best, prediction, paper, scout.predict(paper), voltages)
 
 
-def cost(prediction: Prediction) -> float:
-    """Return the weighted sum of the logarithms of all standard errors, so that no scales have to be chosen."""
-    return float(_WEIGHTS @ np.log(prediction.values()))
-
-
 class _Scout:
     """Predicts experiments and caches the information of each figure at each speed."""
 
     def __init__(self, settings: PlanSettings, machine: RoughMachine, fineness: tuple[int, int]) -> None:
         cells, self._windows = fineness
         self.settings, self.machine = settings, machine
-        self._model = RoughModel.over(machine.i_max, cells)
+        self._model = rough_model(machine.i_max, cells)
         self._known: dict[tuple[Lissajous, float, float], FisherInformation] = {}
 
     def predict(self, experiment: PlannedExperiment) -> Prediction:
@@ -263,7 +219,7 @@ def _best(scout: _Scout, trials: Iterable[PlannedExperiment]) -> PlannedExperime
     def rank(trial: PlannedExperiment) -> float:
         prediction = scout.predict(trial)
         excess = np.log(_measures(prediction) / (_MARGIN * paper))
-        return cost(prediction) + _LOSS * float(np.maximum(excess, 0.0).sum())
+        return float(_WEIGHTS @ np.log(prediction.values())) + _LOSS * float(np.maximum(excess, 0.0).sum())
 
     return min(trials, key=rank)
 
@@ -286,17 +242,7 @@ def highest_frequency(settings: PlanSettings, machine: RoughMachine) -> float:
 def speed_range(settings: PlanSettings, machine: RoughMachine, frequency: float) -> tuple[float, float]:
     """Return the lowest and the highest mechanical speed, rpm, at which figures can be driven and evaluated.
 
-    Parameters
-    ----------
-    settings : PlanSettings
-    machine : RoughMachine
-    frequency : float
-        Highest of the references, Hz.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is none in the allowed range.
+    ``frequency`` is the highest of the references, Hz. Raises ConfigurationError when no allowed speed is one.
     """
     per_rpm = machine.electrical(1.0)
     slowest = WINDOW_ANGLE / LONGEST_WINDOW / per_rpm
@@ -337,24 +283,10 @@ def speed_sets(low: float, high: float, *, reverse: bool) -> list[tuple[float, .
 
 
 def figures(i_max: float, highest: float, period: float) -> Iterator[Lissajous]:
-    """Yield figures that close after a given time.
+    """Yield figures of an amplitude, A, up to the highest frequency, Hz, that close after a period, s.
 
     Their frequencies are coprime multiples of its inverse, so that the figure closes then and not before, and covers
-    the disc with evenly spaced lines.
-
-    Parameters
-    ----------
-    i_max : float
-        A.
-    highest : float
-        Frequency, Hz.
-    period : float
-        s.
-
-    Raises
-    ------
-    ConfigurationError
-        When the time is too short for these frequencies.
+    the disc with evenly spaced lines. Raises ConfigurationError when the period is too short for these frequencies.
     """
     if highest * period < FEWEST_CYCLES:
         raise ConfigurationError(
@@ -363,7 +295,8 @@ def figures(i_max: float, highest: float, period: float) -> Iterator[Lissajous]:
         )
     for share, ratio in itertools.product(_SHARES, _RATIOS):
         upper = math.floor(share * highest * period + 1e-9)
-        lower = next(number for number in _nearest(round(ratio * upper), upper) if math.gcd(number, upper) == 1)
+        wanted, coprime = round(ratio * upper), (number for number in range(1, upper) if math.gcd(number, upper) == 1)
+        lower = min(coprime, key=lambda number: abs(number - wanted))
         for d, q in ((upper, lower), (lower, upper)):
             yield Lissajous(i_max, round(d / period, 6), round(q / period, 6))
 
@@ -387,11 +320,6 @@ def needed_voltages(machine: RoughMachine, experiment: PlannedExperiment, sample
     )
     drop = DROP_SHARE * machine.u_dc
     return tuple(float(np.abs(space_vector(samples.u_abc)).max()) + drop for samples in figures)
-
-
-def _nearest(number: int, below: int) -> Iterator[int]:
-    """Yield the whole numbers from 1 to below ``below``, the nearest to ``number`` first."""
-    yield from sorted(range(1, below), key=lambda candidate: abs(candidate - number))
 
 
 def _rounded(speed: float, low: float, high: float) -> float:

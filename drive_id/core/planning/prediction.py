@@ -22,40 +22,27 @@ from drive_id.core.maps.coenergy import bent_edges
 from drive_id.core.planning.settings import RoughMachine
 from drive_id.types import FloatArray, Samples
 
-PENALTY = 1e-3
-"""Weight of the roughness penalty: the one that cross-validation finds for recordings of ten seconds."""
-DROP_SHARE = 0.01
-"""Assumed height of an unknown inverter's voltage error, as a fraction of the DC-link voltage."""
+PENALTY = 1e-3  # weight of the roughness penalty: the one that cross-validation finds for recordings of ten seconds
+DROP_SHARE = 0.01  # assumed height of an unknown inverter's voltage error, as a fraction of the DC-link voltage
 CURVE_ERROR = 1e-5
 """Assumed misfit of the inverter curve, as a fraction of the DC-link voltage; it weighs more in longer windows."""
 
-_SAMPLES_PER_WINDOW = 8
-_COARSEST = 1e-3
-"""s."""
-_GRID = 25
-_CURVE_NODES = 50
-_CURVE_FOOT = 0.02
+_SAMPLES_PER_WINDOW = 8  # of synthesized samples: a figure is smooth within a window
+_COARSEST = 1e-3  # longest period of synthesized samples, s
+_GRID = 25  # points of the map along each axis at which its standard errors are averaged
+_CURVE_NODES = 50  # currents at which those of the curve are averaged
+_CURVE_FOOT = 0.02  # the lowest of them, by i_max
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Expected standard errors from current noise and misfit of the inverter curve, as fractions.
+    """Expected standard errors from current noise and misfit of the inverter curve, as fractions."""
 
-    Parameters
-    ----------
-    flux_d, flux_q : float
-        Root mean square over the disc, as a fraction of the largest flux of that axis.
-    inverter : float
-        Root mean square of the curve up to i_max, as a fraction of its height.
-    free_resistance : float
-        Of the resistance without the assumption of reciprocal maps.
-    """
-
-    flux_d: float
-    flux_q: float
+    flux_d: float  # root mean square over the disc, by the largest flux of that axis
+    flux_q: float  # likewise
     resistance: float
-    inverter: float
-    free_resistance: float
+    inverter: float  # root mean square of the curve up to i_max, by its height
+    free_resistance: float  # of the resistance without the assumption of reciprocal maps
 
     @property
     def flux(self) -> float:
@@ -68,49 +55,30 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class RoughModel(FullModel):
-    """The model of method ``full`` with a chosen number of cells."""
-
-    @classmethod
-    def over(cls, i_max: float, cells: int) -> RoughModel:
-        """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
-        low, high = np.array([-i_max, -i_max]), np.array([i_max, i_max])
-        edges = bent_edges(-i_max, i_max, cells)
-        return cls(low, high, i_max, (6,), cells=Resolution(edges, edges))
-
-
-@dataclass(frozen=True, eq=False)
 class FisherInformation:
-    """Fisher information of the windows at one speed, for unit variance.
+    """Fisher information of the windows at one speed, for unit variance."""
 
-    Parameters
-    ----------
-    normal : (size, size) float
-        Z'Z.
-    window : float
-        Mean duration of a window, s.
-    """
-
-    normal: FloatArray
+    normal: FloatArray  # Z'Z, (size, size)
     rows: float
-    window: float
+    window: float  # mean duration of a window, s
 
     def lasting(self, factor: float) -> FisherInformation:
         """Return the information of this many repetitions."""
         return FisherInformation(factor * self.normal, factor * self.rows, self.window)
 
 
+def rough_model(i_max: float, cells: int) -> FullModel:
+    """Return the model over a disc of radius ``i_max``, A, with the sixth harmonic, which every machine has."""
+    edges = bent_edges(-i_max, i_max, cells)
+    return FullModel(np.full(2, -i_max), np.full(2, i_max), i_max, (6,), cells=Resolution(edges, edges))
+
+
 def synthesize(
     machine: RoughMachine, trajectory: Trajectory, speed: float, seconds: float, sample_period: float
 ) -> Samples:
-    """Return noise-free samples of a drive that follows a trajectory perfectly.
+    """Return noise-free samples of a drive that follows a trajectory perfectly at a mechanical speed, rpm.
 
-    Parameters
-    ----------
-    speed : float
-        Mechanical, rpm.
-    sample_period : float
-        Lower bound, s; longer where a window of 60 degrees needs fewer samples.
+    The sample period, s, is a lower bound: it is longer where a window of 60 degrees needs fewer samples.
     """
     omega = machine.electrical(speed)
     period = float(np.clip(WINDOW_ANGLE / abs(omega) / _SAMPLES_PER_WINDOW, sample_period, _COARSEST))
@@ -131,7 +99,7 @@ def synthesize(
     )
 
 
-def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -> FisherInformation:
+def fisher_information(model: FullModel, samples: Samples, most_windows: int) -> FisherInformation:
     """Return Z'Z of samples, extrapolated from at most ``most_windows`` of their windows."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
@@ -142,16 +110,11 @@ def fisher_information(model: RoughModel, samples: Samples, most_windows: int) -
 
 
 def predict(
-    model: RoughModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
+    model: FullModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
 ) -> Prediction:
-    """Predict the standard errors of a fit to all parts of an experiment.
+    """Predict the standard errors of a fit to all parts of an experiment, one for each speed.
 
-    Parameters
-    ----------
-    parts : sequence of FisherInformation
-        One for each speed.
-    current_noise : float
-        Standard deviation of each phase current's noise as a fraction of i_max.
+    ``current_noise`` is the standard deviation of each phase current's noise as a fraction of i_max.
     """
     total = np.sum([part.normal for part in parts], axis=0)
     solver = Solver(model, total[None], np.array([sum(part.rows for part in parts)]))
@@ -186,7 +149,7 @@ def _standard_errors(solution: FullSolution, noise: FloatArray, forms: FloatArra
     return np.asarray(np.sqrt(np.sum(outer * (noise @ outer), axis=0)))
 
 
-def _flux_forms(model: RoughModel) -> FloatArray:
+def _flux_forms(model: FullModel) -> FloatArray:
     """Return the linear forms (2 P, size) of psi_d and psi_q at P points of the disc, interleaved."""
     axis = np.linspace(-model.i_max, model.i_max, _GRID)
     points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -196,7 +159,7 @@ def _flux_forms(model: RoughModel) -> FloatArray:
     return forms.reshape(-1, model.size)
 
 
-def _curve_forms(model: RoughModel) -> FloatArray:
+def _curve_forms(model: FullModel) -> FloatArray:
     """Return the linear forms (K, size) of the inverter curve at currents up to i_max."""
     current = model.i_max * np.linspace(_CURVE_FOOT, 1.0, _CURVE_NODES)
     forms = np.zeros((_CURVE_NODES, model.size))

@@ -11,7 +11,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray, MachineMap
 
-_RIM_NODES = 720
+_RIM_NODES = 720  # angles at which the voltage on the rim of the disc is sought
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,8 @@ class PlanSettings(Checked):
     frequency_max: float = setting(
         12.0,
         "Highest frequency of the references, at which the torque does not yet disturb the speed of the load machine",
-        unit="Hz",
-        minimum=0.1,
-        maximum=1e3,
-    )
+        unit="Hz", minimum=0.1, maximum=1e3,
+    )  # fmt: skip
     speed_min: float = setting(
         250.0, "Lowest mechanical speed allowed; voltage errors weigh most there", unit="rpm", minimum=1.0
     )
@@ -66,40 +64,19 @@ class PlanSettings(Checked):
 
 @dataclass(frozen=True)
 class RoughMachine:
-    """Linear model of the machine, as known before the experiment.
+    """Linear model of the machine, as known before the experiment."""
 
-    Parameters
-    ----------
-    i_max : float
-        Radius of the current disc, A.
-    pole_pairs : int
-    resistance : float
-        ohm.
-    inductance_d, inductance_q : float
-        H.
-    magnet_flux : float
-        Wb.
-    u_dc : float
-        V.
-    """
-
-    i_max: float
+    i_max: float  # radius of the current disc, A
     pole_pairs: int
-    resistance: float
-    inductance_d: float
-    inductance_q: float
-    magnet_flux: float
-    u_dc: float
+    resistance: float  # ohm
+    inductance_d: float  # H
+    inductance_q: float  # H
+    magnet_flux: float  # Wb
+    u_dc: float  # V
 
     @classmethod
     def from_settings(cls, settings: PlanSettings) -> RoughMachine:
-        """Take the machine from complete settings.
-
-        Raises
-        ------
-        ConfigurationError
-            Naming what is missing.
-        """
+        """Take the machine from complete settings; raises ConfigurationError that names what is missing."""
         names = tuple(cls.__dataclass_fields__)
         missing = [name for name in names if getattr(settings, name) is None]
         if missing:

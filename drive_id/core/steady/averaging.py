@@ -7,12 +7,10 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import SamplePeriodError
-from drive_id.types import Samples
+from drive_id.types import FloatArray, Samples
 
-AVERAGED = 0.1
-"""Time over which samples are averaged, s."""
-_LARGEST_TURN = 0.5
-"""Turn per sample, rad, up to which phase quantities and an angle give d and q components."""
+AVERAGED = 0.1  # time over which samples are averaged, s
+_LARGEST_TURN = 0.5  # turn per sample, rad, up to which phase quantities and an angle give d and q components
 
 
 def averaged(samples: Samples) -> OperatingData:
@@ -37,13 +35,14 @@ def averaged(samples: Samples) -> OperatingData:
     u_dq = frames.integrate_held(samples.u_abc, samples.angle, samples.speed, period) / period
     time = (samples.stamp - samples.stamp[0]) * 1e-9
     temperature = samples.winding_temperature
-    known = temperature is not None and np.isfinite(temperature).all()
+
+    def means(values: FloatArray) -> FloatArray:
+        return np.array([values[at].mean(axis=0) for at in whole])
+
     return OperatingData(
-        i_dq=np.array([i_dq[at].mean(axis=0) for at in whole]),
-        u_dq=np.array([u_dq[at].mean(axis=0) for at in whole]),
-        speed=np.array([samples.speed[at].mean() for at in whole]),
-        time=np.array([time[at].mean() for at in whole]),
-        winding_temperature=np.array([temperature[at].mean() for at in whole])
-        if known and temperature is not None
-        else None,
+        i_dq=means(i_dq),
+        u_dq=means(u_dq),
+        speed=means(samples.speed),
+        time=means(time),
+        winding_temperature=None if temperature is None or not np.isfinite(temperature).all() else means(temperature),
     )

@@ -8,9 +8,8 @@ import numpy as np
 
 from drive_id.types import BoolArray, FloatArray
 
-_ANGLES = 720
-_SHARP = 1e-6
-"""Scale of a curve that jumps at zero current, by i_max."""
+_ANGLES = 720  # of a turn, for the fundamental
+_SHARP = 1e-6  # scale of a curve that jumps at zero current, by i_max
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,19 +18,11 @@ class DropShapes:
 
     Capacitive: x/2 for x < 1, then 1 - 1/(2x), the law of a dead time during which the current charges the capacitances
     of the legs. Hard: x for x < 1, then 1.
-
-    Parameters
-    ----------
-    scales : (S,) float
-        A, positive.
-    hard : (S,) bool
-    usual : float
-        Standard deviation of the amplitude before any data, V.
     """
 
-    scales: FloatArray
-    hard: BoolArray
-    usual: float
+    scales: FloatArray  # (S,), A, positive
+    hard: BoolArray  # (S,)
+    usual: float  # standard deviation of the amplitude before any data, V
 
     @classmethod
     def up_to(cls, i_max: float, usual: float) -> DropShapes:

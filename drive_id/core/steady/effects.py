@@ -10,24 +10,16 @@ from drive_id.core.steady.flux_bases import FluxBasis, affine_rows, linearized
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.types import FloatArray
 
-_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect.
-
-    Parameters
-    ----------
-    several_speeds : bool
-        It takes several speeds to tell it from the fluxes.
-    odd : bool
-        It is a part of the map that is not symmetric about the d axis.
-    """
+    """One effect."""
 
     name: str
-    several_speeds: bool
-    odd: bool = False
+    several_speeds: bool  # it takes several speeds to tell it from the fluxes
+    odd: bool = False  # it is a part of the map that is not symmetric about the d axis
 
 
 IRON_LOSS = Effect("iron loss", several_speeds=True)
@@ -50,13 +42,13 @@ def effect_columns(effect: Effect, points: OperatingPoints, basis: FluxBasis, ga
 
     Returns
     -------
-    (P, 2) or (P, 2, K) float
-        Per unit of the coefficient, or coefficients.
+    (P, 2, K) float
+        Per unit of the K coefficients.
     """
-    speed = points.speed[:, None]
+    speed = points.speed[:, None, None]
     if effect.odd:
-        return np.asarray(speed[:, None] * np.einsum("ab,nbk->nak", _J, affine_rows(points.i_dq)[..., 3:]))
+        return np.asarray(speed * np.einsum("ab,nbk->nak", J, affine_rows(points.i_dq)[..., 3:]))
     if effect == DELAY:
-        return np.asarray(speed * (points.u_dq @ _J.T))
+        return np.asarray(speed * (points.u_dq @ J.T)[..., None])
     psi, inductance = linearized(basis, gamma, points.i_dq)
-    return np.asarray(-(speed**2) * np.einsum("ab,nbc,cd,nd->na", _J, inductance, _J, psi))
+    return np.asarray(-(speed**2) * np.einsum("ab,nbc,cd,nd->na", J, inductance, J, psi)[..., None])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from drive_id.core.steady.drop import DropShapes
-from drive_id.core.steady.effects import EFFECTS, Effect, effect_columns
+from drive_id.core.steady.effects import EFFECTS, Effect, J, effect_columns
 from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasis, linearized
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved
@@ -19,80 +19,63 @@ from drive_id.errors import CoverageError, StandstillError
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
-REACH = 1.05
-"""Half width of the map by i_max."""
-MAP_POINTS = 15
-"""Least number of distinct currents, mirror images counted once, for maps instead of inductances."""
-DISTINCT = 0.05
-"""Distance of distinct currents, by i_max."""
-_MAP_SPREAD = 0.3
-"""Least range of i_d and of |i_q|, by i_max, for maps."""
-_SAME_SPEED = 0.05
-"""Distance, by the largest speed, within which points count as of one speed."""
+REACH = 1.05  # half width of the map by i_max
+MAP_POINTS = 15  # least number of distinct currents, mirror images counted once, for maps instead of inductances
+DISTINCT = 0.05  # distance of distinct currents, by i_max
+_MAP_SPREAD = 0.3  # least range of i_d and of |i_q|, by i_max, for maps
+_SAME_SPEED = 0.05  # distance, by the largest speed, within which points count as of one speed
 _STANDSTILL = 0.01
 """Speed, by the largest, below which the fluxes induce nothing to speak of and a drop is not averaged over a turn."""
-_NEAR_ZERO = 0.02
-"""Current, by i_max, below which the drop is not known from the mean current."""
-_SPARE = 4
-"""Least number of equations more than unknowns to test for effects."""
-USUAL_DROP = 0.03
-"""Standard deviation of the drop before any data, by the DC-link voltage."""
-_DROP_AT_REST = 0.3
-"""Rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude."""
-_CELLS = 10
-"""Cells of the splines per axis; the penalty of the roughness, not their number, limits the detail."""
-_BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))
-"""Bend and relief of the bases that compete where there are maps."""
-_VAGUE = 10.0
-"""Width of the weak prior, in units of what the voltages and currents suggest."""
-_PASSES = 2
-"""Times that the weights, which depend on the map, are renewed by a solution."""
-_MISFIT = 1.25
-"""Residuals, by the noise of the points, from which the misfit of the model counts as noise, too."""
-_RARE = 3e-5
-"""Probability with which chance alone makes an effect seem significant."""
+_NEAR_ZERO = 0.02  # current, by i_max, below which the drop is not known from the mean current
+_SPARE = 4  # least number of equations more than unknowns to test for effects
+USUAL_DROP = 0.03  # standard deviation of the drop before any data, by the DC-link voltage
+_DROP_AT_REST = 0.3  # rms deviation of the drop at standstill from its mean over all angles, per volt of its amplitude
+_CELLS = 10  # cells of the splines per axis; the penalty of the roughness, not their number, limits the detail
+_BENDS = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))  # bend and relief of the bases that compete where there are maps
+_VAGUE = 10.0  # width of the weak prior, in units of what the voltages and currents suggest
+_PASSES = 2  # times that the weights, which depend on the map, are renewed by a solution
+_MISFIT = 1.25  # residuals, by the noise of the points, from which the misfit of the model counts as noise, too
+_RARE = 3e-5  # probability with which chance alone makes an effect seem significant
 _OUTLYING = 6.0
 """Size of a whitened residual, in typical ones, from which a point is left out: Gaussian ones exceed it with 1.5e-8."""
-_MOST_OUTLYING = 0.1
-"""Share of the points: if more are far away, it is the model that is wrong."""
-_FEW = 20
-"""Points below which the typical size is not known well enough to leave any out."""
-_FLOOR = 1e-6
-"""Least noise, by the voltage: exact data must not give infinite weights."""
-J = np.array([[0.0, -1.0], [1.0, 0.0]])
+_MOST_OUTLYING = 0.1  # share of the points: if more are far away, it is the model that is wrong
+_FEW = 20  # points below which the typical size is not known well enough to leave any out
+_FLOOR = 1e-6  # least noise, by the voltage: exact data must not give infinite weights
 
 
-@dataclass(frozen=True, eq=False)
-class StaticFit:
-    """A drive identified from operating points.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Weighed:
+    """A solution and its weights."""
 
-    Parameters
-    ----------
-    points : OperatingPoints
-        Those used.
-    posterior : Posterior
-        Its columns: R, effects, flux coefficients, and the amplitude of the drop last if there is one.
-    effects : tuple of Effect
-        Found significant, and fitted.
-    widening : float
-        Factor on all standard errors, so that +-1.96 of them hold 95 % although the noise is estimated.
-    residual : (P, 2) float
-        V.
-    misfit : float
-        Rms of the residuals, relative to the noise of the points; NaN where that is not known.
-    outlying : int
-        Points left out.
-    """
-
-    points: OperatingPoints
+    points: OperatingPoints  # those used
     basis: FluxBasis
-    posterior: Posterior
-    effects: tuple[Effect, ...]
+    effects: tuple[Effect, ...]  # found significant, and fitted
     shapes: DropShapes
-    widening: float
-    residual: FloatArray
-    misfit: float
-    outlying: int
+    equations: Equations
+    posterior: Posterior  # columns: R, effects, flux coefficients, and last the amplitude of the drop
+    whitening: FloatArray  # (P, 2, 2)
+    residual: FloatArray  # (P, 2), V
+    misfit: float = float("nan")  # rms of the residuals, by the noise of the points; NaN where that is not known
+    estimated: bool  # the noise, from the residuals
+
+    @property
+    def columns(self) -> slice:
+        """Those of the flux coefficients."""
+        first = 1 + len(self.effects)
+        return slice(first, first + self.basis.parameters)
+
+    @property
+    def gamma(self) -> FloatArray:
+        """Flux coefficients (C,)."""
+        return self.posterior.mean[self.columns]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StaticFit(_Weighed):
+    """A drive identified from operating points."""
+
+    widening: float  # factor on all standard errors, so that +-1.96 hold 95 % although the noise is estimated
+    outlying: int  # points left out
 
     @property
     def maps(self) -> bool:
@@ -110,16 +93,11 @@ class StaticFit:
         by = np.sqrt(np.maximum(np.diag(self.posterior.covariance), np.finfo(float).tiny))
         return float(np.sqrt(np.linalg.cond(self.posterior.covariance / by / by[:, None])))
 
-    @property
-    def _flux(self) -> slice:
-        first = 1 + len(self.effects)
-        return slice(first, first + self.basis.parameters)
-
     def of(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return values and standard errors (...) of linear functions (..., C) of the flux coefficients."""
-        mean, covariance = self.posterior.mean[self._flux], self.posterior.covariance[self._flux, self._flux]
+        covariance = self.posterior.covariance[self.columns, self.columns]
         variance = np.einsum("...i,ij,...j->...", rows, covariance, rows, optimize=True)
-        return rows @ mean, self.widening * np.sqrt(np.maximum(variance, 0.0))
+        return rows @ self.gamma, self.widening * np.sqrt(np.maximum(variance, 0.0))
 
     def coefficient(self, column: int) -> tuple[float, float]:
         """Return one coefficient of the posterior and its standard error."""
@@ -171,12 +149,13 @@ def fit_points(points: OperatingPoints, i_max: float, u_dc: float | None = None)
             f"There are {len(points)} operating points at rest, {moving} of them turning, for {unknowns} unknowns: "
             "record at least 4 points with different i_d and i_q."
         )
-    found, kept = _weighed(points, bases, shapes), points
-    outlying = _outlying(found, points)
+    found = _weighed(points, bases, shapes)
+    outlying = _outlying(found)
     if outlying.any():
-        kept = points.chosen(~outlying)
-        found = _weighed(kept, bases, shapes)
-    return _concluded(found, kept, int(outlying.sum()))
+        found = _weighed(points.chosen(~outlying), bases, shapes)
+    freedom = len(found.equations.y) - found.posterior.effective if found.estimated else found.points.freedom
+    widening = float(stdtrit(max(freedom, 1.0), 0.975)) / 1.959964
+    return StaticFit(**vars(found), widening=widening, outlying=int(outlying.sum()))
 
 
 def distinct_currents(i_dq: FloatArray, distance: float) -> FloatArray:
@@ -210,41 +189,23 @@ def _bases(points: OperatingPoints, i_max: float) -> list[FluxBasis]:
     return [CoEnergyBasis(REACH * i_max, _CELLS, bend, relief) for bend, relief in _BENDS]
 
 
-@dataclass(frozen=True, eq=False)
-class _Weighed:
-    """A solution and its weights."""
-
-    basis: FluxBasis
-    effects: tuple[Effect, ...]
-    shapes: DropShapes
-    equations: Equations
-    posterior: Posterior
-    whitening: FloatArray  # (P, 2, 2)
-    residual: FloatArray  # (P, 2), V
-    misfit: float
-    estimated: bool  # the noise, from the residuals
-
-
 def _weighed(points: OperatingPoints, bases: list[FluxBasis], shapes: DropShapes) -> _Weighed:
     """Return the solution with weights that follow from the scatter of the points, and from the misfit of the model."""
     known = points.covariance is not None
     covariance = np.broadcast_to(np.eye(2), (len(points), 2, 2)) * float(np.mean(points.u_dq**2)) * 1e-4
     found = _best(points, bases, (), shapes, covariance, 0.0)
     for _ in range(_PASSES):
-        covariance = _noise(points, found)
+        covariance = _noise(found)
         found = _best(points, bases, (), shapes, covariance, float(known))
-    effects: tuple[Effect, ...] = ()
-    basis = found.basis
-    while (chosen := _next_effect(points, found, effects, covariance)) is not None:
-        if chosen.odd:
-            basis = replace(basis, odd=True)  # type: ignore[type-var]  # a dataclass
-        effects = (*effects, *([] if chosen.odd else [chosen]))
+    while (chosen := _next_effect(found, covariance)) is not None:
+        basis = replace(found.basis, odd=found.basis.odd or chosen.odd)
+        effects = found.effects if chosen.odd else (*found.effects, chosen)
         for _ in range(_PASSES):  # the columns of effects depend on the map
             found = _best(points, [basis], effects, shapes, covariance, float(known), found)
-            covariance = _noise(points, found)
+            covariance = _noise(found)
     misfit = float(np.sqrt(found.posterior.scale)) if known else float("nan")
     if known and found.posterior.scale > _MISFIT**2:
-        found = _matched(points, found, covariance)
+        found = _matched(found, covariance)
     return replace(found, misfit=misfit, estimated=not known or misfit > _MISFIT)
 
 
@@ -260,61 +221,52 @@ def _best(
     """Solve with each basis and return the likeliest."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     found = []
+    drops = shapes.vectors(points.i_dq)
     for basis in bases:
-        model = None if before is None else (before.basis, _flux_of(before))
-        equations = _equations(points, basis, effects, shapes, whitening, least_scale, model)
+        columns = _columns(points, basis, effects, before)
+        equations = _equations(points, basis, columns, drops, 1 / shapes.usual, whitening, least_scale)
         posterior = solved(equations)
-        columns = _columns(points, basis, effects, shapes, model)
-        residual = points.u_dq - _prediction(columns, posterior)
+        drop = drops @ (posterior.shapes * posterior.drop_mean)
         found.append(
-            _Weighed(basis, effects, shapes, equations, posterior, whitening, residual, float("nan"), least_scale == 0)
+            _Weighed(
+                points=points,
+                basis=basis,
+                effects=effects,
+                shapes=shapes,
+                equations=equations,
+                posterior=posterior,
+                whitening=whitening,
+                residual=points.u_dq - (columns @ posterior.mean[: columns.shape[2]] + drop),
+                estimated=least_scale == 0,
+            )
         )
     return min(found, key=lambda entry: entry.posterior.evidence)
 
 
-def _flux_of(found: _Weighed) -> FloatArray:
-    first = 1 + len(found.effects)
-    return np.asarray(found.posterior.mean[first : first + found.basis.parameters])
-
-
-Columns = tuple[FloatArray, FloatArray]
-
-
 def _columns(
-    points: OperatingPoints,
-    basis: FluxBasis,
-    effects: tuple[Effect, ...],
-    shapes: DropShapes,
-    model: tuple[FluxBasis, FloatArray] | None,
-) -> Columns:
-    """Return the voltages (P, 2, C) of R, effects and fluxes, and those of the drop (P, 2, S)."""
+    points: OperatingPoints, basis: FluxBasis, effects: tuple[Effect, ...], before: _Weighed | None
+) -> FloatArray:
+    """Return the voltages (P, 2, C) of R, effects and fluxes."""
     heating = np.ones(len(points))
     if points.winding_temperature is not None:
         heating = 1 + COPPER * (points.winding_temperature - REFERENCE_TEMPERATURE)
     resistive = heating[:, None] * points.i_dq
     induced = points.speed[:, None, None] * np.einsum("ab,nbc->nac", J, basis.rows(points.i_dq))
-    more = [effect_columns(effect, points, *model)[..., None] for effect in effects] if model else []
-    drops = shapes.vectors(points.i_dq)
-    return np.concatenate([resistive[..., None], *more, induced], axis=2), drops
-
-
-def _prediction(columns: Columns, posterior: Posterior) -> FloatArray:
-    plain, drops = columns
-    return np.asarray(plain @ posterior.mean[: plain.shape[2]] + drops @ (posterior.shapes * posterior.drop_mean))
+    more = [effect_columns(effect, points, before.basis, before.gamma) for effect in effects] if before else []
+    return np.concatenate([resistive[..., None], *more, induced], axis=2)
 
 
 def _equations(
     points: OperatingPoints,
     basis: FluxBasis,
-    effects: tuple[Effect, ...],
-    shapes: DropShapes,
+    columns: FloatArray,
+    drops: FloatArray,
+    drop_prior: float,
     whitening: FloatArray,
     least_scale: float,
-    model: tuple[FluxBasis, FloatArray] | None,
 ) -> Equations:
-    plain, drops = _columns(points, basis, effects, shapes, model)
-    count = plain.shape[2]
-    first = 1 + len(effects)
+    count = columns.shape[2]
+    first = count - basis.parameters
     penalty = np.zeros((count, count))
     penalty[first:, first:] = basis.penalty
     ohm, henry = scales(points)
@@ -330,12 +282,12 @@ def _equations(
 
     return Equations(
         y=white(points.u_dq),
-        columns=white(plain),
+        columns=white(columns),
         drops=white(drops),
         penalty=penalty,
         rank=basis.parameters - basis.free,
         prior=prior,
-        drop_prior=1 / shapes.usual,
+        drop_prior=drop_prior,
         log_volume=basis.log_volume,
         least_scale=least_scale,
     )
@@ -348,11 +300,11 @@ def scales(points: OperatingPoints) -> tuple[float, float]:
     return ohm, ohm / float(np.abs(points.speed).max())
 
 
-def _noise(points: OperatingPoints, found: _Weighed) -> FloatArray:
+def _noise(found: _Weighed) -> FloatArray:
     """Return the covariance (P, 2, 2) of the equations' errors, V^2, by the present estimate."""
-    mean = found.posterior.mean
+    points = found.points
     drop = abs(float(found.posterior.shapes @ found.posterior.drop_mean))
-    psi, inductance = _linearized(points, found)
+    psi, inductance = linearized(found.basis, found.gamma, points.i_dq)
     amplitude = np.hypot(*points.i_dq.T)
     if points.covariance is None:
         size = float(np.sum(found.residual**2)) / max(found.equations.freedom, 1)
@@ -360,7 +312,7 @@ def _noise(points: OperatingPoints, found: _Weighed) -> FloatArray:
         relative = 1 + (points.speed / np.abs(points.speed).max()) ** 2
         out = (size * relative / relative.mean())[:, None, None] * np.eye(2)
     else:
-        resistive = mean[0] + 4 / np.pi * drop / np.maximum(amplitude, _NEAR_ZERO * points.i_max)
+        resistive = found.posterior.mean[0] + 4 / np.pi * drop / np.maximum(amplitude, _NEAR_ZERO * points.i_max)
         by_current = resistive[:, None, None] * np.eye(2) + points.speed[:, None, None] * (J @ inductance)
         gradient = np.concatenate(
             [-by_current, np.broadcast_to(np.eye(2), by_current.shape), -(psi @ J.T)[..., None]], axis=2
@@ -371,28 +323,19 @@ def _noise(points: OperatingPoints, found: _Weighed) -> FloatArray:
     return np.asarray(out + (unsure * drop)[:, None, None] ** 2 * np.eye(2))
 
 
-def _linearized(points: OperatingPoints, found: _Weighed) -> tuple[FloatArray, FloatArray]:
-    """Return fluxes (P, 2) and incremental inductances (P, 2, 2) at the points."""
-    return linearized(found.basis, _flux_of(found), points.i_dq)
-
-
-def _next_effect(
-    points: OperatingPoints, found: _Weighed, effects: tuple[Effect, ...], covariance: FloatArray
-) -> Effect | None:
+def _next_effect(found: _Weighed, covariance: FloatArray) -> Effect | None:
     """Return the effect that improves the fit most, or None where none is significant."""
-    spare = found.equations.freedom
+    points, spare = found.points, found.equations.freedom
     several = len(distinct_speeds(points)) > 1
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    model = (found.basis, _flux_of(found))
     freedom = points.freedom or spare
     threshold = float(stdtrit(freedom, 1 - _RARE)) ** 2
     best, gain = None, 0.0
     for effect in EFFECTS:
-        done = effect in effects or (effect.odd and found.basis.odd)
+        done = effect in found.effects or (effect.odd and found.basis.odd)
         if done or (effect.several_speeds and not several) or spare < _SPARE:
             continue
-        columns = effect_columns(effect, points, *model)
-        columns = columns.reshape(len(points), 2, -1)
+        columns = effect_columns(effect, points, found.basis, found.gamma)
         white = np.einsum("nab,nbk->nak", whitening, columns).reshape(2 * len(points), -1)
         improvement = _improvement(found, white) - white.shape[1] * threshold
         if improvement > gain:
@@ -421,8 +364,9 @@ def _improvement(found: _Weighed, columns: FloatArray) -> float:
     return float(gain / max(left, system.least_scale, 1e-12 * gain, np.finfo(float).tiny))
 
 
-def _matched(points: OperatingPoints, found: _Weighed, covariance: FloatArray) -> _Weighed:
+def _matched(found: _Weighed, covariance: FloatArray) -> _Weighed:
     """Add the misfit of the model to the noise, so that residuals and weights agree."""
+    points = found.points
     speed = np.abs(points.speed) / np.abs(points.speed).max()
     relative = (0.1 + speed) ** 2
     low, high = 0.0, 10 * float(np.mean(found.residual**2)) / float(np.mean(relative))
@@ -440,30 +384,12 @@ def _matched(points: OperatingPoints, found: _Weighed, covariance: FloatArray) -
     return best
 
 
-def _outlying(found: _Weighed, points: OperatingPoints) -> BoolArray:
+def _outlying(found: _Weighed) -> BoolArray:
     """Return (P,) which few points are far from the model that describes all others."""
     white = np.einsum("nab,nb->na", found.whitening, found.residual)
     size = np.hypot(*white.T)
     typical = float(np.median(size)) / 1.1774
     far: BoolArray = size > _OUTLYING * max(typical, np.finfo(float).tiny)
-    if len(points) < _FEW or far.sum() > _MOST_OUTLYING * len(points):
-        return np.zeros(len(points), np.bool_)
+    if len(far) < _FEW or far.sum() > _MOST_OUTLYING * len(far):
+        return np.zeros_like(far)
     return far
-
-
-def _concluded(found: _Weighed, points: OperatingPoints, outlying: int) -> StaticFit:
-    freedom = len(found.equations.y) - found.posterior.effective
-    if not found.estimated:
-        freedom = points.freedom
-    widening = float(stdtrit(max(freedom, 1.0), 0.975)) / 1.959964
-    return StaticFit(
-        points=points,
-        basis=found.basis,
-        posterior=found.posterior,
-        effects=found.effects,
-        shapes=found.shapes,
-        widening=widening,
-        residual=found.residual,
-        misfit=found.misfit,
-        outlying=outlying,
-    )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy import sparse
@@ -17,38 +16,9 @@ from scipy import sparse
 from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
 from drive_id.types import FloatArray
 
-DEGREE = 4
-ODD = 2
-"""Coefficients of an asymmetric part, psi_q at zero current and L_dq, where it is fitted: the last of a basis."""
-_NODES = 5
-"""Gauss nodes per cell: exact for squares of splines of degree 4, times a weight that is constant per cell."""
-
-
-class FluxBasis(Protocol):
-    """Flux maps linear in their coefficients."""
-
-    @property
-    def odd(self) -> bool:
-        """Whether psi_q at zero current and L_dq are among them."""
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients."""
-
-    @property
-    def penalty(self) -> FloatArray:
-        """Matrix (C, C) of the roughness."""
-
-    @property
-    def free(self) -> int:
-        """Number of coefficients that the roughness leaves free."""
-
-    @property
-    def log_volume(self) -> float:
-        """Log determinant of the free coefficients less that of the penalty: makes the evidence of bases comparable."""
-
-    def rows(self, i_dq: FloatArray) -> FloatArray:
-        """Return the fluxes (N, 2, C) of the coefficients at currents (N, 2), A."""
+DEGREE = 4  # of the co-energy: its third derivatives are penalized
+ODD = 2  # coefficients of an asymmetric part, psi_q at zero current and L_dq, where it is fitted: the last of a basis
+_NODES = 5  # Gauss nodes per cell: exact for squares of splines of degree 4, times a weight that is constant per cell
 
 
 def affine_rows(i_dq: FloatArray) -> FloatArray:
@@ -68,7 +38,7 @@ class AffineBasis:
 
     @property
     def parameters(self) -> int:
-        """3, or 5 with an odd part."""
+        """Number of coefficients: 3, or 5 with an odd part."""
         return 3 + ODD * self.odd
 
     @property
@@ -78,7 +48,7 @@ class AffineBasis:
 
     @property
     def free(self) -> int:
-        """All of them."""
+        """Number of coefficients that the roughness leaves free: all of them."""
         return self.parameters
 
     @property
@@ -93,27 +63,13 @@ class AffineBasis:
 
 @dataclass(frozen=True, eq=False)
 class CoEnergyBasis:
-    """Gradients of a co-energy spline of degree 4 over the square of +-reach, even in i_q.
+    """Gradients of a co-energy spline of degree 4 over the square of +-reach, even in i_q."""
 
-    Parameters
-    ----------
-    reach : float
-        A.
-    cells : int
-        Along each axis, even.
-    bend : float
-        Cells at zero current are ``cosh(bend)`` times narrower than at the rim, since iron bridges saturate early.
-    relief : float
-        The roughness in narrow cells counts less, by this power of their width.
-    odd : bool
-        With psi_q at zero current and L_dq.
-    """
-
-    reach: float
-    cells: int
-    bend: float
-    relief: float = 0.0
-    odd: bool = False
+    reach: float  # A
+    cells: int  # along each axis, even
+    bend: float  # cells at zero current are cosh(bend) times narrower than at the rim: iron bridges saturate early
+    relief: float = 0.0  # the roughness in narrow cells counts less, by this power of their width
+    odd: bool = False  # with psi_q at zero current and L_dq
 
     @cached_property
     def _axis(self) -> SplineBasis:
@@ -143,7 +99,7 @@ class CoEnergyBasis:
 
     @property
     def free(self) -> int:
-        """Those of an affine machine."""
+        """Number of coefficients that the roughness leaves free: those of an affine machine."""
         return 3 + ODD * self.odd
 
     def rows(self, i_dq: FloatArray) -> FloatArray:
@@ -166,7 +122,7 @@ class CoEnergyBasis:
 
     @cached_property
     def log_volume(self) -> float:
-        """Log determinant of the affine machine's coefficients less that of the penalty."""
+        """Log determinant of the affine machine's coefficients less that of the penalty, to compare bases."""
         axis = np.linspace(-self.reach, self.reach, 2 * self.cells + 1)
         sites = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         count = self._smooth
@@ -191,6 +147,9 @@ class CoEnergyBasis:
         np.put_along_axis(dense, first[:, None] + np.arange(axis.degree + 1), values, axis=1)
         at_nodes = dense @ matrix
         return np.asarray(at_nodes.T @ (mass[:, None] * at_nodes))
+
+
+FluxBasis = AffineBasis | CoEnergyBasis
 
 
 def linearized(basis: FluxBasis, gamma: FloatArray, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ In a fast log, a moving current is within the tolerance for some samples, too: s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,58 +17,39 @@ from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import CoverageError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-TOLERANCE = 0.02
-"""Range within a segment at rest, by the largest current amplitude or speed."""
-_LARGEST_TOLERANCE = 0.10
-_NOISE = 8.0
-"""Range of white noise in some hundred samples, in standard deviations."""
-LEAST_SAMPLES = 3
-_SETTLED = 4.0
-_SETTLED_SHARE = 0.005
+TOLERANCE = 0.02  # range within a segment at rest, by the largest current amplitude or speed
+_LARGEST_TOLERANCE = 0.10  # however large the noise
+_NOISE = 8.0  # range of white noise in some hundred samples, in standard deviations
+LEAST_SAMPLES = 3  # of a segment
+_SETTLED = 4.0  # distance from the final voltages within which they are settled, in standard deviations of their noise
+_SETTLED_SHARE = 0.005  # the same by the largest voltage, in addition
 _LARGEST_SLOPE = 0.01
 """Change of the current within a segment, by the largest current and while the rotor turns by 1 rad electrical at the
 largest speed: about the share of the voltage that a changing flux then takes, which is not in the equations."""
-_GAP = 3.0
-"""Periods without a sample that end a segment."""
-_POOLED_SAMPLES = 30.0
-"""Weight of the scatter of all segments beside that of the own one, samples."""
-_MOST_CORRELATED = 0.95
-_BLOCK = 64
-_SURE = 3.0
-_QUARTILE = 0.3186
-"""Of |x|, x standard normal."""
+_GAP = 3.0  # periods without a sample that end a segment
+_POOLED_SAMPLES = 30.0  # weight of the scatter of all segments beside that of the own one, samples
+_MOST_CORRELATED = 0.95  # correlation from sample to sample that is believed: beyond, the means would have no weight
+_BLOCK = 64  # samples that are looked at first for the end of a segment
+_SURE = 3.0  # standard errors of a slope that noise explains
+_QUARTILE = 0.3186  # of |x|, x standard normal
+
+_PER_POINT = ("i_dq", "u_dq", "speed", "winding_temperature", "covariance", "count")
+"""Arrays with an entry for each point, or None."""
 
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
-    """Means over segments at rest.
+    """Means over segments at rest."""
 
-    Parameters
-    ----------
-    i_dq, u_dq : (P, 2) float
-        A, V.
-    speed : (P,) float
-        Electrical, rad/s.
-    winding_temperature : (P,) float or None
-        Degrees Celsius.
-    covariance : (P, 5, 5) float or None
-        Of the errors of ``[i_d, i_q, u_d, u_q, speed]``; None where only the fit tells the noise.
-    count : (P,) int
-        Samples of each point.
-    freedom : float
-        Degrees of freedom behind the covariance.
-    samples : int
-        Of the log, those at no point included.
-    """
-
-    i_dq: FloatArray
-    u_dq: FloatArray
-    speed: FloatArray
-    winding_temperature: FloatArray | None
+    i_dq: FloatArray  # (P, 2), A
+    u_dq: FloatArray  # (P, 2), V
+    speed: FloatArray  # (P,), electrical, rad/s
+    winding_temperature: FloatArray | None  # (P,), degrees Celsius
     covariance: FloatArray | None
-    count: IntArray
-    freedom: float
-    samples: int
+    """(P, 5, 5), of the errors of ``[i_d, i_q, u_d, u_q, speed]``; None where only the fit tells the noise."""
+    count: IntArray  # (P,), samples of each point
+    freedom: float  # degrees of freedom behind the covariance
+    samples: int  # of the log, those at no point included
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -80,14 +61,8 @@ class OperatingPoints:
 
     def chosen(self, kept: BoolArray) -> OperatingPoints:
         """Return some of the points (P,)."""
-
-        def of(values: Any) -> Any:
-            return None if values is None else values[kept]
-
-        return OperatingPoints(
-            self.i_dq[kept], self.u_dq[kept], self.speed[kept], of(self.winding_temperature), of(self.covariance),
-            self.count[kept], self.freedom, self.samples,
-        )  # fmt: skip
+        known: dict[str, Any] = {name: getattr(self, name) for name in _PER_POINT}
+        return replace(self, **{name: values[kept] for name, values in known.items() if values is not None})
 
 
 def operating_points(data: OperatingData) -> OperatingPoints:
@@ -147,11 +122,9 @@ def joined_points(parts: list[OperatingPoints]) -> OperatingPoints:
         found = [getattr(part, name) for part in parts]
         return None if any(values is None for values in found) else np.concatenate(found)
 
-    names = ("i_dq", "u_dq", "speed", "winding_temperature", "covariance", "count")
-    arrays = {name: together(name) for name in names}
-    return OperatingPoints(
-        **arrays, freedom=sum(part.freedom for part in parts), samples=sum(part.samples for part in parts)
-    )
+    arrays = {name: together(name) for name in _PER_POINT}
+    freedom, samples = sum(part.freedom for part in parts), sum(part.samples for part in parts)
+    return OperatingPoints(**arrays, freedom=freedom, samples=samples)
 
 
 def steady_segments(data: OperatingData) -> list[slice]:

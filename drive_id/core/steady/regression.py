@@ -14,46 +14,24 @@ from scipy import linalg
 
 from drive_id.types import FloatArray
 
-_WEIGHTS = np.geomspace(1e-9, 1e3, 25)
-_ROUNDING = 1e-13
-_UNLIKELY = 40.0
-"""Distance in -2 log likelihood beyond which a solution is left out of the mixture."""
+_WEIGHTS = np.geomspace(1e-9, 1e3, 25)  # of the roughness, relative to the columns
+_ROUNDING = 1e-13  # added to the scaled diagonal, so that rounding leaves it positive definite
+_UNLIKELY = 40.0  # distance in -2 log likelihood beyond which a solution is left out of the mixture
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Whitened equations ``y = columns beta + drops[:, s] a + noise`` of unit variance, times a scale to be found.
+    """Whitened equations ``y = columns beta + drops[:, s] a + noise`` of unit variance, times a scale to be found."""
 
-    Parameters
-    ----------
-    y : (N,) float
-    columns : (N, C) float
-        The last ones are the coefficients of a flux basis.
-    drops : (N, S) float
-        Column of the inverter's drop, for each shape.
-    penalty : (C, C) float
-        Roughness, zero for what it leaves free.
-    rank : int
-        Of the penalty.
-    prior : (K, C) float
-        Weak equations ``prior beta = 0`` that settle what the data leave open.
-    drop_prior : float
-        The same for the amplitude of the drop, 1/V.
-    log_volume : float
-        See :class:`~drive_id.core.steady.flux_bases.FluxBasis`.
-    least_scale : float
-        Least variance of the noise: 1 where its level is known, 0 where only the residuals tell.
-    """
-
-    y: FloatArray
-    columns: FloatArray
-    drops: FloatArray
-    penalty: FloatArray
-    rank: int
-    prior: FloatArray
-    drop_prior: float
-    log_volume: float
-    least_scale: float
+    y: FloatArray  # (N,)
+    columns: FloatArray  # (N, C); the last ones are the coefficients of a flux basis
+    drops: FloatArray  # (N, S), column of the inverter's drop, for each shape
+    penalty: FloatArray  # (C, C), roughness, zero for what it leaves free
+    rank: int  # of the penalty
+    prior: FloatArray  # (K, C), weak equations ``prior beta = 0`` that settle what the data leave open
+    drop_prior: float  # the same for the amplitude of the drop, 1/V
+    log_volume: float  # see flux_bases
+    least_scale: float  # least variance of the noise: 1 where its level is known, 0 where only the residuals tell
 
     @property
     def freedom(self) -> int:
@@ -64,35 +42,17 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Mean and covariance of the coefficients over all solutions.
+    """Mean and covariance of the coefficients over all solutions."""
 
-    Parameters
-    ----------
-    mean, covariance : (C + 1,), (C + 1, C + 1) float
-        Of the columns and of the amplitude of the drop, V.
-    shapes : (S,) float
-        Probability of each shape of the drop; sums to 1.
-    drop_mean, drop_square : (S,) float
-        Expectation of the amplitude and of its square given each shape.
-    scale : float
-        Variance of the noise, relative to that assumed.
-    effective : float
-        Effective number of coefficients of the likeliest solution.
-    weight : float
-        Of the roughness, of the likeliest solution.
-    evidence : float
-        -2 log of the largest marginal likelihood, to compare bases.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    shapes: FloatArray
-    drop_mean: FloatArray
-    drop_square: FloatArray
-    scale: float
-    effective: float
-    weight: float
-    evidence: float
+    mean: FloatArray  # (C + 1,), of the columns and of the amplitude of the drop, V
+    covariance: FloatArray  # (C + 1, C + 1)
+    shapes: FloatArray  # (S,), probability of each shape of the drop; sums to 1
+    drop_mean: FloatArray  # (S,), expectation of the amplitude given each shape
+    drop_square: FloatArray  # (S,), that of its square
+    scale: float  # variance of the noise, relative to that assumed
+    effective: float  # effective number of coefficients of the likeliest solution
+    weight: float  # of the roughness, of the likeliest solution
+    evidence: float  # -2 log of the largest marginal likelihood, to compare bases
 
 
 def solved(equations: Equations) -> Posterior:

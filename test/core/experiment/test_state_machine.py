@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drive_id.core.experiment import state_machine
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import LARGEST_BLOCK, Experiment, ExperimentState
 from drive_id.errors import ConfigurationError
@@ -58,11 +59,17 @@ class Offset:
         return np.broadcast_to(np.array([6.0, -8.0]), (len(t), 2))
 
 
+@pytest.fixture
+def offset(monkeypatch):
+    """Have all experiments follow a trajectory that does not begin at zero current."""
+    monkeypatch.setattr(state_machine, "make_trajectory", lambda _: Offset())
+
+
 class Run:
     """An experiment and its drive in time; one tick is 10 ms."""
 
-    def __init__(self, chosen=PLAIN, trajectory=None):
-        self.experiment = Experiment(chosen, trajectory)
+    def __init__(self, chosen=PLAIN):
+        self.experiment = Experiment(chosen)
         self.drive = Drive()
         self.now = T0
         self.states = []
@@ -107,8 +114,9 @@ def test_nothing_happens_before_a_start():
     assert (run.drive.blocks, set(run.states)) == ([], {ExperimentState.IDLE})
 
 
+@pytest.mark.usefixtures("offset")
 def test_the_whole_course():
-    run = Run(dataclasses.replace(PLAIN, slew_rate=100.0, frequency_d=0.0, frequency_q=0.0), Offset())
+    run = Run(dataclasses.replace(PLAIN, slew_rate=100.0, frequency_d=0.0, frequency_q=0.0))
     run.start()
     run.until_idle()
     order = list(dict.fromkeys(run.states))
@@ -182,9 +190,10 @@ def test_a_stop_takes_back_what_was_published_ahead():
 
 @pytest.mark.parametrize("state", [ExperimentState.RAMP_IN, ExperimentState.RUNNING, ExperimentState.RAMP_OUT])
 @pytest.mark.parametrize("how", ["stop", "trip", "cut", "finish", "stop, trip", "stop, cut", "trip, cut", "cut, cut"])
+@pytest.mark.usefixtures("offset")
 def test_every_way_out_of_every_state(state, how):
     chosen = dataclasses.replace(PLAIN, slew_rate=50.0, frequency_d=0.0, frequency_q=0.0)
-    run = Run(chosen, Offset())
+    run = Run(chosen)
     run.start()
     run.to(state)
     run.ticks(3)
@@ -294,9 +303,10 @@ def test_held_up_too_long():
 
 
 @pytest.mark.parametrize("held_up", [60 * MS, 150 * MS, 3000 * MS])
+@pytest.mark.usefixtures("offset")
 def test_held_up_between_a_start_and_its_first_block(held_up):
     """The first set-points were due after half of lead_time, so the ramp would begin somewhere in its midst."""
-    run = Run(trajectory=Offset())
+    run = Run()
     run.experiment.start(run.now)
     run.now += held_up
     run.advance()

@@ -27,7 +27,7 @@ from drive_id.core.planning.planner import (
     speed_range,
     speed_sets,
 )
-from drive_id.core.planning.prediction import RoughModel, fisher_information, predict, synthesize
+from drive_id.core.planning.prediction import fisher_information, predict, rough_model, synthesize
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError
@@ -57,7 +57,7 @@ def test_synthesized_samples_obey_the_voltage_balance():
     """Also the needed voltage: a figure at a speed needs about the disc's voltage and that of the slopes."""
     trajectory = Lissajous(20.0, 11.0, 7.0)
     samples = synthesize(MACHINE, trajectory, -600.0, 1.0, 1e-4)
-    model = RoughModel.over(20.0, 8)
+    model = rough_model(20.0, 8)
     information = fisher_information(model, samples, 10_000)
     solution = Solver(model, information.normal[None], np.array([information.rows])).solve(
         ModelSpec(True, model.orders, penalty=1e-9)
@@ -163,7 +163,7 @@ def test_another_duration_keeps_the_figure_about_as_it_was():
 
 def test_predictions_fall_with_the_root_of_the_time_and_rise_with_the_noise(monkeypatch):
     monkeypatch.setattr(prediction_module, "CURVE_ERROR", 0.0)
-    model = RoughModel.over(20.0, 6)
+    model = rough_model(20.0, 6)
     once = fisher_information(model, synthesize(MACHINE, Lissajous(20.0, 11.0, 7.0), 300.0, 1.0, 1e-4), 2000)
     base = predict(model, [once], MACHINE, 1e-3).values()
     assert predict(model, [once.lasting(4.0)], MACHINE, 1e-3).values() == pytest.approx(base / 2, rel=1e-5)
@@ -173,9 +173,9 @@ def test_predictions_fall_with_the_root_of_the_time_and_rise_with_the_noise(monk
 def test_predictions_come_true(monkeypatch):
     """The scatter of fits to noisy samples is the predicted one."""
     monkeypatch.setattr(prediction_module, "CURVE_ERROR", 0.0)
-    model, noise = RoughModel.over(20.0, 6), 2e-3
+    model, noise = rough_model(20.0, 6), 2e-3
     machine = replace(MACHINE, inductance_q=MACHINE.inductance_d)
-    wide = RoughModel.over(21.0, 6)
+    wide = rough_model(21.0, 6)
     wide = replace(model, low=wide.low, high=wide.high)  # noise leads beyond the rim
     clean = synthesize(machine, Lissajous(20.0, 11.0, 7.0), 300.0, 1.0, 1e-4)
     expected = predict(wide, [fisher_information(wide, clean, 10_000)], machine, noise)

@@ -25,13 +25,6 @@ _YEAR_2000 = 946_684_800_000_000_000
 """ns; earlier stamps are not times of day."""
 
 
-def known_pole_pairs(
-    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
-) -> int | None:
-    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
-    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
-
-
 def completed(
     drive: IdentifiedDrive,
     settings: FitSettings,
@@ -68,7 +61,8 @@ def completed(
     Identification
         With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
     """
-    pole_pairs = known_pole_pairs(settings, truth, signals)
+    recorded = truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None
+    pole_pairs = settings.pole_pairs or recorded
     drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
     if drive.torque is not None or (drive.mechanics is not None and drive.mechanics.gain is not None):
         drive = replace(drive, statements=tuple(said for said in drive.statements if said.code != "common_gain"))
@@ -80,6 +74,7 @@ def completed(
     warnings += _ignored(settings)
     if nrmse and not np.isfinite(nrmse).all():
         warnings += (Message("not_scored"),)
+    speeds = [float(end) for part in excerpts for end in (part.speed.min(), part.speed.max())]
     provenance = Provenance(
         inputs=inputs or {},
         settings=settings,
@@ -88,12 +83,7 @@ def completed(
         warnings=warnings,
         pole_pairs=pole_pairs,
         u_dc=_link(settings, truth, excerpts),
-        speed_range=(
-            min(float(part.speed.min()) for part in excerpts),
-            max(float(part.speed.max()) for part in excerpts),
-        )
-        if excerpts
-        else None,
+        speed_range=(min(speeds), max(speeds)) if speeds else None,
         duration=duration,
         date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
         temperature=REFERENCE_TEMPERATURE if referred else None,

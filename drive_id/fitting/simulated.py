@@ -98,13 +98,7 @@ def simulate(
 def load_machine(name_or_path: str, *, pole_pairs: int | None = None, u_dc: float | None = None) -> MachineMap:
     """Return a shipped machine by name, or the one in a ``.npz`` or ``.mat`` file or in the result folder of a fit.
 
-    Parameters
-    ----------
-    name_or_path : str
-    pole_pairs : int, optional
-        Instead of those of the file or result.
-    u_dc : float, optional
-        DC-link voltage, V, instead of that of the file or result.
+    Pole pairs and DC-link voltage, V, replace those of the file or result.
 
     Raises
     ------
@@ -134,21 +128,11 @@ def run_experiment(
     trajectory: Lissajous | Swing | None = None,
     seconds: float = 10.0,
 ) -> Simulation:
-    """Drive a simulated machine along a trajectory.
+    """Drive a simulated machine along a trajectory for some seconds.
 
-    Parameters
-    ----------
-    machine : MachineMap
-    settings : SimulationSettings
-    trajectory : Lissajous or Swing, optional
-        The radius of a Lissajous figure is replaced by that of the settings or of the machine.
-    seconds : float
-        Duration, s.
+    The radius of a Lissajous figure is replaced by that of the settings or of the machine.
 
-    Raises
-    ------
-    ConfigurationError
-        When machine, settings and duration do not fit together.
+    Raises ConfigurationError when machine, settings and duration do not fit together.
     """
     samples = seconds / settings.sample_period
     if not 2 <= samples <= _MOST_SAMPLES:
@@ -172,12 +156,7 @@ def simulate_bag(
 ) -> Simulation:
     """Drive a simulated machine along a trajectory and write the recording, its ground truth attached.
 
-    Raises
-    ------
-    OutputError
-        When the output exists or cannot be written.
-    ConfigurationError
-        When machine, settings and trajectory do not fit together.
+    Raises OutputError when the output exists or cannot be written, and what :func:`run_experiment` raises.
     """
     check_absent(output)
     simulation = run_experiment(machine, settings, trajectory, seconds)

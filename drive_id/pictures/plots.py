@@ -19,7 +19,6 @@ from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
 from drive_id.types import FloatArray, Samples
 
-FORMATS = ("png", "svg", "pdf")
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
 _DPI = 200
@@ -83,31 +82,28 @@ def draw_flux_maps(
     ConfigurationError
         When there are not two panels.
     """
-    if panels is not None:
-        if len(panels) != len("dq"):
-            raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
-        for panel, component in zip(panels, "dq", strict=True):
-            draw_flux(panel, Disc(flux_map, i_max), component, i_dq)
-        return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
-    figure = Figure(figsize=(WIDTH, 3.75))
     disc = Disc(flux_map, i_max)
-    for left, component in zip((0.65, 4.17), "dq", strict=True):
-        draw_flux(place(figure, left, 1.05, 2.3, 2.4), disc, component, i_dq)
-    add_key(figure, disc, i_dq, height=0.57)
-    add_caption(figure, caption)
-    return figure
+    if panels is None:
+        figure = Figure(figsize=(WIDTH, 3.75))
+        add_key(figure, disc, i_dq, height=0.57)
+        add_caption(figure, caption)
+        panels = [place(figure, left, 1.05, 2.3, 2.4) for left in (0.65, 4.17)]
+    if len(panels) != len("dq"):
+        raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
+    for panel, component in zip(panels, "dq", strict=True):
+        draw_flux(panel, disc, component, i_dq)
+    return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
 
 
 def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | None = None) -> Figure:
     """Draw by name speed (S,), rad/s, largest torque and its standard error, Nm, on a panel or in a new figure."""
-    figure = Figure(figsize=(WIDTH, 3.75), layout="constrained") if panel is None else panel.figure
-    axes = figure.add_subplot() if panel is None else panel
+    axes = Figure(figsize=(WIDTH, 3.75), layout="constrained").add_subplot() if panel is None else panel
     for label, (speed, torque, sigma) in curves.items():
         axes.plot(speed * 30 / np.pi, torque, label=label)
         axes.fill_between(speed * 30 / np.pi, torque - 2 * sigma, torque + 2 * sigma, alpha=0.3)
     name(axes, "Largest torque, band of two standard errors", "Speed / rpm", "Torque / Nm")
     axes.legend(fontsize=NORMAL)
-    return figure  # type: ignore[return-value]  # or the part of it that holds the panel
+    return axes.figure  # type: ignore[return-value]  # or the part of it that holds the panel
 
 
 def trajectory(samples: Sequence[Samples]) -> FloatArray | None:

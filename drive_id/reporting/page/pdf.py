@@ -11,9 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from drive_id.reporting.page.content import Content, TextTable
+from drive_id.reporting.page.content import SECTIONS, Content, TextTable
 from drive_id.reporting.page.html import GENERATOR
-from drive_id.reporting.page.wording import SECTIONS
 from drive_id.version import VERSION
 
 _WIDTH = 8.27  # of a page (A4), inches

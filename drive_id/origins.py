@@ -57,8 +57,8 @@ class Origin:
     name: str
     caption: str
     title: str
-    heading: str
     summary: str
+    heading: str = "Identified drive"
     fitted: bool = True
     inverter: bool = True
     harmonics: bool = False
@@ -102,7 +102,6 @@ PSM: Final = Origin(
     name="psm",
     caption="method psm",
     title="psm: inverter not modelled",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated over each sample, was solved for the coefficients of tensor-product splines "
         "and R by linear least squares, without a model of the inverter."
@@ -119,7 +118,6 @@ JOINT: Final = Origin(
     name="joint",
     caption="method joint",
     title="joint: the paper's method",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated over each sample, was solved jointly for the coefficients of tensor-product "
         "splines, R and the inverter's voltage error by linear least squares."
@@ -137,7 +135,6 @@ FULL: Final = Origin(
     name="full",
     caption="method full",
     title="full",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated in the stator frame over windows of about 60° electrical, was solved for "
         "penalized splines of the flux and its rotor-position harmonics, R and a free inverter curve by linear least "
@@ -155,7 +152,6 @@ STATIC: Final = Origin(
     name="static",
     caption="method static",
     title="static: operating points",
-    heading="Identified drive",
     summary=(
         "The voltage equation at steady state, averaged over operating points at constant currents and speed, was "
         "solved for reciprocal flux maps or, from few currents, magnet flux and inductances, with R and the inverter's "

@@ -56,10 +56,7 @@ class Checked:
 def check(settings: object) -> None:
     """Check finiteness, bounds and choices of all fields, see :class:`Checked`.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the field, its value and what it may be.
+    Raises ConfigurationError, which names the field, its value and what it may be.
     """
     for field in dataclasses.fields(settings):  # type: ignore[arg-type]  # any dataclass instance
         value = getattr(settings, field.name)

@@ -56,8 +56,7 @@ def analyze(
     output = output or options.beside(directory, "_analysis")
     check_output(output, force=force, marker=MARKER, kind=FORMAT)
     result = load(directory)
-    with console.working(quiet or as_json) as tell:
-        tell("Analyzing", None)
+    with console.working(quiet or as_json, "Analyzing"):
         found = run(result, chosen)
     found.save(output, force=force)
     if as_json:

@@ -170,8 +170,7 @@ def simulate(
         if free_shaft or chosen.free_shaft
         else Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
     )
-    with console.working(quiet or as_json) as tell:
-        tell("Simulating", None)
+    with console.working(quiet or as_json, "Simulating"):
         machine_map = load_machine(machine, pole_pairs=pole_pairs, u_dc=u_dc)
         simulation = simulate_bag(machine_map, chosen, output, trajectory, seconds)
     truth = simulation.truth
@@ -255,8 +254,7 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
     """Add pictures and report to a result folder."""
     missing = ""
     try:
-        with console.working(quiet) as tell:
-            tell("Writing the report" if report else "Drawing", None)
+        with console.working(quiet, "Writing the report" if report else "Drawing"):
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None

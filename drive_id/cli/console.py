@@ -87,7 +87,7 @@ def show_result(result: Identification, *, verbose: bool = False) -> None:
 
 
 @contextmanager
-def working(silent: bool) -> Iterator[Tell]:
+def working(silent: bool, doing: str = "Starting") -> Iterator[Tell]:
     """Show a progress bar on standard error while the body works, if that is a terminal, not only coloured."""
     if silent or not (err().is_terminal and err().file.isatty()):
         yield lambda _what, _share: None
@@ -99,8 +99,7 @@ def working(silent: bool) -> Iterator[Tell]:
         progress.TimeElapsedColumn(), progress.TimeRemainingColumn(),
     )  # fmt: skip
     with progress.Progress(*columns, console=err(), transient=True) as bar:
-        task = bar.add_task("Starting", total=None)  # no total: the bar pulses and shows no percentage
-        doing = ""
+        task = bar.add_task(doing, total=None)  # no total: the bar pulses and shows no percentage
 
         def tell(what: str, share: float | None) -> None:
             nonlocal doing, task

@@ -93,8 +93,7 @@ def convert_log(
 
     check_absent(bag)
     signal_map = read_signals(signals) if signals else None
-    with console.working(quiet or as_json) as tell:
-        tell("Reading", None)
+    with console.working(quiet or as_json, "Reading") as tell:
         recording = read_recording(log, signal_map, namespace=namespace)
         samples = recording.samples
         tell("Writing", None)

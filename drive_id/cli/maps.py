@@ -71,8 +71,7 @@ def import_file(
     )  # fmt: skip
     output = output or options.beside(file, "_map")
     check_output(output, force=force)
-    with console.working(quiet or as_json) as tell:
-        tell("Importing", None)
+    with console.working(quiet or as_json, "Importing"):
         result = import_map(source, ImportOptions(format_name, axis, conventions, machine))
         pictures = {"flux_map.png": rendered(result.plot())}
         write_results(output, result.drive, result.provenance, force=force, pictures=pictures)
@@ -160,8 +159,7 @@ def export_result(
     i_d, i_q = (common if axis is None else axis for axis in given)
     choice = TableChoice(i_d, i_q, fill, pole_pairs, u_dc)
     wanted = ExportOptions(leakage, bandwidth, sample_period, phase_margin)
-    with console.working(quiet or as_json) as tell:
-        tell("Exporting", None)
+    with console.working(quiet or as_json, "Exporting"):
         exported = export_map(result, format_name, output, choice, wanted, force=force)
     if as_json:
         tree = {"output": str(output), "format": format_name} | dataclasses.asdict(exported)

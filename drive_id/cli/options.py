@@ -123,12 +123,7 @@ def merged_settings(
 def beside(source: Path, ending: str) -> Path:
     """Return a path beside the input, its name with an ending (``log_full``), numbered where that is taken.
 
-    Parameters
-    ----------
-    source : Path
-        Folder, or file, whose suffix is left out.
-    ending : str
-        To append; a number stands before its suffix.
+    The suffix of a file is left out; a number stands before that of the ending.
     """
     where = source.absolute()
     name = where.name if where.is_dir() else where.stem

@@ -35,8 +35,7 @@ def report_result(
     output = output or directory / "report.html"
     check_report_output(output, pdf=pdf)
     result = load(directory).given(pole_pairs=pole_pairs, u_dc=u_dc)
-    with console.working(quiet or as_json) as tell:
-        tell("Writing the report", None)
+    with console.working(quiet or as_json, "Writing the report"):
         written = [str(path) for path in write_report(result, output, pdf=pdf)]
     if as_json:
         console.print_json({"report": written, "warnings": list(result.warnings)})
@@ -106,8 +105,7 @@ def verify_result(
     base = VerificationLimits() if golden is None else VerificationLimits(rms_in_sigma=None, worst_in_sigma=None)
     limits = options.merged_settings(VerificationLimits, golden, settings, {}, base)
     result = load(directory)
-    with console.working(quiet or as_json) as tell:
-        tell("Reading", None)
+    with console.working(quiet or as_json, "Reading") as tell:
         recording = read_recording(bags, read_signals(signals) if signals else None, namespace=namespace)
         if set(recording.digests.values()) & set(result.provenance.inputs.values()):
             raise ConfigurationError(f"The map in {directory} was fitted to this recording: give another one.")

@@ -39,27 +39,10 @@ def completed(
 ) -> Identification:
     """Return the result of a fit: what torque and motion of the shaft tell, and what is known of the experiment.
 
-    Parameters
-    ----------
-    excerpts : sequence of Samples
-        From which the range of speeds is taken.
-    duration : float
-        s.
-    last_stamp : int
-        ns.
-    truth : GroundTruth, optional
-        The drive is scored against it.
-    signals : SignalMap, optional
-        Knows the pole pairs where the recorded angle is mechanical.
-    inputs : mapping of str to str, optional
-        File to its sha256.
-    warnings : tuple of Message
-        About the recording.
-
-    Returns
-    -------
-    Identification
-        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
+    The range of speeds is that of the excerpts, the drive is scored against the truth, and the signals know the pole
+    pairs where the recorded angle is mechanical. Duration in s, last stamp in ns; inputs are files and their sha256. To
+    the warnings about the recording come those of settings that the method ignores, and of a truth that has nothing in
+    common with the map.
     """
     recorded = truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None
     pole_pairs = settings.pole_pairs or recorded

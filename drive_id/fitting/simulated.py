@@ -100,12 +100,8 @@ def load_machine(name_or_path: str, *, pole_pairs: int | None = None, u_dc: floa
 
     Pole pairs and DC-link voltage, V, replace those of the file or result.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is none, the file is not a machine, or the pole pairs are unknown.
-    ResultError
-        When the result cannot be read.
+    Raises ConfigurationError when there is none, the file is not a machine, or the pole pairs are unknown, and
+    ResultError when the result cannot be read.
     """
     path = Path(name_or_path)
     if os.path.isdir(name_or_path):  # noqa: PTH112  # never raises, whatever the name

@@ -81,10 +81,7 @@ class Sources:
     def stored_settings(self) -> FitSettings | None:
         """Return the settings, with i_max, by which the first information file was accumulated; None without one.
 
-        Raises
-        ------
-        InformationError
-            When it cannot be read, unless ``skip_bad`` allows to try the next one.
+        Raises InformationError when it cannot be read, unless ``skip_bad`` allows to try the next one.
         """
         for path in self.information:
             with suppress(*[InformationError] if self.skip_bad else []):

@@ -37,19 +37,9 @@ def accumulate(
 ) -> Accumulated:
     """Accumulate the samples of one or several bags of one drive.
 
-    Parameters
-    ----------
-    signals : SignalMap, optional
-        Where to find the signals in bags that are not ours.
-    namespace : str
-        Of the drive, when a bag holds several.
-    threads : bool
-        Read in other threads; False where each process is confined to one core.
+    Without ``threads``, this one reads, too: where each process is confined to one core.
 
-    Raises
-    ------
-    DriveIdError
-        When a bag cannot be read, or its samples cannot give a map.
+    Raises DriveIdError when a bag cannot be read, or its samples cannot give a map.
     """
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)

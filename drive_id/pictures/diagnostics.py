@@ -41,13 +41,7 @@ _Z = 1.96
 
 
 def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Figure:
-    """Draw what a result may be judged by.
-
-    Parameters
-    ----------
-    samples : sequence of Samples
-        Excerpts of the recording, for the residual voltage.
-    """
+    """Draw what a result may be judged by; the residual voltage is that of excerpts of the recording."""
     figure = Figure(figsize=(7.2, 8.5))
     disc = Disc(identification.flux_map, identification.i_max)
     _draw_sigma(place(figure, 0.65, 5.75, 2.4, 2.5), disc)

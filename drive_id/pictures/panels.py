@@ -38,13 +38,7 @@ _BORDER = 1.8  # to its border
 
 
 class Disc:
-    """The current disc of a map, finely sampled, and where in it there are data.
-
-    Parameters
-    ----------
-    i_max : float
-        Radius, A.
-    """
+    """The current disc of a map, of radius ``i_max``, A, finely sampled, and where in it there are data."""
 
     def __init__(self, flux_map: FluxMap, i_max: float) -> None:
         self.flux_map, self.i_max = flux_map, i_max

@@ -35,19 +35,9 @@ def result_pictures(
     *,
     figure_format: str = "png",
 ) -> dict[str, bytes]:
-    """Draw the pictures that stand beside a result's files.
+    """Draw the pictures that stand beside a result's files, by file name, as ``png``, ``svg`` or ``pdf``.
 
-    Parameters
-    ----------
-    samples : sequence of Samples
-        Excerpts of the recording: their trajectory is drawn over the maps, their voltage residual over the angle.
-    figure_format : str
-        ``png``, ``svg`` or ``pdf``.
-
-    Returns
-    -------
-    dict of str to bytes
-        File names and contents.
+    The trajectory of the samples, excerpts of the recording, is drawn over the maps, their residual over the angle.
     """
     figures = {
         "flux_map": draw_flux_maps(identification.flux_map, identification.i_max, trajectory(samples), caption),
@@ -64,23 +54,11 @@ def draw_flux_maps(
     caption: Caption = NO_CAPTION,
     panels: Sequence[Axes] | None = None,
 ) -> Figure:
-    """Draw psi_d and psi_q side by side over the current disc.
+    """Draw psi_d and psi_q side by side over the current disc, and a trajectory (N, 2), A, which NaN interrupts.
 
-    Parameters
-    ----------
-    i_max : float
-        Radius of the disc, A.
-    i_dq : (N, 2) float, optional
-        Trajectory to draw over them, A; NaN interrupts it.
-    caption : Caption, optional
-        Below the panels.
-    panels : two matplotlib.axes.Axes, optional
-        To draw on, instead of those of a new figure; without key and caption.
+    On given panels, two axes, instead of those of a new figure, there are no key and caption.
 
-    Raises
-    ------
-    ConfigurationError
-        When there are not two panels.
+    Raises ConfigurationError when there are not two panels.
     """
     disc = Disc(flux_map, i_max)
     if panels is None:

@@ -11,13 +11,7 @@ from drive_id.pictures.plots import rendered
 
 
 def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
-    """Draw an overview.
-
-    Parameters
-    ----------
-    figure_format : str
-        ``png``, ``svg`` or ``pdf``.
-    """
+    """Draw an overview as ``png``, ``svg`` or ``pdf``."""
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
     for row, component in enumerate("dq"):

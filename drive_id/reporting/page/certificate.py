@@ -39,13 +39,7 @@ def row(entry: Judgement) -> tuple[str, str, str, str]:
 
 
 def certificate(result: Result, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]) -> str:
-    """Render the certificate.
-
-    Parameters
-    ----------
-    recordings : sequence of str
-        Names of the recordings and their digests.
-    """
+    """Render the certificate; of the recordings, it names files and digests."""
     facts = {
         "Machine": result.name or "unknown",
         "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,

@@ -18,15 +18,7 @@ GENERATOR = "drive_id report"
 
 
 def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """Render the page.
-
-    Parameters
-    ----------
-    charts : mapping
-        See :func:`~drive_id.reporting.page.charts.charts_of`.
-    pictures : mapping of str to bytes
-        PNG by name, for print and for browsers without scripts.
-    """
+    """Render the page with the data of its charts, and PNG by name for print and for browsers without scripts."""
     return filled(
         "report.html",
         sections=SECTIONS,

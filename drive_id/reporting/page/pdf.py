@@ -29,13 +29,7 @@ _WARNING = "#a03000"
 
 
 def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
-    """Render the report.
-
-    Parameters
-    ----------
-    figures : mapping of str to Figure
-        By the name of their section, see :func:`~drive_id.reporting.page.pictures.figures_of`.
-    """
+    """Render the report with figures by the name of their section."""
     sheets = _Sheets()
     sheets.text(content.title, _TITLE, bold=True)
     sheets.text(content.subtitle)

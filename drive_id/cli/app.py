@@ -15,12 +15,11 @@ import typer
 
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.cli import console, options
-from drive_id.cli.analyze import analyze
 from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.logs import check_log, convert_log
 from drive_id.cli.maps import export_result, import_file
 from drive_id.cli.plan import plan_experiment, plan_settings
-from drive_id.cli.results import compare_results, report_result, verify_result
+from drive_id.cli.results import analyze, compare_results, report_result, verify_result
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError, OutputError
 from drive_id.version import VERSION

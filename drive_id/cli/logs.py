@@ -37,7 +37,7 @@ def check_log(
     if picture is not None and found.overview is None:
         console.warn(f"{picture} was not drawn, for there are no joined samples.")
     elif picture is not None and found.overview is not None:
-        from drive_id.reporting.log_picture import overview_picture
+        from drive_id.pictures.plots import overview_picture
 
         replace_file(picture, overview_picture(found.overview, picture.suffix[1:]))
     if as_json:

@@ -1,9 +1,10 @@
-"""Pictures of a result: flux maps and diagnostics beside its files, each with a caption."""
+"""Pictures of a result, flux maps and diagnostics beside its files with captions, and of a log before a fit."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
@@ -18,6 +19,9 @@ from drive_id.pictures.caption import NO_CAPTION, Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
 from drive_id.types import FloatArray, Samples
+
+if TYPE_CHECKING:
+    from drive_id.core.checks.overview import Overview
 
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
@@ -82,6 +86,29 @@ def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | 
     name(axes, "Largest torque, band of two standard errors", "Speed / rpm", "Torque / Nm")
     axes.legend(fontsize=NORMAL)
     return axes.figure  # type: ignore[return-value]  # or the part of it that holds the panel
+
+
+def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
+    """Draw a log: currents and references over time, the current plane, and the speed."""
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
+    for row, component in enumerate("dq"):
+        axes = figure.add_subplot(grid[row, 0])
+        axes.plot(view.time, view.reference_dq[:, row], color="0.6", linewidth=1.2, label="reference")
+        axes.plot(view.time, view.i_dq[:, row], linewidth=0.5, label="measured")
+        name(axes, f"i_{component}", "Time / s", "Current / A")
+        if np.isfinite(view.reference_dq).any() and row == 0:
+            axes.legend(fontsize=NORMAL, loc="upper right")
+    axes = figure.add_subplot(grid[2, 0])
+    axes.plot(view.time, view.speed_curve * 30 / np.pi, linewidth=0.5)
+    name(axes, "Electrical speed", "Time / s", "Speed / rpm")
+    axes = figure.add_subplot(grid[:, 1])
+    axes.plot(view.i_dq[:, 0], view.i_dq[:, 1], ".", markersize=1)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    axes.plot(view.i_max * np.cos(turn), view.i_max * np.sin(turn), color="0.5", linewidth=0.8)
+    axes.set_aspect("equal")
+    name(axes, f"Disc of {view.i_max:.4g} A, {100 * view.coverage:.0f} % visited", "i_d / A", "i_q / A")
+    return rendered(figure, figure_format)
 
 
 def trajectory(samples: Sequence[Samples]) -> FloatArray | None:

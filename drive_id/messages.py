@@ -84,11 +84,6 @@ class Message(str):
         return {"code": self.code, "kind": self.kind, "sentence": str(self), "values": plain(self.values)}
 
 
-def codes() -> dict[str, str]:
-    """Return the kind of each code."""
-    return {key.partition(".")[0]: kind for key, (kind, _) in _sentences().items()}
-
-
 @cache
 def _catalogue() -> dict[str, dict[str, str]]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -47,23 +47,19 @@ def setting(
 
 
 class Checked:
-    """Base of settings dataclasses, whose fields are checked when one is made."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-def check(settings: object) -> None:
-    """Check finiteness, bounds and choices of all fields, see :class:`Checked`.
+    """Base of settings dataclasses: finiteness, bounds and choices of all fields are checked when one is made.
 
     Raises ConfigurationError, which names the field, its value and what it may be.
     """
-    for field in dataclasses.fields(settings):  # type: ignore[arg-type]  # any dataclass instance
-        value = getattr(settings, field.name)
-        if isinstance(field.default, tuple) and isinstance(value, (int, float, str)):
-            raise ConfigurationError(f"{field.name} is {_shown(value)}: it must be a sequence, as ({_shown(value)},).")
-        for entry in value if isinstance(value, (tuple, list)) else (value,):
-            _check_entry(field, entry)
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]  # those derived from it are dataclasses
+            value = getattr(self, field.name)
+            if isinstance(field.default, tuple) and isinstance(value, (int, float, str)):
+                said = f"{field.name} is {_shown(value)}: it must be a sequence, as ({_shown(value)},)."
+                raise ConfigurationError(said)
+            for entry in value if isinstance(value, (tuple, list)) else (value,):
+                _check_entry(field, entry)
 
 
 def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:

@@ -27,7 +27,7 @@ from drive_id.fitting.result import Identification, load
 from drive_id.settings import from_mapping
 from drive_id.types import MachineMap, Samples
 
-_MOST_SAMPLES = 2e7
+_MOST_SAMPLES = 2e7  # they are held in memory, some hundred bytes each
 Inverter = Literal["none", "tanh", "dead_time", "two_stage", "switching"]
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
 _DPI = 200
+"""Of a picture in a file, for print."""
 SCREEN_DPI = 100
 """Of a picture in a notebook."""
 _MOST_POINTS = 30_000

@@ -16,8 +16,9 @@ from drive_id.types import FloatArray
 
 _WEAKENING = 4.0
 """Highest speed over the corner speed."""
-_SPEEDS, _TORQUES = 32, 20
-"""Points of the efficiency map: finer ones look the same, and take seconds."""
+_SPEEDS = 32
+_TORQUES = 20
+"""Points along the axes of the efficiency map: finer ones look the same, and take seconds."""
 _SAME = 1e-6
 """Relative excess over the envelope within which a torque counts as reached."""
 

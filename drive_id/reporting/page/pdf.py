@@ -19,13 +19,13 @@ _WIDTH = 8.27  # of a page (A4), inches
 _HEIGHT = 11.69  # likewise
 _MARGIN = 0.7  # inches
 _TEXT = 8.5  # size of text, points
-_HEADING = 12.0
-_TITLE = 17.0
-_SMALL = 7.0  # tables
+_HEADING = 12.0  # likewise, of headings
+_TITLE = 17.0  # of the title
+_SMALL = 7.0  # of tables
 _CHARACTER = 0.55
 """Mean width of a character over its size."""
-_DPI = 180
-_WARNING = "#a03000"
+_DPI = 180  # of figures, which are drawn as pixels: sharp in print
+_WARNING = "#a03000"  # colour of warnings
 
 
 def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:

@@ -82,21 +82,10 @@ def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:
 
 
 def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) -> Settings:
-    """Build settings from parsed YAML, strictly.
+    """Build a settings dataclass from parsed YAML, strictly: whole numbers do for floats, lists for tuples.
 
-    Parameters
-    ----------
-    cls : type
-        A settings dataclass.
-    mapping : mapping
-        Names to plain values; whole numbers are accepted for floats, lists for tuples.
-    where : str
-        File or option that the mapping came from, for error messages.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown name, a value of the wrong type, or one out of bounds.
+    Raises ConfigurationError for an unknown name, a value of the wrong type, or one out of bounds; it tells ``where``
+    the mapping came from, a file or option.
     """
     hints = typing.get_type_hints(cls)
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # any dataclass type

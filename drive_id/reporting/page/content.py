@@ -285,7 +285,7 @@ def _methods(result: Result) -> TextTable:
     """Lay out the result beside the paper's methods."""
     rows: list[tuple[str, ...]] = []
     judged, metrics = result.diagnostics, result.metrics
-    if judged is not None:
+    if judged is not None and judged.comparisons:
         own = ComparedMethod(
             method=result.method,
             samples=int(metrics["samples_used"]),
@@ -300,7 +300,7 @@ def _methods(result: Result) -> TextTable:
             nrmse_q=metrics["nrmse_q"],
         )
         every = sorted([own, *judged.comparisons], key=lambda found: list(ORIGINS).index(found.method))
-        rows = [_method_row(found, own=found is own) for found in every] if judged.comparisons else []
+        rows = [_method_row(found, own=found is own) for found in every]
     return TextTable(
         "The same data with and without a model of the inverter",
         ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
@@ -350,12 +350,11 @@ def map_difference(result: Result, other: ComparedMethod) -> tuple[FloatArray, F
 
 
 def _calibrations(result: Result) -> TextTable:
-    rows = []
-    for found in result.calibrations:
-        if not (found.applied or math.isfinite(found.sigma)):
-            continue  # nothing was estimated
-        done = "corrected" if found.applied else "not corrected"
-        rows.append((found.name, measured(found.value, found.sigma, found.unit), done))
+    rows = (
+        (found.name, measured(found.value, found.sigma, found.unit), "corrected" if found.applied else "not corrected")
+        for found in result.calibrations
+        if found.applied or math.isfinite(found.sigma)  # else nothing was estimated
+    )
     return TextTable("Sensor faults and effects of the drive", ("Name", "Value", "In the map"), tuple(rows))
 
 

@@ -127,40 +127,6 @@ def read_bag(
     return replace(recording.samples, truth=recording.truth)
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """What some of the sources gave.
-
-    Parameters
-    ----------
-    accumulated : Accumulated or None
-        None when all of them were refused.
-    refused : tuple of DriveIdError
-        One for each source that cannot be used, which it names.
-    """
-
-    accumulated: Accumulated | None
-    refused: tuple[DriveIdError, ...] = ()
-
-    def merged(self, other: Part) -> Part:
-        """Return what both gave."""
-        both = self.accumulated or other.accumulated
-        if self.accumulated and other.accumulated:
-            both = self.accumulated.merged(other.accumulated)
-        return Part(both, (*self.refused, *other.refused))
-
-    def result(self, settings: FitSettings) -> Accumulated:
-        """Return what was accumulated, with these settings for the fit and a warning for each source left out.
-
-        Raises the first DriveIdError, when all sources were refused.
-        """
-        found = self.accumulated
-        if found is None:
-            raise self.refused[0]
-        left_out = (Message("left_out.recording", reason=str(error)) for error in self.refused)
-        return replace(found, evidence=found.evidence.copy(settings), warnings=(*left_out, *found.warnings))
-
-
 def pairwise(items: Iterable[Item], combine: Callable[[Item, Item], Item]) -> Item:
     """Combine neighbours, then neighbouring pairs, and so on: the order depends on the number of items alone.
 
@@ -192,19 +158,33 @@ def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress =
     if settings.i_max is None:
         radii = list(in_processes(partial(radius_of, sources=sources), sources.paths, workers))
         settings = replace(settings, i_max=_common_radius(sources, radii))
-    accumulated = partial(_part_of, sources=sources, threads=workers == 1)  # else a process is a core's
+    work = partial(_accumulated, sources=sources, threads=workers == 1)  # else a process is a core's
     each = ((path, settings.of_recording(number)) for number, path in enumerate(sources.paths))
-    with closing(in_processes(accumulated, each, workers)) as parts:
-        return pairwise(_told(parts, sources, tell), Part.merged).result(settings)
+    refused: list[DriveIdError] = []
+    with closing(in_processes(work, each, workers)) as parts:
+        found = pairwise(_usable(parts, sources, refused, tell), _merged)
+    if found is None:
+        raise refused[0]
+    left_out = (Message("left_out.recording", reason=str(error)) for error in refused)
+    return replace(found, evidence=found.evidence.copy(settings), warnings=(*left_out, *found.warnings))
 
 
-def _told(parts: Iterable[Part], sources: Sources, tell: Progress) -> Iterator[Part]:
+def _usable(
+    parts: Iterable[Accumulated | DriveIdError], sources: Sources, refused: list[DriveIdError], tell: Progress
+) -> Iterator[Accumulated | None]:
+    """Yield what each source gave; None for one that cannot be used, whose error is raised, or kept in ``refused``."""
     tell("Accumulating", 0.0)
     for done, part in enumerate(parts, start=1):
-        if part.refused and not sources.skip_bad:
-            raise part.refused[0]
+        if isinstance(part, DriveIdError):
+            if not sources.skip_bad:
+                raise part
+            refused.append(part)
         tell("Accumulating", done / len(sources.paths))
-        yield part
+        yield None if isinstance(part, DriveIdError) else part
+
+
+def _merged(one: Accumulated | None, other: Accumulated | None) -> Accumulated | None:
+    return one.merged(other) if one and other else one or other
 
 
 def _common_radius(sources: Sources, radii: Sequence[float | DriveIdError | None]) -> float:
@@ -251,7 +231,7 @@ def radius_of(path: Path, sources: Sources) -> float | DriveIdError | None:
     return None if largest is None else float(f"{largest:.3g}") or None
 
 
-def _part_of(source: tuple[Path, FitSettings], sources: Sources, *, threads: bool) -> Part:
+def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads: bool) -> Accumulated | DriveIdError:
     """Accumulate one source with its settings, which have an i_max, or return the error that makes it unusable.
 
     Raises ConfigurationError when an information file was accumulated with other settings.
@@ -263,7 +243,7 @@ def _part_of(source: tuple[Path, FitSettings], sources: Sources, *, threads: boo
         else:
             found = accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
     except DriveIdError as error:
-        return Part(None, (_naming(path, error),))
+        return _naming(path, error)
     if is_information(path):
         own = replace(found.evidence.settings, method=settings.method)
         found = replace(found, evidence=found.evidence.copy(own))  # without what another method needed
@@ -274,7 +254,7 @@ def _part_of(source: tuple[Path, FitSettings], sources: Sources, *, threads: boo
                 "these settings, or remove them."
             )
     said = tuple(message.of(path) for message in found.warnings) if len(sources.paths) > 1 else found.warnings
-    return Part(replace(found, warnings=said, validation=bounded(found.validation)))
+    return replace(found, warnings=said, validation=bounded(found.validation))
 
 
 def _naming(source: Path, error: DriveIdError) -> DriveIdError:

@@ -134,17 +134,14 @@ def pairwise(items: Iterable[Item], combine: Callable[[Item, Item], Item]) -> It
     """
     stack: list[tuple[int, Item]] = []  # combined items and how many they are of, ever fewer
     for item in items:
-        stack.append((1, item))
-        while len(stack) > 1 and stack[-2][0] == stack[-1][0]:
-            _combine_last(stack, combine)
-    while len(stack) > 1:
-        _combine_last(stack, combine)
-    return stack[0][1]
-
-
-def _combine_last(stack: list[tuple[int, Item]], combine: Callable[[Item, Item], Item]) -> None:
-    (count, last), (before, other) = stack.pop(), stack.pop()
-    stack.append((before + count, combine(other, last)))
+        count, last = 1, item
+        while stack and stack[-1][0] == count:
+            count, last = 2 * count, combine(stack.pop()[1], last)
+        stack.append((count, last))
+    _, last = stack.pop()
+    while stack:
+        last = combine(stack.pop()[1], last)
+    return last
 
 
 def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress = silent) -> Accumulated:

@@ -26,13 +26,12 @@ if TYPE_CHECKING:
     from drive_id.exchange.exports.exporting import export_map as export
     from drive_id.exchange.imports.importing import import_map
     from drive_id.fitting.fit import fit
-    from drive_id.fitting.progress import on_bar
     from drive_id.fitting.result import Identification, load, report
     from drive_id.fitting.simulated import simulate
     from drive_id.fitting.sources import read_bag
     from drive_id.inspection.inspect import Inspection, check
     from drive_id.result.tables import samples_frame
-    from drive_id.types import MachineMap, Samples
+    from drive_id.types import MachineMap, Samples, on_bar
 
 __version__: str
 
@@ -60,7 +59,7 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
         from drive_id.fitting import result as home
     elif name in ("Inspection", "check"):
         from drive_id.inspection import inspect as home
-    elif name in ("MachineMap", "Samples"):
+    elif name in ("MachineMap", "Samples", "on_bar"):
         from drive_id import types as home
     elif name == "OperatingData":
         from drive_id.core.steady import operating_data as home
@@ -74,8 +73,6 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
         from drive_id.fitting import fit as home
     elif name == "import_map":
         from drive_id.exchange.imports import importing as home
-    elif name == "on_bar":
-        from drive_id.fitting import progress as home
     elif name == "read_bag":
         from drive_id.fitting import sources as home
     elif name == "samples_frame":

@@ -12,134 +12,94 @@ class DriveIdError(Exception):
 
     code = "error"
 
+    def __init_subclass__(cls, code: str = "") -> None:
+        """Set the code of a kind of error; without one, it is that of its base."""
+        cls.code = code or cls.code
 
-class ConfigurationError(DriveIdError):
+
+class ConfigurationError(DriveIdError, code="configuration"):
     """A parameter, option, signals file or machine file is invalid."""
 
-    code = "configuration"
 
-
-class InactiveError(DriveIdError):
+class InactiveError(DriveIdError, code="inactive"):
     """A managed node is not active."""
 
-    code = "inactive"
 
-
-class OutputError(DriveIdError):
+class OutputError(DriveIdError, code="output"):
     """The output cannot be written (not ours to overwrite, no permission, disk full)."""
 
-    code = "output"
 
-
-class InformationError(DriveIdError):
+class InformationError(DriveIdError, code="information"):
     """Not an information file, damaged, or written by a newer version."""
 
-    code = "information"
 
-
-class ResultError(DriveIdError):
+class ResultError(DriveIdError, code="result"):
     """Not a result folder, damaged, or written by a newer version."""
 
-    code = "result"
 
-
-class ExperimentError(DriveIdError):
+class ExperimentError(DriveIdError, code="experiment"):
     """A node refuses, does not answer in time, or does not fit the others."""
 
-    code = "experiment"
 
-
-class WorkerError(DriveIdError):
+class WorkerError(DriveIdError, code="worker"):
     """A process that reads recordings has died."""
 
-    code = "worker"
 
-
-class BagError(DriveIdError):
+class BagError(DriveIdError, code="bag"):
     """Base of errors in a recording's container, found before any sample is read."""
 
-    code = "bag"
 
-
-class NotABagError(BagError):
+class NotABagError(BagError, code="not_a_bag"):
     """The path is not a recording in a format that drive_id reads."""
 
-    code = "not_a_bag"
 
-
-class TruncatedBagError(BagError):
+class TruncatedBagError(BagError, code="truncated_bag"):
     """The recording is cut off (killed recorder, power loss, full disk) or damaged."""
 
-    code = "truncated_bag"
 
-
-class MissingTopicError(BagError):
+class MissingTopicError(BagError, code="missing_topic"):
     """The bag has no topic for a required signal."""
 
-    code = "missing_topic"
 
-
-class MessageTypeError(BagError):
+class MessageTypeError(BagError, code="message_type"):
     """The type or the fields of a topic do not carry the signal."""
 
-    code = "message_type"
 
-
-class EmptyTopicError(BagError):
+class EmptyTopicError(BagError, code="empty_topic"):
     """A required topic exists but holds no message or no sample."""
 
-    code = "empty_topic"
 
-
-class MessageCountError(BagError):
+class MessageCountError(BagError, code="message_count"):
     """Fewer messages could be read than the bag itself declares."""
 
-    code = "message_count"
 
-
-class DataError(DriveIdError):
+class DataError(DriveIdError, code="data"):
     """Base of errors in the samples themselves."""
 
-    code = "data"
 
-
-class NonFiniteError(DataError):
+class NonFiniteError(DataError, code="non_finite"):
     """Samples are NaN or infinite."""
 
-    code = "non_finite"
 
-
-class StampOrderError(DataError):
+class StampOrderError(DataError, code="stamp_order"):
     """Too many stamps repeat or run backwards."""
 
-    code = "stamp_order"
 
-
-class SamplePeriodError(DataError):
+class SamplePeriodError(DataError, code="sample_period"):
     """Sample periods disagree: between signals, or between declaration and stamps."""
 
-    code = "sample_period"
 
-
-class NoOverlapError(DataError):
+class NoOverlapError(DataError, code="no_overlap"):
     """The three signals overlap too little in time."""
 
-    code = "no_overlap"
 
-
-class StandstillError(DataError):
+class StandstillError(DataError, code="standstill"):
     """The machine hardly turns, so its flux induces no measurable voltage."""
 
-    code = "standstill"
 
-
-class CoverageError(DataError):
+class CoverageError(DataError, code="coverage"):
     """The data cover too little of the current plane for a map, or not the currents asked for."""
 
-    code = "coverage"
 
-
-class UnexplainedError(DataError):
+class UnexplainedError(DataError, code="unexplained"):
     """The fitted model leaves most of the voltage unexplained, so that its map means nothing."""
-
-    code = "unexplained"

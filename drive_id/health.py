@@ -21,15 +21,7 @@ Observation = tuple[Level, str]
 
 @dataclass(frozen=True)
 class Health:
-    """One diagnostic status.
-
-    Parameters
-    ----------
-    message : str
-        A sentence.
-    values : mapping of str to str
-        Details for programs.
-    """
+    """One diagnostic status: a sentence, and details for programs."""
 
     level: Level
     message: str
@@ -37,14 +29,9 @@ class Health:
 
     @classmethod
     def of(cls, doing: str, observations: Sequence[Observation], values: Mapping[str, str]) -> Health:
-        """Return a status of at most two sentences: what is under way, and the most severe observation.
+        """Return a status of at most two sentences: what is under way, and the first of the most severe observations.
 
-        Parameters
-        ----------
-        doing : str
-            A sentence; empty when the observation says it.
-        observations : sequence of Observation
-            All but the first of the most severe ones become values.
+        ``doing`` is empty when the observation says it. The other observations become values.
         """
         ordered = sorted(observations, key=lambda observation: -observation[0])
         further = {f"also {number}": said for number, (_, said) in enumerate(ordered[1:], 1)}

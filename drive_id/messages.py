@@ -84,11 +84,6 @@ class Message(str):
         return {"code": self.code, "kind": self.kind, "sentence": str(self), "values": plain(self.values)}
 
 
-def codes() -> dict[str, str]:
-    """Return the kind of each code."""
-    return {key.partition(".")[0]: kind for key, (kind, _) in _sentences().items()}
-
-
 @cache
 def _catalogue() -> dict[str, dict[str, str]]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -146,14 +141,12 @@ def _percent(share: float, spec: str) -> str:
     return f"{format(100 * share, spec or ('.2g' if share < _WHOLE else '.0f'))} %"
 
 
-def _phase(number: int, _: str) -> str:
-    return "abc"[int(number)]
-
-
 def _nouns(names: str, _: str) -> str:
     parts = (name.partition(" ") for name in names.split(","))
     return " or ".join(_catalogue()["noun"][name].format(number) for name, _, number in parts)
 
 
-_SHOWN: dict[str, Callable[[Any, str], str]] = {"%": _percent, "phase": _phase, "nouns": _nouns}
+_SHOWN: dict[str, Callable[[Any, str], str]] = {
+    "%": _percent, "phase": lambda number, _: "abc"[int(number)], "nouns": _nouns,
+}  # fmt: skip
 _FORMATTER = _Templates()

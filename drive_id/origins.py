@@ -20,8 +20,6 @@ class Origin:
     ----------
     name : str
         As in ``identification.json``, in ``FluxMap`` and in the settings of a fit.
-    caption : str
-        For one line below a figure.
     title : str
         For the rows of a table of several.
     heading : str
@@ -41,9 +39,7 @@ class Origin:
     no_inverter, no_diagnostics : str
         Why these are missing; empty where they are not.
     limits : tuple of str
-        What the data leave open.
-    one_speed : str
-        What R rests on if all data are of one speed; the last of the limits.
+        What the data leave open; the last one is what R rests on if all data are of one speed.
     pole_pairs : str
         How to give their number, in the imperative.
     advice : str
@@ -55,10 +51,9 @@ class Origin:
     """
 
     name: str
-    caption: str
     title: str
-    heading: str
     summary: str
+    heading: str = "Identified drive"
     fitted: bool = True
     inverter: bool = True
     harmonics: bool = False
@@ -68,19 +63,27 @@ class Origin:
     no_inverter: str = ""
     no_diagnostics: str = ""
     limits: tuple[str, ...] = ()
-    one_speed: str = ""
     pole_pairs: str = "set pole_pairs in the fit, or in the signals file"
     advice: str = ""
     reference: str = ""
     ignores: tuple[str, ...] = ()
 
+    @property
+    def caption(self) -> str:
+        """For one line below a figure."""
+        return f"method {self.name}" if self.fitted else self.name
 
-_GAIN = (
-    "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque, or a free "
-    "shaft of known inertia, shows it."
-)
+    @property
+    def one_speed(self) -> str:
+        """What R rests on if all data are of one speed; empty where nothing was fitted."""
+        return self.limits[-1] if self.limits else ""
+
+
 _OF_THE_DATA = (
-    _GAIN,
+    (
+        "A common gain error of all voltages or all currents leaves no trace; only a measured shaft torque, or a free "
+        "shaft of known inertia, shows it."
+    ),
     "A zero-sequence error of the phase voltages leaves no trace.",
     "A constant offset of the angle rotates currents and map together; it shows only if the machine is symmetric.",
 )
@@ -96,13 +99,10 @@ _OF_FULL = (
     "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
     "calibrate_angle", "calibrate_currents", "voltage_delay",
 )  # fmt: skip
-_OF_POINTS = ("rows_are_points",)
 
 PSM: Final = Origin(
     name="psm",
-    caption="method psm",
     title="psm: inverter not modelled",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated over each sample, was solved for the coefficients of tensor-product splines "
         "and R by linear least squares, without a model of the inverter."
@@ -110,22 +110,18 @@ PSM: Final = Origin(
     inverter=False,
     no_inverter="Method psm does not model the inverter: its drop is in the flux map and in R.",
     limits=("The inverter's voltage drop is not separated from R and the flux map.", *_OF_THE_DATA, _TRANSIENTS),
-    one_speed=_TRANSIENTS,
     advice="use_full",
     reference=_PAPER,
-    ignores=(*_OF_FULL, *_OF_CONDITIONS, *_OF_POINTS),
+    ignores=(*_OF_FULL, *_OF_CONDITIONS, "rows_are_points"),
 )
 JOINT: Final = Origin(
     name="joint",
-    caption="method joint",
     title="joint: the paper's method",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated over each sample, was solved jointly for the coefficients of tensor-product "
         "splines, R and the inverter's voltage error by linear least squares."
     ),
     limits=(_LINEAR_PART, *_OF_THE_DATA, _TRANSIENTS),
-    one_speed=_TRANSIENTS,
     advice="use_full",
     reference=_PAPER,
     ignores=PSM.ignores,
@@ -135,9 +131,7 @@ _RECIPROCAL = (
 )
 FULL: Final = Origin(
     name="full",
-    caption="method full",
     title="full",
-    heading="Identified drive",
     summary=(
         "The voltage equation, integrated in the stator frame over windows of about 60° electrical, was solved for "
         "penalized splines of the flux and its rotor-position harmonics, R and a free inverter curve by linear least "
@@ -146,16 +140,13 @@ FULL: Final = Origin(
     harmonics=True,
     slopes=True,
     limits=(_LINEAR_PART, *_OF_THE_DATA, _RECIPROCAL),
-    one_speed=_RECIPROCAL,
     reference=_PAPER,
-    ignores=(*_OF_PAPER, *_OF_POINTS),
+    ignores=(*_OF_PAPER, "rows_are_points"),
 )
 _SYMMETRIC = "At one constant speed, R is separable from the fluxes only by assuming reciprocal, symmetric maps."
 STATIC: Final = Origin(
     name="static",
-    caption="method static",
     title="static: operating points",
-    heading="Identified drive",
     summary=(
         "The voltage equation at steady state, averaged over operating points at constant currents and speed, was "
         "solved for reciprocal flux maps or, from few currents, magnet flux and inductances, with R and the inverter's "
@@ -168,13 +159,11 @@ STATIC: Final = Origin(
         "and the methods for samples cannot be run beside it."
     ),
     limits=(_LINEAR_PART, *_OF_THE_DATA, "Rotor-position harmonics average out at operating points.", _SYMMETRIC),
-    one_speed=_SYMMETRIC,
     advice="record_fast",
     ignores=(*_OF_FULL, *_OF_PAPER, "monotone", "longest_rest"),
 )
 IMPORTED: Final = Origin(
     name="imported",
-    caption="imported",
     title="imported",
     heading="Imported map",
     summary="The map was not identified here: it was read from a file.",

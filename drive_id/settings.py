@@ -47,26 +47,19 @@ def setting(
 
 
 class Checked:
-    """Base of settings dataclasses, whose fields are checked when one is made."""
+    """Base of settings dataclasses: finiteness, bounds and choices of all fields are checked when one is made.
+
+    Raises ConfigurationError, which names the field, its value and what it may be.
+    """
 
     def __post_init__(self) -> None:
-        check(self)
-
-
-def check(settings: object) -> None:
-    """Check finiteness, bounds and choices of all fields, see :class:`Checked`.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the field, its value and what it may be.
-    """
-    for field in dataclasses.fields(settings):  # type: ignore[arg-type]  # any dataclass instance
-        value = getattr(settings, field.name)
-        if isinstance(field.default, tuple) and isinstance(value, (int, float, str)):
-            raise ConfigurationError(f"{field.name} is {_shown(value)}: it must be a sequence, as ({_shown(value)},).")
-        for entry in value if isinstance(value, (tuple, list)) else (value,):
-            _check_entry(field, entry)
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]  # those derived from it are dataclasses
+            value = getattr(self, field.name)
+            if isinstance(field.default, tuple) and isinstance(value, (int, float, str)):
+                said = f"{field.name} is {_shown(value)}: it must be a sequence, as ({_shown(value)},)."
+                raise ConfigurationError(said)
+            for entry in value if isinstance(value, (tuple, list)) else (value,):
+                _check_entry(field, entry)
 
 
 def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:
@@ -89,21 +82,10 @@ def _check_entry(field: dataclasses.Field[Any], value: Any) -> None:
 
 
 def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) -> Settings:
-    """Build settings from parsed YAML, strictly.
+    """Build a settings dataclass from parsed YAML, strictly: whole numbers do for floats, lists for tuples.
 
-    Parameters
-    ----------
-    cls : type
-        A settings dataclass.
-    mapping : mapping
-        Names to plain values; whole numbers are accepted for floats, lists for tuples.
-    where : str
-        File or option that the mapping came from, for error messages.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown name, a value of the wrong type, or one out of bounds.
+    Raises ConfigurationError for an unknown name, a value of the wrong type, or one out of bounds; it tells ``where``
+    the mapping came from, a file or option.
     """
     hints = typing.get_type_hints(cls)
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # any dataclass type

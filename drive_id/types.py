@@ -187,13 +187,8 @@ class Samples:
             Own arrays instead of views, so that these samples can be freed.
         """
         inner = self.run_starts[(self.run_starts > start) & (self.run_starts < stop)] - start
-
-        def cut(values: NDArray[Any]) -> NDArray[Any]:
-            return fixed(values[start:stop].copy()) if copy else values[start:stop]
-
-        arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
-        own: dict[str, Any] = {name: None if array is None else cut(array) for name, array in arrays.items()}
-        return replace(self, **own, run_starts=np.append(np.zeros(1, np.int64), inner))
+        starts = np.append(np.zeros(1, np.int64), inner)
+        return self._cut(lambda x: fixed(x[start:stop].copy()) if copy else x[start:stop], starts)
 
     def chosen(self, kept: BoolArray, begins: BoolArray) -> Samples:
         """Return some of the samples, at least one.
@@ -205,9 +200,13 @@ class Samples:
         begins : (N,) bool
             Which of them begin a run; the first one must.
         """
+        return self._cut(lambda x: fixed(x[kept]), np.flatnonzero(begins[kept]))
+
+    def _cut(self, cut: Callable[[NDArray[Any]], NDArray[Any]], run_starts: IntArray) -> Samples:
+        """Return samples whose arrays are all cut alike."""
         arrays = {name: getattr(self, name) for name in (*_SIGNALS, *_OPTIONAL)}
-        own: dict[str, Any] = {name: None if array is None else fixed(array[kept]) for name, array in arrays.items()}
-        return replace(self, **own, run_starts=np.flatnonzero(begins[kept]))
+        own: dict[str, Any] = {name: None if array is None else cut(array) for name, array in arrays.items()}
+        return replace(self, **own, run_starts=run_starts)
 
     @classmethod
     def joined(cls, parts: Sequence[Samples], continues: Sequence[bool] | None = None) -> Samples:
@@ -408,3 +407,20 @@ Progress = Callable[[str, float | None], None]
 
 def silent(what: str, share: float | None) -> None:  # a Progress
     """Report no progress."""
+
+
+def on_bar(bar: Any) -> Progress:
+    """Return what shows progress on a bar: ``drive_id.fit(bag, tell=drive_id.on_bar(tqdm()))``.
+
+    Parameters
+    ----------
+    bar : tqdm.tqdm
+        Or any object with ``total``, ``n``, ``set_description`` and ``refresh``.
+    """
+
+    def tell(what: str, share: float | None) -> None:
+        bar.total, bar.n = 1.0, share or 0.0
+        bar.set_description(what)
+        bar.refresh()
+
+    return tell

@@ -17,11 +17,11 @@ from drive_id.errors import ConfigurationError
 from drive_id.live.bridge_settings import BridgeSettings
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.settings import check, from_mapping, setting
+from drive_id.settings import Checked, from_mapping, setting
 
 
 @dataclass(frozen=True)
-class Everything:
+class Everything(Checked):
     """One field of each kind."""
 
     flag: bool = setting(False, "a flag")
@@ -33,9 +33,6 @@ class Everything:
     either: float | str | None = setting(None, "a number or a path")
     several: tuple[float, ...] = setting((), "any number", minimum=0.0)
     three: tuple[int, int, int] = setting((1, 2, 3), "of each phase")
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def refused(mapping: dict, said: str) -> None:

@@ -1,55 +1,26 @@
 """The command line ``drive-id``: thin, and quick to start because numerics are loaded only when needed."""
 
 import atexit
+import dataclasses
 import gc
 import io
-import json
 import os
 import sys
 from contextlib import suppress
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from drive_id.cli.analyze import analysis_settings, analyze
+from drive_id.analysis.settings import AnalysisSettings
+from drive_id.cli import console, options
 from drive_id.cli.archive import index_results, serve_results
-from drive_id.cli.check import check_log
-from drive_id.cli.compare import compare_results
-from drive_id.cli.convert import convert_log
-from drive_id.cli.exporting import export_result
-from drive_id.cli.importing import import_file
-from drive_id.cli.options import (
-    BagsArgument,
-    FigureFormat,
-    FigureFormatOption,
-    FiguresFlag,
-    FitConfigOption,
-    JsonFlag,
-    LinkOption,
-    NamespaceOption,
-    PolePairsOption,
-    QuietFlag,
-    RadiusOption,
-    SetOption,
-    SignalsOption,
-    SkipFlag,
-    SourcesArgument,
-    VerboseFlag,
-    WorkersOption,
-    err,
-    listing,
-    merged_settings,
-    say,
-    show,
-    show_result,
-    warn,
-    working,
-)
-from drive_id.cli.outputs import beside
+from drive_id.cli.logs import check_log, convert_log
+from drive_id.cli.maps import export_result, import_file
 from drive_id.cli.plan import plan_experiment, plan_settings
-from drive_id.cli.report import report_result
-from drive_id.cli.verify import verify_result
+from drive_id.cli.results import analyze, compare_results, report_result, verify_result
+from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError, OutputError
 from drive_id.version import VERSION
 
@@ -68,16 +39,18 @@ app = typer.Typer(
 )
 
 
-def _fit_settings() -> type[Any]:
-    from drive_id.core.fit_settings import FitSettings
-
-    return FitSettings
-
-
 def _simulation_settings() -> type[Any]:
     from drive_id.bench.settings import SimulationSettings
 
     return SimulationSettings
+
+
+class FigureFormat(str, Enum):
+    """File format of pictures."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
 
 
 def main() -> None:
@@ -95,7 +68,7 @@ def main() -> None:
             sys.stdout.flush()
     except DriveIdError as error:
         if "--json" in sys.argv:
-            typer.echo(json.dumps({"error": {"code": error.code, "message": str(error)}}))
+            console.print_json({"error": {"code": error.code, "message": str(error)}})
         _fail(str(error))
     except MemoryError:
         _fail("The memory is not sufficient: close other programs, or give less data.")
@@ -108,7 +81,7 @@ def main() -> None:
     except (KeyboardInterrupt, SystemExit) as end:
         if not _is_interrupt(end):
             raise
-        say("drive-id: interrupted; no output was left behind.", to=err)
+        console.say("drive-id: interrupted; no output was left behind.", to=console.err)
         raise SystemExit(130) from None
 
 
@@ -116,7 +89,7 @@ def _fail(sentence: str) -> NoReturn:
     """Print what is wrong and exit with code 1."""
     text = "drive-id: " + "".join(letter if letter.isprintable() else " " for letter in sentence)
     try:
-        say(text, to=err, style="red")
+        console.say(text, to=console.err, style="red")
     except (ImportError, MemoryError, OSError):  # which it may be about
         sys.stderr.write(f"{text}\n")
     raise SystemExit(1) from None
@@ -145,14 +118,14 @@ def _common(
 
 
 @app.command(
-    cls=listing(_simulation_settings),
+    cls=options.listing(_simulation_settings),
     epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result",
 )
 def simulate(
     machine: Annotated[
         str, typer.Option(help="ipm, spm, pmsyrm, a machine file (.npz, .mat of SyR-e), or a result folder.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Bag (folder) to write.")],
+    output: Annotated[Path, options.output("Bag (folder) to write.")],
     speed: Annotated[
         list[float] | None, typer.Option(help="Mechanical speed, rpm; may be repeated.  \\[default: 500]")
     ] = None,
@@ -163,8 +136,8 @@ def simulate(
     noise: Annotated[float | None, typer.Option(help="RMS current noise, fraction of i_max.  \\[default: 0]")] = None,
     harmonics: Annotated[float | None, typer.Option(help="Factor on the rotor-position harmonics, 0 to 1.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all noise.")] = None,
-    pole_pairs: PolePairsOption = None,
-    u_dc: LinkOption = None,
+    pole_pairs: options.PolePairsOption = None,
+    u_dc: options.LinkOption = None,
     frequency_d: Annotated[float, typer.Option(help="Frequency of the d current reference, Hz.")] = 3.7,
     frequency_q: Annotated[float, typer.Option(help="Frequency of the q current reference, Hz.")] = 1.1,
     form: Annotated[str, typer.Option(help="Form of the trajectory: smooth, or printed (as in the paper).")] = "smooth",
@@ -178,9 +151,9 @@ def simulate(
         float | None, typer.Option(help="Frequency of the swing, Hz.  \\[default: as the speeds allow]")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with settings of the simulation.")] = None,
-    settings: SetOption = None,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    settings: options.SetOption = None,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Simulate a drive on a Lissajous trajectory, or its free shaft, and record a rosbag2 bag with its ground truth."""
     from drive_id.bench.settings import SimulationSettings
@@ -188,36 +161,37 @@ def simulate(
     from drive_id.core.experiment.trajectories import Lissajous
     from drive_id.fitting.simulated import load_machine, simulate_bag
 
-    options: dict[str, Any] = {"inverter": inverter, "current_noise": noise, "harmonics": harmonics, "seed": seed}
-    if speed:
-        options["speeds"] = tuple(speed)
-    chosen = merged_settings(SimulationSettings, config, settings, options)
-    swings = free_shaft or chosen.free_shaft
+    given: dict[str, Any] = {"inverter": inverter, "current_noise": noise, "harmonics": harmonics, "seed": seed}
+    given["speeds"] = tuple(speed) if speed else None
+    chosen = options.merged_settings(SimulationSettings, config, settings, given)
     trajectory = (
         Swing(speed_max, mean_speed, swing_frequency)
-        if swings
+        if free_shaft or chosen.free_shaft
         else Lissajous(frequency_d=frequency_d, frequency_q=frequency_q, form=form)
     )
-    with working(quiet or as_json) as tell:
-        tell("Simulating", None)
+    with console.working(quiet or as_json, "Simulating"):
         machine_map = load_machine(machine, pole_pairs=pole_pairs, u_dc=u_dc)
         simulation = simulate_bag(machine_map, chosen, output, trajectory, seconds)
     truth = simulation.truth
     if as_json:
-        typer.echo(json.dumps({"bag": str(output), "machine": truth.machine, "samples": len(simulation.samples)}))
+        console.print_json({"bag": str(output), "machine": truth.machine, "samples": len(simulation.samples)})
     elif not quiet:
-        say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
+        console.say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
 
 
 @app.command(
-    cls=listing(_fit_settings),
+    cls=options.listing(lambda: FitSettings),
     epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.",
 )
 def fit(
-    bags: SourcesArgument,
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Bags or other logs of one drive, or information files.", show_default=False, metavar="BAG..."
+        ),
+    ],
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Result folder.  \\[default: a new one beside the log: LOG_METHOD]"),
+        Path | None, options.output("Result folder.  \\[default: a new one beside the log: LOG_METHOD]")
     ] = None,
     method: Annotated[
         str | None,
@@ -226,45 +200,50 @@ def fit(
             "model).  \\[default: full]"
         ),
     ] = None,
-    i_max: RadiusOption = None,
+    i_max: options.RadiusOption = None,
     machine: Annotated[
         str | None, typer.Option(help="Name of the machine, for titles; --set serial=..., bench, operator, notes.")
     ] = None,
-    signals: SignalsOption = None,
-    namespace: NamespaceOption = "",
-    config: FitConfigOption = None,
-    settings: SetOption = None,
-    workers: WorkersOption = 1,
-    skip_bad: SkipFlag = False,
-    figures: FiguresFlag = None,
-    figure_format: FigureFormatOption = None,
+    signals: options.SignalsOption = None,
+    namespace: options.NamespaceOption = "",
+    config: Annotated[Path | None, typer.Option(help="YAML file with fit settings.")] = None,
+    settings: options.SetOption = None,
+    workers: options.WorkersOption = 1,
+    skip_bad: options.SkipFlag = False,
+    figures: Annotated[
+        bool | None,
+        typer.Option(
+            "--figures/--no-figures", help="Also draw pictures, after the result is printed.  \\[default: no]"
+        ),
+    ] = None,
+    figure_format: Annotated[
+        FigureFormat | None, typer.Option("--figure-format", help="Format of the pictures.  \\[default: png]")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report", help="Also compare with the paper's methods, draw, and write report.html.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
-    verbose: VerboseFlag = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    force: options.ForceFlag = False,
+    verbose: options.VerboseFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Identify flux maps, resistance and inverter voltage error from recorded bags."""
-    from drive_id.core.fit_settings import FitSettings
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.fit import fit_bags
 
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
-    chosen = merged_settings(
+    chosen = options.merged_settings(
         FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine}, stored
     )
-    output = output or beside(bags[0], f"_{chosen.method}")
-    with working(quiet or as_json) as tell:
+    output = output or options.beside(bags[0], f"_{chosen.method}")
+    with console.working(quiet or as_json) as tell:
         result = fit_bags(sources, output, chosen, force=force, tell=tell)
     if as_json:
-        tree = {"path": str(output)} | results_tree(result.drive, result.provenance)
-        typer.echo(json.dumps(tree, allow_nan=False))
+        console.print_json({"path": str(output)} | results_tree(result.drive, result.provenance))
     elif not quiet:
-        show_result(result, verbose=verbose)
-        say(f"Results in {output}")
+        console.show_result(result, verbose=verbose)
+        console.say(f"Results in {output}")
     sys.stdout.flush()  # the answer does not wait for pictures
     if report or (figures is None and figure_format) or figures:
         _draw(result, output, figure_format or FigureFormat.png, report=report, quiet=quiet or as_json)
@@ -274,8 +253,7 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
     """Add pictures and report to a result folder."""
     missing = ""
     try:
-        with working(quiet) as tell:
-            tell("Writing the report" if report else "Drawing", None)
+        with console.working(quiet, "Writing the report" if report else "Drawing"):
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
@@ -286,7 +264,7 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
             f"The result in {output} is complete, but without pictures: {missing[:1].lower()}{missing[1:]}."
         )
     if not quiet:
-        say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
+        console.say(f"Report in {output / 'report.html'}" if report else f"Pictures in {output}")
 
 
 def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: int, *, skip_bad: bool) -> "Sources":
@@ -297,45 +275,46 @@ def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: i
 
 
 @app.command(
-    cls=listing(_fit_settings),
+    cls=options.listing(lambda: FitSettings),
     epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
 )
 def accumulate(
-    bags: BagsArgument,
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Bags (folders or files) or other logs of one drive.", show_default=False, metavar="BAG..."
+        ),
+    ],
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Information file.  \\[default: a new one beside the log: LOG.info]"),
+        Path | None, options.output("Information file.  \\[default: a new one beside the log: LOG.info]")
     ] = None,
-    i_max: RadiusOption = None,
+    i_max: options.RadiusOption = None,
     method: Annotated[
         str | None, typer.Option(help="Method of the later fit; full serves all.  \\[default: full]")
     ] = None,
-    signals: SignalsOption = None,
-    namespace: NamespaceOption = "",
-    config: FitConfigOption = None,
-    settings: SetOption = None,
-    workers: WorkersOption = 1,
-    skip_bad: SkipFlag = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    signals: options.SignalsOption = None,
+    namespace: options.NamespaceOption = "",
+    config: Annotated[Path | None, typer.Option(help="YAML file with fit settings.")] = None,
+    settings: options.SetOption = None,
+    workers: options.WorkersOption = 1,
+    skip_bad: options.SkipFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Reduce bags to a small file with all that a fit needs: fitting such files is fitting their bags."""
-    from drive_id.core.fit_settings import FitSettings
     from drive_id.files.results.information import information_tree
     from drive_id.fitting.fit import accumulate_bags
 
-    chosen = merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
+    chosen = options.merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
-    output = output or beside(bags[0], ".info")
-    with working(quiet or as_json) as tell:
+    output = output or options.beside(bags[0], ".info")
+    with console.working(quiet or as_json) as tell:
         result = accumulate_bags(sources, output, chosen, tell)
     if as_json:
-        typer.echo(json.dumps({"information": str(output)} | information_tree(result)))
+        console.print_json({"information": str(output)} | information_tree(result))
     elif not quiet:
-        for warning in result.warnings:
-            warn(warning)
-        radius = f"{result.evidence.i_max:.4g} A"
-        say(f"{output}: {result.samples} samples, disc of {radius}.")
+        console.warn(*result.warnings)
+        console.say(f"{output}: {result.samples} samples, disc of {result.evidence.i_max:.4g} A.")
 
 
 @app.command()
@@ -343,13 +322,11 @@ def info(
     path: Annotated[
         Path, typer.Argument(help="Bag or other log, result folder, or information file.", show_default=False)
     ],
-    verbose: VerboseFlag = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    verbose: options.VerboseFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
-    import dataclasses
-
     from drive_id.files.read.info import bag_info
     from drive_id.files.results.folder import is_result
     from drive_id.files.results.information_name import is_information
@@ -363,14 +340,13 @@ def info(
         return
     found = bag_info(path)
     if as_json:
-        typer.echo(json.dumps(dataclasses.asdict(found)))
-    if as_json or quiet:
-        return
-    show(info_table(found))
-    if found.ground_truth:
-        say("The recording is a simulation with its ground truth.")
-    if found.problem:
-        warn(found.problem)
+        console.print_json(dataclasses.asdict(found))
+    elif not quiet:
+        console.show(info_table(found))
+        if found.ground_truth:
+            console.say("The recording is a simulation with its ground truth.")
+        if found.problem:
+            console.warn(found.problem)
 
 
 def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> None:
@@ -379,9 +355,9 @@ def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> N
 
     result = load(path)
     if as_json:
-        typer.echo(json.dumps({"path": str(path)} | results_tree(result.drive, result.provenance), allow_nan=False))
+        console.print_json({"path": str(path)} | results_tree(result.drive, result.provenance))
     elif not quiet:
-        show_result(result, verbose=verbose)
+        console.show_result(result, verbose=verbose)
 
 
 def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:
@@ -390,35 +366,29 @@ def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:
 
     stored = read_information(path)
     if as_json:
-        typer.echo(json.dumps({"path": str(path), "software": stored.software} | information_tree(stored.accumulated)))
-    if as_json or quiet:
-        return
-    show(information_table(path, stored))
-    for warning in stored.accumulated.warnings:
-        warn(warning)
+        console.print_json({"path": str(path), "software": stored.software} | information_tree(stored.accumulated))
+    elif not quiet:
+        console.show(information_table(path, stored))
+        console.warn(*stored.accumulated.warnings)
 
 
 @app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
 def recover(
     bag: Annotated[Path, typer.Argument(help="Damaged MCAP bag (folder or file).", show_default=False)],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Bag to write.  \\[default: BAG_recovered]")
-    ] = None,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    output: Annotated[Path | None, options.output("Bag to write.  \\[default: BAG_recovered]")] = None,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Copy what is readable of a cut-off or damaged bag to a new bag that any reader opens."""
-    import dataclasses
-
     from drive_id.files.write.recover import recover_bag
 
     recovery = recover_bag(bag, output)
     if as_json:
-        typer.echo(json.dumps(dataclasses.asdict(recovery) | {"output": str(recovery.output)}))
+        console.print_json(dataclasses.asdict(recovery) | {"output": str(recovery.output)})
     elif not quiet:
         for warning in recovery.damage or ("The recording is intact: nothing had to be recovered.",):
-            say(warning, style="yellow")
-        say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
+            console.say(warning, style="yellow")
+        console.say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
 
 app.command(
@@ -428,30 +398,24 @@ app.command(
 app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
 app.command(
     name="plan",
-    cls=listing(plan_settings),
+    cls=options.listing(plan_settings),
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
 app.command(
-    cls=listing(analysis_settings),
+    cls=options.listing(lambda: AnalysisSettings),
     epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
 )(analyze)
 app.command(
     name="report", epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html"
 )(report_result)
-
-
 app.command(
     name="import",
     epilog="Example: drive-id import THOR.mat --output thor; drive-id import map.csv --axis sr --output my_motor",
 )(import_file)
-
-
 app.command(
     name="export",
     epilog="Example: drive-id export result --format motulator --output map.npz --grid 41 --range -300 300",
 )(export_result)
-
-
 app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
 app.command(
     name="verify",

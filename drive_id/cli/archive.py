@@ -1,26 +1,23 @@
 """``drive-id index`` and ``drive-id serve``: all results below a folder in a browser."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, say
-
-FolderArgument = Annotated[Path, typer.Argument(help="Folder below which the results are.", show_default=False)]
+from drive_id.cli import console, options
+from drive_id.errors import ConfigurationError
 
 
 def index_results(
     folders: Annotated[
         list[Path], typer.Argument(help="Folder below which the results are, or results to compare.", metavar="DIR...")
     ],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Page.  \\[default: DIR/index.html]")] = None,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    output: Annotated[Path | None, options.output("Page.  \\[default: DIR/index.html]")] = None,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Write one page of all results below a folder: sorted, filtered, compared, and over time for each machine."""
-    from drive_id.errors import ConfigurationError
     from drive_id.files.results.folder import is_result
     from drive_id.web.archive import Archive, entries_of
     from drive_id.web.page import archive_page, check_page_output, write_page
@@ -35,13 +32,13 @@ def index_results(
     title = "Results compared" if compared else f"Results in {folders[0].resolve().name}"
     write_page(path, archive_page(found, title, ticked=len(found) if compared else 0))
     if as_json:
-        typer.echo(json.dumps({"page": str(path), "results": [str(entry.folder) for entry in found]}))
+        console.print_json({"page": str(path), "results": [str(entry.folder) for entry in found]})
     elif not quiet:
-        say(f"{path}: {len(found)} results.")
+        console.say(f"{path}: {len(found)} results.")
 
 
 def serve_results(
-    folder: FolderArgument,
+    folder: Annotated[Path, typer.Argument(help="Folder below which the results are.", show_default=False)],
     host: Annotated[
         str, typer.Option(help="Address to listen at; another one than this computer's needs a token.")
     ] = "127.0.0.1",
@@ -49,12 +46,10 @@ def serve_results(
     token: Annotated[str, typer.Option(help="Token to ask for.  \\[default: a new one if not 127.0.0.1]")] = "",
     namespace: Annotated[str, typer.Option(help="ROS namespace of the drive on the live page.")] = "",
     archive_only: Annotated[bool, typer.Option("--archive-only", help="Do not listen to ROS.")] = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Serve all results below a folder, and with ROS 2 a live page of an experiment; both only show."""
-    from drive_id.errors import ConfigurationError
-
     try:
         import uvicorn
 
@@ -70,14 +65,13 @@ def serve_results(
     app = application(folder, namespace=namespace, token=token, live=live)
     address, query = f"http://{host}:{port}", f"?token={token}" if token else ""
     if as_json:
-        pages = {"archive": f"{address}/{query}", "live": f"{address}/live{query}" if live else None}
-        typer.echo(json.dumps(pages))
+        console.print_json({"archive": f"{address}/{query}", "live": f"{address}/live{query}" if live else None})
     elif not quiet:
-        say(f"{address}/{query}: the results in {folder}.")
+        console.say(f"{address}/{query}: the results in {folder}.")
         if live:
-            say(f"{address}/live{query}: an experiment as it runs.")
+            console.say(f"{address}/live{query}: an experiment as it runs.")
         elif not archive_only:
-            say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
+            console.say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
     server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="warning", timeout_graceful_shutdown=1))
     server.run()
     if not server.started:

@@ -1,13 +1,11 @@
 """The command ``drive-id plan``."""
 
-import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, SetOption, merged_settings, say, show, warn, working
+from drive_id.cli import console, options
 
 
 def plan_settings() -> type[Any]:
@@ -40,11 +38,11 @@ def plan_experiment(
         bool, typer.Option("--free-shaft", help="No load machine: swing the shaft by the machine's own torque.")
     ] = False,
     inertia: Annotated[float | None, typer.Option(help="Rough inertia of a free shaft, kg m².")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="ROS parameter file (YAML) to write.")] = None,
+    output: Annotated[Path | None, options.output("ROS parameter file (YAML) to write.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with planner settings.")] = None,
-    settings: SetOption = None,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    settings: options.SetOption = None,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Propose trajectory, speeds and duration for a wanted accuracy, from rough machine data."""
     from drive_id.core.planning.free_shaft import plan_free_shaft
@@ -61,13 +59,15 @@ def plan_experiment(
     from drive_id.fitting.simulated import rough_settings
     from drive_id.reporting.tables import plan_tables
 
-    options: dict[str, Any] = {
+    given: dict[str, Any] = {
         "i_max": i_max, "pole_pairs": pole_pairs, "resistance": resistance, "inductance_d": inductance_d,
         "inductance_q": inductance_q, "magnet_flux": magnet_flux, "u_dc": u_dc, "sample_period": sample_period,
         "current_noise": noise, "speed_min": speed_min, "speed_max": speed_max, "reverse": reverse,
         "accuracy": accuracy, "duration": duration, "duration_max": duration_max,
     }  # fmt: skip
-    chosen = merged_settings(PlanSettings, config, settings, options, rough_settings(machine) if machine else None)
+    chosen = options.merged_settings(
+        PlanSettings, config, settings, given, rough_settings(machine) if machine else None
+    )
     if output is not None:
         check_plan_output(output)
     if free_shaft:
@@ -75,23 +75,18 @@ def plan_experiment(
         tree, text, tables = free_shaft_tree(shaft), free_shaft_yaml(shaft, machine), []
         sentences, warnings = shaft.statements(), shaft.warnings()
     else:
-        with working(quiet or as_json) as tell:
+        with console.working(quiet or as_json) as tell:
             found = plan(chosen, tell)
         tree, text, tables = plan_tree(found), plan_yaml(found, machine), plan_tables(found)
         sentences, warnings = [found.reason(), *found.statements()], found.warnings()
     if output is not None:
         write_plan(output, text)
     if as_json:
-        typer.echo(json.dumps(tree, allow_nan=False))
+        console.print_json(tree)
     elif not quiet:
-        _print(tables, sentences, warnings)
-        say(f"Written to {output}" if output is not None else f"\n{text.rstrip()}")
-
-
-def _print(tables: Iterable[Any], sentences: Iterable[str], warnings: Iterable[str]) -> None:
-    for table in tables:
-        show(table)
-    for sentence in sentences:
-        say(sentence)
-    for warning in warnings:
-        warn(warning)
+        for table in tables:
+            console.show(table)
+        for sentence in sentences:
+            console.say(sentence)
+        console.warn(*warnings)
+        console.say(f"Written to {output}" if output is not None else f"\n{text.rstrip()}")

@@ -25,13 +25,6 @@ _YEAR_2000 = 946_684_800_000_000_000
 """ns; earlier stamps are not times of day."""
 
 
-def known_pole_pairs(
-    settings: FitSettings, truth: GroundTruth | None = None, signals: SignalMap | None = None
-) -> int | None:
-    """Return the number of pole pairs: set, that of the simulation, or that of a mechanical angle; None if unknown."""
-    return settings.pole_pairs or (truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None)
-
-
 def completed(
     drive: IdentifiedDrive,
     settings: FitSettings,
@@ -46,29 +39,13 @@ def completed(
 ) -> Identification:
     """Return the result of a fit: what torque and motion of the shaft tell, and what is known of the experiment.
 
-    Parameters
-    ----------
-    excerpts : sequence of Samples
-        From which the range of speeds is taken.
-    duration : float
-        s.
-    last_stamp : int
-        ns.
-    truth : GroundTruth, optional
-        The drive is scored against it.
-    signals : SignalMap, optional
-        Knows the pole pairs where the recorded angle is mechanical.
-    inputs : mapping of str to str, optional
-        File to its sha256.
-    warnings : tuple of Message
-        About the recording.
-
-    Returns
-    -------
-    Identification
-        With warnings of settings that the method ignores, and of a truth that has nothing in common with the map.
+    The range of speeds is that of the excerpts, the drive is scored against the truth, and the signals know the pole
+    pairs where the recorded angle is mechanical. Duration in s, last stamp in ns; inputs are files and their sha256. To
+    the warnings about the recording come those of settings that the method ignores, and of a truth that has nothing in
+    common with the map.
     """
-    pole_pairs = known_pole_pairs(settings, truth, signals)
+    recorded = truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None
+    pole_pairs = settings.pole_pairs or recorded
     drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
     if drive.torque is not None or (drive.mechanics is not None and drive.mechanics.gain is not None):
         drive = replace(drive, statements=tuple(said for said in drive.statements if said.code != "common_gain"))
@@ -80,6 +57,7 @@ def completed(
     warnings += _ignored(settings)
     if nrmse and not np.isfinite(nrmse).all():
         warnings += (Message("not_scored"),)
+    speeds = [float(end) for part in excerpts for end in (part.speed.min(), part.speed.max())]
     provenance = Provenance(
         inputs=inputs or {},
         settings=settings,
@@ -88,12 +66,7 @@ def completed(
         warnings=warnings,
         pole_pairs=pole_pairs,
         u_dc=_link(settings, truth, excerpts),
-        speed_range=(
-            min(float(part.speed.min()) for part in excerpts),
-            max(float(part.speed.max()) for part in excerpts),
-        )
-        if excerpts
-        else None,
+        speed_range=(min(speeds), max(speeds)) if speeds else None,
         duration=duration,
         date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
         temperature=REFERENCE_TEMPERATURE if referred else None,

@@ -110,23 +110,15 @@ def fit(
         )
     signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
     target = None if output is None else Path(output)
-    chosen: dict[str, Any] = {
-        name: value for name, value in (("method", method), ("i_max", i_max)) if value is not None
-    }
+    options = {"method": method, "i_max": i_max}
+    chosen: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     if slow and settings is None:
         chosen.setdefault("method", STATIC.name)
     if samples:
         if signals or namespace or workers > 1 or skip_bad:
             raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
         own = replace(settings or FitSettings(), **chosen)
-        if not ORIGINS[own.method].live:
-            return _fit_static(samples, target, own, force=force, tell=tell)
-        fast = [part for part in samples if isinstance(part, Samples)]
-        if slow:
-            raise ConfigurationError(
-                f"Method {own.method} needs samples of phase quantities: fit OperatingData by method static."
-            )
-        return _fit_samples(fast, target, own, force=force, tell=tell)
+        return _saved(partial(_fit_memory, samples, own, tell), target, force=force, tell=tell)
     sources = Sources(paths, signal_map, namespace, workers, skip_bad)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, tell=tell)
@@ -141,13 +133,29 @@ def _listed(recordings: object) -> list[object]:
         ) from error
 
 
-def _fit_samples(
-    samples: Sequence[Samples], output: Path | None, settings: FitSettings, *, force: bool, tell: Progress
-) -> Identification:
-    if output is not None:
-        check_output(output, force=force)
-    settings.check_recordings(len(samples))
-    result = completed(
+def _saved(work: Callable[[], Identification], output: Path | None, *, force: bool, tell: Progress) -> Identification:
+    """Return the result of some work, and write it to a folder, which is checked before."""
+    if output is None:
+        return work()
+    check_output(output, force=force)
+    result = work()
+    tell("Writing", None)
+    result.save(output, force=force)
+    return result
+
+
+def _fit_memory(recordings: Sequence[Samples | OperatingData], settings: FitSettings, tell: Progress) -> Identification:
+    settings.check_recordings(len(recordings))
+    if not ORIGINS[settings.method].live:
+        from drive_id.fitting.static import fit_operating_data  # noqa: PLC0415  # other methods do without it
+
+        return fit_operating_data(recordings, settings, tell)
+    samples = [part for part in recordings if isinstance(part, Samples)]
+    if len(samples) < len(recordings):
+        raise ConfigurationError(
+            f"Method {settings.method} needs samples of phase quantities: fit OperatingData by method static."
+        )
+    return completed(
         identify(samples, settings, tell),
         settings,
         excerpts=samples,
@@ -155,43 +163,28 @@ def _fit_samples(
         duration=sum(part.duration for part in samples),
         last_stamp=int(samples[-1].stamp[-1]),
     )
-    if output is not None:
-        result.save(output, force=force)
-    return result
 
 
 def fit_bags(
     sources: Sources, output: Path | None, settings: FitSettings, *, force: bool = False, tell: Progress = silent
 ) -> Identification:
-    """Fit bags and information files of one drive, and write the results.
+    """Fit bags and information files of one drive, and write the results to a folder, unless ``output`` is None.
 
-    Parameters
-    ----------
-    sources : Sources
-    output : Path or None
-        Folder for the result files; None: write none.
-    settings : FitSettings
-    force : bool
-        Write into a folder that holds other files.
-    tell : callable, optional
-
-    Returns
-    -------
-    Identification
-
-    Raises
-    ------
-    DriveIdError
-        Nothing is written then.
+    ``force`` writes into a folder that holds other files. Raises DriveIdError; nothing is written then.
     """
-    if not ORIGINS[settings.method].live:
-        return _fit_static(sources, output, settings, force=force, tell=tell)
-    if output is not None:
-        check_output(output, force=force)
-    if not sources.information:  # these know their own
+    return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
+
+
+def _fit_sources(sources: Sources, settings: FitSettings, tell: Progress) -> Identification:
+    static = not ORIGINS[settings.method].live
+    if static or not sources.information:  # these know their own
         settings.check_recordings(len(sources.paths))
+    if static:
+        from drive_id.fitting.static import fit_logs  # noqa: PLC0415  # other methods do without it
+
+        return fit_logs(sources, settings, tell)
     with one_blas_thread():
-        recording = _accumulator(sources)(settings, tell=tell)
+        recording = _accumulated(sources, settings, tell)
         tell("Solving", None)
         drive = conclude(recording.evidence, recording.validation)
     evidence = recording.evidence
@@ -208,11 +201,7 @@ def fit_bags(
         warnings=(*recording.warnings, *warnings),
     )
     sums = evidence.copy(replace(evidence.settings, method=COMPARED[0]))  # without windows, which take memory
-    result = replace(result, evidence=sums)
-    if output is not None:
-        tell("Writing", None)
-        result.save(output, force=force)
-    return result
+    return replace(result, evidence=sums)
 
 
 def _on_checksums(recording: Accumulated) -> tuple[tuple[Message, ...], tuple[Message, ...]]:
@@ -225,57 +214,21 @@ def _on_checksums(recording: Accumulated) -> tuple[tuple[Message, ...], tuple[Me
     return ((said,), ()) if odd else ((), (said,))
 
 
-def _fit_static(
-    sources: Sources | Sequence[Samples | OperatingData],
-    output: Path | None,
-    settings: FitSettings,
-    *,
-    force: bool,
-    tell: Progress,
-) -> Identification:
-    """Fit by method ``static``, and write the results."""
-    from drive_id.fitting.static import StaticSources, fit_static  # noqa: PLC0415  # other methods do without it
-
-    if output is not None:
-        check_output(output, force=force)
-    if isinstance(sources, Sources):
-        settings.check_recordings(len(sources.paths))
-        known = StaticSources.read(sources, tell)
-    else:
-        settings.check_recordings(len(sources))
-        known = StaticSources.in_memory(sources)
-    result = fit_static(known, settings, tell)
-    if output is not None:
-        tell("Writing", None)
-        result.save(output, force=force)
-    return result
-
-
 def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell: Progress = silent) -> Accumulated:
     """Accumulate bags of one drive, each on its own, and write an information file.
 
-    Parameters
-    ----------
-    sources : Sources
-    output : Path
-    settings : FitSettings
-    tell : callable, optional
-
-    Raises
-    ------
-    DriveIdError
-        Nothing is written then.
+    Raises DriveIdError; nothing is written then.
     """
     check_information_output(output)
     with one_blas_thread():
-        accumulated = _accumulator(sources, apart=True)(settings, tell=tell)
+        accumulated = _accumulated(sources, settings, tell, apart=True)
     tell("Writing", None)
     write_information(output, accumulated)
     return accumulated
 
 
-def _accumulator(sources: Sources, *, apart: bool = False) -> Callable[..., Accumulated]:
-    """Return what accumulates the sources: together, or each on its own."""
+def _accumulated(sources: Sources, settings: FitSettings, tell: Progress, *, apart: bool = False) -> Accumulated:
+    """Accumulate the sources together, or each on its own."""
     if apart or sources.skip_bad or sources.information or sources.workers > 1:
-        return partial(accumulate_sources, sources)
-    return partial(accumulate, sources.paths, signals=sources.signals, namespace=sources.namespace)
+        return accumulate_sources(sources, settings, tell)
+    return accumulate(sources.paths, settings, signals=sources.signals, namespace=sources.namespace, tell=tell)

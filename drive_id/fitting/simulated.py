@@ -27,7 +27,7 @@ from drive_id.fitting.result import Identification, load
 from drive_id.settings import from_mapping
 from drive_id.types import MachineMap, Samples
 
-_MOST_SAMPLES = 2e7
+_MOST_SAMPLES = 2e7  # they are held in memory, some hundred bytes each
 Inverter = Literal["none", "tanh", "dead_time", "two_stage", "switching"]
 
 
@@ -98,20 +98,10 @@ def simulate(
 def load_machine(name_or_path: str, *, pole_pairs: int | None = None, u_dc: float | None = None) -> MachineMap:
     """Return a shipped machine by name, or the one in a ``.npz`` or ``.mat`` file or in the result folder of a fit.
 
-    Parameters
-    ----------
-    name_or_path : str
-    pole_pairs : int, optional
-        Instead of those of the file or result.
-    u_dc : float, optional
-        DC-link voltage, V, instead of that of the file or result.
+    Pole pairs and DC-link voltage, V, replace those of the file or result.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is none, the file is not a machine, or the pole pairs are unknown.
-    ResultError
-        When the result cannot be read.
+    Raises ConfigurationError when there is none, the file is not a machine, or the pole pairs are unknown, and
+    ResultError when the result cannot be read.
     """
     path = Path(name_or_path)
     if os.path.isdir(name_or_path):  # noqa: PTH112  # never raises, whatever the name
@@ -134,21 +124,11 @@ def run_experiment(
     trajectory: Lissajous | Swing | None = None,
     seconds: float = 10.0,
 ) -> Simulation:
-    """Drive a simulated machine along a trajectory.
+    """Drive a simulated machine along a trajectory for some seconds.
 
-    Parameters
-    ----------
-    machine : MachineMap
-    settings : SimulationSettings
-    trajectory : Lissajous or Swing, optional
-        The radius of a Lissajous figure is replaced by that of the settings or of the machine.
-    seconds : float
-        Duration, s.
+    The radius of a Lissajous figure is replaced by that of the settings or of the machine.
 
-    Raises
-    ------
-    ConfigurationError
-        When machine, settings and duration do not fit together.
+    Raises ConfigurationError when machine, settings and duration do not fit together.
     """
     samples = seconds / settings.sample_period
     if not 2 <= samples <= _MOST_SAMPLES:
@@ -172,12 +152,7 @@ def simulate_bag(
 ) -> Simulation:
     """Drive a simulated machine along a trajectory and write the recording, its ground truth attached.
 
-    Raises
-    ------
-    OutputError
-        When the output exists or cannot be written.
-    ConfigurationError
-        When machine, settings and trajectory do not fit together.
+    Raises OutputError when the output exists or cannot be written, and what :func:`run_experiment` raises.
     """
     check_absent(output)
     simulation = run_experiment(machine, settings, trajectory, seconds)

@@ -81,10 +81,7 @@ class Sources:
     def stored_settings(self) -> FitSettings | None:
         """Return the settings, with i_max, by which the first information file was accumulated; None without one.
 
-        Raises
-        ------
-        InformationError
-            When it cannot be read, unless ``skip_bad`` allows to try the next one.
+        Raises InformationError when it cannot be read, unless ``skip_bad`` allows to try the next one.
         """
         for path in self.information:
             with suppress(*[InformationError] if self.skip_bad else []):
@@ -130,215 +127,131 @@ def read_bag(
     return replace(recording.samples, truth=recording.truth)
 
 
-@dataclass(frozen=True)
-class Job:
-    """How to accumulate each source.
-
-    Parameters
-    ----------
-    settings : FitSettings
-    sources : Sources
-    threads : bool
-        Read in further threads; not where each process keeps to one core.
-    """
-
-    settings: FitSettings
-    sources: Sources
-    threads: bool = True
-
-    def of(self, number: int) -> Job:
-        """Return the job for one of the sources, by its number."""
-        return replace(self, settings=self.settings.of_recording(number))
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """What some of the sources gave.
-
-    Parameters
-    ----------
-    accumulated : Accumulated or None
-        None when all of them were refused.
-    refused : tuple of DriveIdError
-        One for each source that cannot be used, which it names.
-    """
-
-    accumulated: Accumulated | None
-    refused: tuple[DriveIdError, ...] = ()
-
-    def merged(self, other: Part) -> Part:
-        """Return what both gave."""
-        both = self.accumulated or other.accumulated
-        if self.accumulated and other.accumulated:
-            both = self.accumulated.merged(other.accumulated)
-        return Part(both, (*self.refused, *other.refused))
-
-    def result(self, settings: FitSettings) -> Accumulated:
-        """Return what was accumulated, with these settings for the fit and a warning for each source left out.
-
-        Raises
-        ------
-        DriveIdError
-            The first one, when all sources were refused.
-        """
-        if self.accumulated is None:
-            raise self.refused[0]
-        said = (
-            *(Message("left_out.recording", reason=str(error)) for error in self.refused),
-            *self.accumulated.warnings,
-        )
-        return replace(self.accumulated, evidence=self.accumulated.evidence.copy(settings), warnings=said)
-
-
 def pairwise(items: Iterable[Item], combine: Callable[[Item, Item], Item]) -> Item:
     """Combine neighbours, then neighbouring pairs, and so on: the order depends on the number of items alone.
 
-    Parameters
-    ----------
-    items : iterable
-        At least one; taken one by one, and never more kept than the depth of the tree.
-    combine : callable
+    Of the items, at least one, never more are kept than the depth of the tree.
     """
     stack: list[tuple[int, Item]] = []  # combined items and how many they are of, ever fewer
     for item in items:
-        stack.append((1, item))
-        while len(stack) > 1 and stack[-2][0] == stack[-1][0]:
-            _combine_last(stack, combine)
-    while len(stack) > 1:
-        _combine_last(stack, combine)
-    return stack[0][1]
-
-
-def _combine_last(stack: list[tuple[int, Item]], combine: Callable[[Item, Item], Item]) -> None:
-    (count, last), (before, other) = stack.pop(), stack.pop()
-    stack.append((before + count, combine(other, last)))
+        count, last = 1, item
+        while stack and stack[-1][0] == count:
+            count, last = 2 * count, combine(stack.pop()[1], last)
+        stack.append((count, last))
+    _, last = stack.pop()
+    while stack:
+        last = combine(stack.pop()[1], last)
+    return last
 
 
 def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress = silent) -> Accumulated:
     """Accumulate each source on its own, and merge them.
 
-    Parameters
-    ----------
-    sources : Sources
-    settings : FitSettings
-        Without i_max, it is that of the first information file, or else of the recorded references.
-    tell : callable, optional
+    Where the settings have no i_max, it is that of the first information file, or else of the recorded references.
 
-    Raises
-    ------
-    DriveIdError
-        When a source cannot be used, or information files were accumulated differently.
+    Raises DriveIdError when a source cannot be used, or information files were accumulated differently.
     """
     workers = min(sources.workers, len(sources.paths))
-    job = Job(settings, sources, threads=workers == 1)  # else a process is a core's
     if settings.i_max is None:
-        job = with_radius(job, list(in_processes(partial(radius_of, job=job), sources.paths, workers)))
-    jobs = ((path, job.of(number)) for number, path in enumerate(sources.paths))
-    with closing(in_processes(_part, jobs, workers)) as parts:
-        return pairwise(_told(parts, sources, tell), Part.merged).result(job.settings)
+        radii = list(in_processes(partial(radius_of, sources=sources), sources.paths, workers))
+        settings = replace(settings, i_max=_common_radius(sources, radii))
+    work = partial(_accumulated, sources=sources, threads=workers == 1)  # else a process is a core's
+    each = ((path, settings.of_recording(number)) for number, path in enumerate(sources.paths))
+    refused: list[DriveIdError] = []
+    with closing(in_processes(work, each, workers)) as parts:
+        found = pairwise(_usable(parts, sources, refused, tell), _merged)
+    if found is None:
+        raise refused[0]
+    left_out = (Message("left_out.recording", reason=str(error)) for error in refused)
+    return replace(found, evidence=found.evidence.copy(settings), warnings=(*left_out, *found.warnings))
 
 
-def _part(source: tuple[Path, Job]) -> Part:
-    return part_of(*source)
-
-
-def _told(parts: Iterable[Part], sources: Sources, tell: Progress) -> Iterator[Part]:
+def _usable(
+    parts: Iterable[Accumulated | DriveIdError], sources: Sources, refused: list[DriveIdError], tell: Progress
+) -> Iterator[Accumulated | None]:
+    """Yield what each source gave; None for one that cannot be used, whose error is raised, or kept in ``refused``."""
     tell("Accumulating", 0.0)
     for done, part in enumerate(parts, start=1):
-        if part.refused and not sources.skip_bad:
-            raise part.refused[0]
+        if isinstance(part, DriveIdError):
+            if not sources.skip_bad:
+                raise part
+            refused.append(part)
         tell("Accumulating", done / len(sources.paths))
-        yield part
+        yield None if isinstance(part, DriveIdError) else part
 
 
-def with_radius(job: Job, radii: Sequence[float | DriveIdError | None]) -> Job:
-    """Give a job the i_max that its sources have in common.
+def _merged(one: Accumulated | None, other: Accumulated | None) -> Accumulated | None:
+    return one.merged(other) if one and other else one or other
 
-    Parameters
-    ----------
-    job : Job
-    radii : sequence
-        Of each source, see :func:`radius_of`.
 
-    Raises
-    ------
-    DriveIdError
-        When a source cannot be used, or a bag has no references.
-    """
-    known, stored, unknown = [], [], None
+def _common_radius(sources: Sources, radii: Sequence[float | DriveIdError | None]) -> float:
+    """Return the i_max that the sources have in common, A, from that of each, see :func:`radius_of`."""
+    found = list(zip(sources.paths, radii, strict=True))
+    known = [radius for radius in radii if isinstance(radius, float)]
+    stored = [radius for path, radius in found if isinstance(radius, float) and is_information(path)]
+    unknown = next((path for path, radius in found if radius is None), None)
     bad = next((radius for radius in radii if isinstance(radius, DriveIdError)), None)
-    for path, radius in zip(job.sources.paths, radii, strict=True):
-        if isinstance(radius, float):
-            known.append(radius)
-            stored += [radius] if is_information(path) else []
-        elif radius is None:
-            unknown = unknown or path
-    if bad and (not job.sources.skip_bad or not (known or unknown)):
+    if bad and (not sources.skip_bad or not (known or unknown)):
         raise bad
     if stored:
-        return replace(job, settings=replace(job.settings, i_max=stored[0]))
+        return stored[0]
     if unknown:
         raise ConfigurationError(
             f"{unknown} has no current references to take i_max from, and sources can only be merged with one in "
             "common: give --i-max, the largest current amplitude of the trajectory in A."
         )
-    return replace(job, settings=replace(job.settings, i_max=max(known)))
+    return max(known)
 
 
-def radius_of(path: Path, job: Job) -> float | DriveIdError | None:
+def radius_of(path: Path, sources: Sources) -> float | DriveIdError | None:
     """Return i_max of a source, A; None for a bag without references, or the error that makes it unusable.
 
     That of a bag is the largest amplitude of its references to three digits, so that recordings of one trajectory have
     it in common although the peak lies between two samples.
     """
-    signals = job.sources.signals or SignalMap()
+    signals = sources.signals or SignalMap()
     try:
         if is_information(path):
             return read_information(path).accumulated.evidence.i_max
         if log_kind(path):
             largest = largest_reference(path, signals)
-            return None if largest is None else float(f"{largest:.3g}") or None
-        with open_bag(path) as bag:
-            topics = find_topics(bag, signals, job.sources.namespace)
-            if "reference" not in topics:
-                return None
-            found = extract_signals(bag, signals, {"reference": topics["reference"]})
+        else:
+            with open_bag(path) as bag:
+                topics = find_topics(bag, signals, sources.namespace)
+                if "reference" not in topics:
+                    return None
+                found = extract_signals(bag, signals, {"reference": topics["reference"]})
+            amplitude = np.hypot(*found["reference"].values[:, :2].T)
+            largest = float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude)))
     except DriveIdError as error:
         return _naming(path, error)
-    amplitude = np.hypot(*found["reference"].values[:, :2].T)
-    largest = float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude)))
-    return float(f"{largest:.3g}") or None
+    return None if largest is None else float(f"{largest:.3g}") or None
 
 
-def part_of(path: Path, job: Job) -> Part:
-    """Accumulate one source, or return the error that makes it unusable; the settings have an i_max by now.
+def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads: bool) -> Accumulated | DriveIdError:
+    """Accumulate one source with its settings, which have an i_max, or return the error that makes it unusable.
 
-    Raises
-    ------
-    ConfigurationError
-        When an information file was accumulated with other settings.
+    Raises ConfigurationError when an information file was accumulated with other settings.
     """
-    sources = job.sources
+    path, settings = source
     try:
         if is_information(path):
             found = read_information(path).accumulated
         else:
-            found = accumulate(
-                [path], job.settings, signals=sources.signals, namespace=sources.namespace, threads=job.threads
-            )
+            found = accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
     except DriveIdError as error:
-        return Part(None, (_naming(path, error),))
+        return _naming(path, error)
     if is_information(path):
-        own = replace(found.evidence.settings, method=job.settings.method)
+        own = replace(found.evidence.settings, method=settings.method)
         found = replace(found, evidence=found.evidence.copy(own))  # without what another method needed
-        wanted = Evidence.within(job.settings, job.settings.i_max or found.evidence.i_max)
+        wanted = Evidence.within(settings, settings.i_max or found.evidence.i_max)
         if difference := found.evidence.difference(wanted, "there", "here"):
             raise ConfigurationError(
                 f"{path} was accumulated differently ({difference}) and cannot be merged: accumulate it again with "
                 "these settings, or remove them."
             )
     said = tuple(message.of(path) for message in found.warnings) if len(sources.paths) > 1 else found.warnings
-    return Part(replace(found, warnings=said, validation=bounded(found.validation)))
+    return replace(found, warnings=said, validation=bounded(found.validation))
 
 
 def _naming(source: Path, error: DriveIdError) -> DriveIdError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,78 +21,61 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
 from drive_id.messages import Message
-from drive_id.types import GroundTruth, Progress, Samples, silent
+from drive_id.types import Progress, Samples, silent
 
 
-@dataclass(frozen=True, eq=False)
-class StaticSources:
-    """Slow telemetry in memory, and where it is from.
-
-    Parameters
-    ----------
-    data : sequence of OperatingData
-        At least one.
-    digests : dict of str to str
-        File to its sha256.
-    last_stamp : int
-        ns, 0 when unknown.
-    """
-
-    data: Sequence[OperatingData]
-    truth: GroundTruth | None = None
-    digests: dict[str, str] = field(default_factory=dict)
-    last_stamp: int = 0
-    signals: SignalMap | None = None
-    warnings: tuple[Message, ...] = ()
-
-    @classmethod
-    def in_memory(cls, recordings: Sequence[OperatingData | Samples]) -> StaticSources:
-        """Take telemetry as it is, and average samples."""
-        data = [averaged(entry) if isinstance(entry, Samples) else entry for entry in recordings]
-        samples = [entry for entry in recordings if isinstance(entry, Samples)]
-        truths = [entry.truth if isinstance(entry, Samples) else None for entry in recordings]
-        last_stamp = max((int(entry.stamp[-1]) for entry in samples), default=0)
-        return cls(data, common_truth(truths), last_stamp=last_stamp)
-
-    @classmethod
-    def read(cls, sources: Sources, tell: Progress = silent) -> StaticSources:
-        """Read logs; raises DriveIdError when one cannot be read, unless ``skip_bad``; or when all cannot."""
-        if sources.information:
-            raise ConfigurationError(
-                f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
-            )
-        logs: list[OperatingLog] = []
-        refused: list[DriveIdError] = []
-        for number, path in enumerate(sources.paths):
-            tell("Reading", number / len(sources.paths))
-            try:
-                logs.append(read_operating_log(path, sources.signals, namespace=sources.namespace))
-            except DriveIdError as error:
-                if not sources.skip_bad:
-                    raise
-                refused.append(error)
-        if not logs:
-            raise refused[0]
-        return cls(
-            [log.data for log in logs],
-            common_truth([log.truth for log in logs]),
-            {file: digest for log in logs for file, digest in log.digests.items()},
-            max(log.last_stamp for log in logs),
-            sources.signals,
-            (
-                *(Message("left_out.recording", reason=str(error)) for error in refused),
-                *(text for log in logs for text in log.warnings),
-            ),
-        )
-
-
-def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = silent) -> Identification:
-    """Identify a drive from slow telemetry.
+def fit_operating_data(
+    recordings: Sequence[OperatingData | Samples], settings: FitSettings, tell: Progress = silent
+) -> Identification:
+    """Identify a drive from slow telemetry in memory; samples are averaged.
 
     Raises DriveIdError when there are too few operating points, or they cannot give a trustworthy result.
     """
+    logs = [
+        OperatingLog(averaged(entry), entry.truth, {}, int(entry.stamp[-1]), ())
+        if isinstance(entry, Samples)
+        else OperatingLog(entry, None, {}, 0, ())
+        for entry in recordings
+    ]
+    return _fit(logs, settings, tell)
+
+
+def fit_logs(sources: Sources, settings: FitSettings, tell: Progress = silent) -> Identification:
+    """Identify a drive from logs.
+
+    Raises DriveIdError as :func:`fit_operating_data` does, when a log cannot be read, unless ``skip_bad``, or when none
+    can.
+    """
+    if sources.information:
+        raise ConfigurationError(
+            f"{sources.information[0]} is an information file, which holds no operating points: give the logs."
+        )
+    logs: list[OperatingLog] = []
+    refused: list[DriveIdError] = []
+    for number, path in enumerate(sources.paths):
+        tell("Reading", number / len(sources.paths))
+        try:
+            logs.append(read_operating_log(path, sources.signals, namespace=sources.namespace))
+        except DriveIdError as error:
+            if not sources.skip_bad:
+                raise
+            refused.append(error)
+    if not logs:
+        raise refused[0]
+    left_out = tuple(Message("left_out.recording", reason=str(error)) for error in refused)
+    return _fit(logs, settings, tell, signals=sources.signals, warnings=left_out)
+
+
+def _fit(
+    logs: Sequence[OperatingLog],
+    settings: FitSettings,
+    tell: Progress,
+    *,
+    signals: SignalMap | None = None,
+    warnings: tuple[Message, ...] = (),
+) -> Identification:
     tell("Solving", None)
-    data = [_prepared(part, settings, number) for number, part in enumerate(sources.data)]
+    data = [_prepared(log.data, settings, number) for number, log in enumerate(logs)]
     with one_blas_thread():
         points = joined_points([operating_points(part) for part in data])
         drive = identify_static(points, settings)
@@ -100,12 +83,12 @@ def fit_static(sources: StaticSources, settings: FitSettings, tell: Progress = s
         drive,
         settings,
         excerpts=(),
-        truth=sources.truth,
-        signals=sources.signals,
+        truth=common_truth([log.truth for log in logs]),
+        signals=signals,
         duration=sum(part.duration for part in data),
-        last_stamp=sources.last_stamp,
-        inputs=sources.digests,
-        warnings=sources.warnings,
+        last_stamp=max(log.last_stamp for log in logs),
+        inputs={file: digest for log in logs for file, digest in log.digests.items()},
+        warnings=(*warnings, *(text for log in logs for text in log.warnings)),
     )
     speeds = (float(points.speed.min()), float(points.speed.max()))
     return replace(result, provenance=replace(result.provenance, speed_range=speeds))

@@ -17,7 +17,6 @@ from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.join import Piece
-from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.several import SeveralBags, digests_of
@@ -38,22 +37,10 @@ def accumulate(
 ) -> Accumulated:
     """Accumulate the samples of one or several bags of one drive.
 
-    Parameters
-    ----------
-    signals : SignalMap, optional
-        Where to find the signals in bags that are not ours.
-    namespace : str
-        Of the drive, when a bag holds several.
-    threads : bool
-        Read in other threads; False where each process is confined to one core.
+    Without ``threads``, this one reads, too: where each process is confined to one core.
 
-    Raises
-    ------
-    DriveIdError
-        When a bag cannot be read, or its samples cannot give a map.
+    Raises DriveIdError when a bag cannot be read, or its samples cannot give a map.
     """
-    if not bags:
-        raise ConfigurationError("No bag is given: name at least one.")
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
     evidence, spans = _gathered(reading, settings, tell)

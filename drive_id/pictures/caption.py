@@ -13,34 +13,16 @@ _LONGEST_NAME = 50
 
 @dataclass(frozen=True)
 class Caption:
-    """What stands below a figure; unknown entries are left out.
-
-    Parameters
-    ----------
-    machine : str
-        Or another name of what was identified.
-    origin : str
-        Such as ``method joint``.
-    date : str
-        Of the recording.
-    resistance, sigma_resistance : float
-        Ohm.
-    i_max : float
-        A.
-    speeds : (float, float) or None
-        Lowest and highest electrical speed, rad/s.
-    pole_pairs : int or None
-        With them, the speed is given in rpm.
-    """
+    """What stands below a figure; unknown entries are left out."""
 
     machine: str = ""
-    origin: str = ""
-    date: str = ""
-    resistance: float = math.nan
+    origin: str = ""  # such as method joint
+    date: str = ""  # of the recording
+    resistance: float = math.nan  # ohm
     sigma_resistance: float = math.nan
-    i_max: float = math.nan
-    speeds: tuple[float, float] | None = None
-    pole_pairs: int | None = None
+    i_max: float = math.nan  # A
+    speeds: tuple[float, float] | None = None  # lowest and highest electrical speed, rad/s
+    pole_pairs: int | None = None  # with them, the speed is given in rpm
 
     def __str__(self) -> str:
         """Return one line without formulas and without the time of day."""
@@ -50,16 +32,14 @@ class Caption:
 
     def text(self) -> str:
         """Return two lines, formulas as mathtext: what was identified, and how."""
-        what = [_plain(self.machine[:_LONGEST_NAME]), self.origin, self.date]
-        how = []
-        if math.isfinite(self.resistance):
-            how.append(f"$R$ = {measured(self.resistance, self.sigma_resistance, 'Ω')}")
-        if self.speeds is not None:
-            how.append(f"speed {self.speed()}")
-        if math.isfinite(self.i_max):
-            how.append(rf"$i_\mathrm{{max}}$ = {self.i_max:.4g} A")
-        lines = ("  ·  ".join(entry for entry in entries if entry) for entries in (what, how))
-        return "\n".join(line for line in lines if line)
+        resistance = measured(self.resistance, self.sigma_resistance, "Ω")
+        what = (_plain(self.machine[:_LONGEST_NAME]), self.origin, self.date)
+        how = (
+            f"$R$ = {resistance}" if math.isfinite(self.resistance) else "",
+            f"speed {self.speed()}" if self.speeds is not None else "",
+            rf"$i_\mathrm{{max}}$ = {self.i_max:.4g} A" if math.isfinite(self.i_max) else "",
+        )
+        return "\n".join(filter(None, ("  ·  ".join(filter(None, entries)) for entries in (what, how))))
 
     def speed(self) -> str:
         """Return the speeds with their unit; empty when unknown."""

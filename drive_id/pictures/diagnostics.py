@@ -32,7 +32,7 @@ DARK = "#00429d"
 """Colour of the d axis, told from :data:`LIGHT` by the colour-blind and in greyscale."""
 LIGHT = "#d55e00"
 """Colour of the q axis."""
-_COLOUR = {"d": DARK, "q": LIGHT}
+COLOUR = {"d": DARK, "q": LIGHT}
 _DASHES = {"d": "solid", "q": "dashed"}
 Section = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
 """Current, A, flux and its standard error, in the figure's unit, and where there are data, (N,) each."""
@@ -41,13 +41,7 @@ _Z = 1.96
 
 
 def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Figure:
-    """Draw what a result may be judged by.
-
-    Parameters
-    ----------
-    samples : sequence of Samples
-        Excerpts of the recording, for the residual voltage.
-    """
+    """Draw what a result may be judged by; the residual voltage is that of excerpts of the recording."""
     figure = Figure(figsize=(7.2, 8.5))
     disc = Disc(identification.flux_map, identification.i_max)
     _draw_sigma(place(figure, 0.65, 5.75, 2.4, 2.5), disc)
@@ -90,9 +84,8 @@ def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTrut
 
 def _draw_sigma(axes: Axes, disc: Disc) -> None:
     """Draw the larger of the standard errors of both fluxes, in steps of 1, 2, 5."""
-    frame(axes, disc)
     unit, scale = flux_unit(disc)
-    name(axes, f"σ of {PSI['d']} or {PSI['q']}, the larger / {unit}", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    frame(axes, disc, f"σ of {PSI['d']} or {PSI['q']}, the larger / {unit}")
     sigma = scale * np.maximum(disc.flux_map.sigma_d, disc.flux_map.sigma_q)
     known = disc.known & np.isfinite(sigma) & (sigma > 0)
     if not known.any():
@@ -159,11 +152,11 @@ def _draw_section(axes: Axes, section: Section, component: str, label: str) -> N
     if not (known[1:] & known[:-1]).any():
         return
     line = np.where(known, psi, np.nan)
-    axes.plot(current, line, linewidth=1.1, label=label, color=_COLOUR[component], linestyle=_DASHES[component])
-    axes.plot(current, psi, linewidth=0.6, color=_COLOUR[component], linestyle=":", scalex=False, scaley=False)
+    axes.plot(current, line, linewidth=1.1, label=label, color=COLOUR[component], linestyle=_DASHES[component])
+    axes.plot(current, psi, linewidth=0.6, color=COLOUR[component], linestyle=":", scalex=False, scaley=False)
     if np.isfinite(sigma[known]).any():
         band = _Z * np.where(np.isfinite(sigma), sigma, np.nan)
-        axes.fill_between(current, line - band, line + band, color=_COLOUR[component], alpha=0.25, linewidth=0)
+        axes.fill_between(current, line - band, line + band, color=COLOUR[component], alpha=0.25, linewidth=0)
 
 
 def draw_residual(axes: Axes, bins: AngleBins) -> None:
@@ -176,19 +169,12 @@ def draw_residual(axes: Axes, bins: AngleBins) -> None:
         return
     degrees = np.rad2deg(bins.angle)
     for number, component in enumerate("dq"):
-        colour, dashes = _COLOUR[component], _DASHES[component]
-        axes.plot(
-            degrees, bins.mean[:, number], linewidth=1.1, label=f"{component}: mean", color=colour, linestyle=dashes
-        )
-        axes.plot(
-            degrees,
-            bins.rms[:, number],
-            linewidth=0.6,
-            alpha=0.8,
-            label=f"{component}: rms",
-            color=colour,
-            linestyle=dashes,
-        )
+        colour, dashes = COLOUR[component], _DASHES[component]
+        for values, width, alpha, label in ((bins.mean, 1.1, 1.0, "mean"), (bins.rms, 0.6, 0.8, "rms")):
+            axes.plot(
+                degrees, values[:, number], linewidth=width, alpha=alpha, label=f"{component}: {label}", color=colour,
+                linestyle=dashes,
+            )  # fmt: skip
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.2 * (high - low))
     axes.legend(fontsize=SMALL, loc="upper right", frameon=False, ncols=4)

@@ -38,13 +38,7 @@ _BORDER = 1.8  # to its border
 
 
 class Disc:
-    """The current disc of a map, finely sampled, and where in it there are data.
-
-    Parameters
-    ----------
-    i_max : float
-        Radius, A.
-    """
+    """The current disc of a map, of radius ``i_max``, A, finely sampled, and where in it there are data."""
 
     def __init__(self, flux_map: FluxMap, i_max: float) -> None:
         self.flux_map, self.i_max = flux_map, i_max
@@ -55,28 +49,21 @@ class Disc:
         cell = max(float(np.diff(axis).max()) for axis in (flux_map.i_d, flux_map.i_q))
         # The last cell at the rim counts as the one before it: nodes there stand for half a cell only.
         pulled = np.minimum(1.0, max(i_max - 1.5 * cell, 0.5 * i_max) / np.maximum(self.radius, 1e-9 * i_max))
-        self.support = self.sampled(flux_map.inside.astype(np.float64), i_d * pulled, i_q * pulled, beyond=0.0)
+        i_d, i_q = i_d * pulled, i_q * pulled
+        self.support = flux_map.sampled(flux_map.inside.astype(np.float64), i_d, i_q)
+        for x, axis in ((i_d, flux_map.i_d), (i_q, flux_map.i_q)):
+            self.support[(x < axis[0]) | (x > axis[-1])] = 0.0  # sampled, it is that at the end of the axis
         self.blank: BoolArray = (self.support < 0.5) & (self.radius <= i_max)
-
         self.depth = _depth(~self.blank & (self.radius <= i_max))
 
     def field(self, values: FloatArray) -> FloatArray:
         """Return values (D, Q) at the map's nodes on the fine axes."""
-        return self.sampled(values, *np.meshgrid(self.axis, self.axis, indexing="ij"))
+        return self.flux_map.sampled(values, *np.meshgrid(self.axis, self.axis, indexing="ij"))
 
     def spot(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return the nearest indices on the fine axes to currents (N, 2), A."""
         m, n = (np.rint(np.interp(x, self.axis, np.arange(_FINE))).astype(np.int64) for x in points.T)
         return m, n
-
-    def sampled(self, values: FloatArray, i_d: FloatArray, i_q: FloatArray, beyond: float | None = None) -> FloatArray:
-        """Interpolate bilinearly; beyond the axes the value at their end, or another one."""
-        out = self.flux_map.sampled(values, i_d, i_q)
-        if beyond is not None:
-            axes = self.flux_map.i_d, self.flux_map.i_q
-            off = [(x < axis[0]) | (x > axis[-1]) for x, axis in zip((i_d, i_q), axes, strict=True)]
-            out[off[0] | off[1]] = beyond
-        return out
 
 
 def _depth(area: BoolArray) -> IntArray:
@@ -84,19 +71,17 @@ def _depth(area: BoolArray) -> IntArray:
     left, depth = area.copy(), np.zeros(area.shape, np.int64)
     for _ in range(len(area) // 4):
         inner = np.zeros_like(left)
-        inner[1:-1, 1:-1] = (
-            left[1:-1, 1:-1] & left[2:, 1:-1] & left[:-2, 1:-1] & left[1:-1, 2:] & left[1:-1, :-2]
-        )  # fmt: skip
+        inner[1:-1, 1:-1] = left[1:-1, 1:-1] & left[2:, 1:-1] & left[:-2, 1:-1] & left[1:-1, 2:] & left[1:-1, :-2]
         left = inner
         depth += left
     return depth
 
 
-def continued(values: FloatArray, known: BoolArray, rounds: int = 4) -> FloatArray:
-    """Fill unknown nodes by the mean of known ones around them, from the data outwards."""
+def continued(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Fill unknown nodes by the mean of known ones around them, in four rounds from the data outwards."""
     values, known = np.where(known, values, 0.0), known.copy()
     height, width = values.shape
-    for _ in range(rounds):
+    for _ in range(4):
         padded, weight = np.pad(values, 1), np.pad(known, 1).astype(np.float64)
         windows = [(slice(a, a + height), slice(b, b + width)) for a in range(3) for b in range(3)]
         total, count = (sum(array[window] for window in windows) for array in (padded, weight))
@@ -125,9 +110,8 @@ def name(axes: Axes, title: str, x: str, y: str) -> None:
 
 def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = None) -> None:
     """Draw one flux as filled contours with labelled level lines, and the trajectory (N, 2), A, over them."""
-    frame(axes, disc)
     unit, scale = flux_unit(disc)
-    name(axes, f"{PSI[component]} / {unit}", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    frame(axes, disc, f"{PSI[component]} / {unit}")
     if i_dq is not None:
         axes.plot(
             i_dq[:, 0], i_dq[:, 1], color="black", linewidth=0.25, alpha=0.45, zorder=_TRAJECTORY, rasterized=True
@@ -151,15 +135,13 @@ def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = 
 
 def draw_field(axes: Axes, disc: Disc, values: FloatArray, title: str, *, symmetric: bool = False) -> None:
     """Draw any quantity (D, Q) over the disc as filled contours; ``symmetric``: with white at zero."""
-    frame(axes, disc)
-    name(axes, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    frame(axes, disc, title)
     known = disc.known & np.isfinite(values)
     if not known.any():
         return
     low, high = float(values[known].min()), float(values[known].max())
     if symmetric:
-        high = max(abs(low), abs(high))
-        low = -high
+        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     steps = levels(low, high, 20)
     if len(steps) < 2 or steps[-1] <= steps[0]:
         return
@@ -170,12 +152,18 @@ def draw_field(axes: Axes, disc: Disc, values: FloatArray, title: str, *, symmet
     add_colour_bar(axes, filled, levels(low, high, 11))
 
 
-def frame(axes: Axes, disc: Disc) -> None:
+def name_currents(axes: Axes, title: str) -> None:
+    """Set a title, and label the axes as those of the current plane."""
+    name(axes, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+
+
+def frame(axes: Axes, disc: Disc, title: str) -> None:
     """Draw the disc's border, blank what lies outside, hatch what has no data, and scale both axes alike."""
+    name_currents(axes, title)
     reach = 1.04 * disc.i_max
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     circle = Path.circle((0.0, 0.0), disc.i_max)
     square = 1.1 * disc.i_max * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1], [-1, -1]])
     outside = Path.make_compound_path(Path(square, closed=True), circle)
@@ -274,6 +262,4 @@ def add_key(figure: Figure, disc: Disc, i_dq: FloatArray | None, height: float) 
         handles.append(Patch(facecolor="white", edgecolor="0.55", hatch="//////", linewidth=0.5, label="no data"))
     if handles:
         where = (0.5, height / figure.get_size_inches()[1])
-        figure.legend(
-            handles=handles, loc="center", bbox_to_anchor=where, ncols=2, fontsize=SMALL, frameon=False,
-        )  # fmt: skip
+        figure.legend(handles=handles, loc="center", bbox_to_anchor=where, ncols=2, fontsize=SMALL, frameon=False)

@@ -1,9 +1,10 @@
-"""Pictures of a result: flux maps and diagnostics beside its files, each with a caption."""
+"""Pictures of a result, flux maps and diagnostics beside its files with captions, and of a log before a fit."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
@@ -19,10 +20,13 @@ from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
 from drive_id.types import FloatArray, Samples
 
-FORMATS = ("png", "svg", "pdf")
+if TYPE_CHECKING:
+    from drive_id.core.checks.overview import Overview
+
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
 _DPI = 200
+"""Of a picture in a file, for print."""
 SCREEN_DPI = 100
 """Of a picture in a notebook."""
 _MOST_POINTS = 30_000
@@ -36,19 +40,9 @@ def result_pictures(
     *,
     figure_format: str = "png",
 ) -> dict[str, bytes]:
-    """Draw the pictures that stand beside a result's files.
+    """Draw the pictures that stand beside a result's files, by file name, as ``png``, ``svg`` or ``pdf``.
 
-    Parameters
-    ----------
-    samples : sequence of Samples
-        Excerpts of the recording: their trajectory is drawn over the maps, their voltage residual over the angle.
-    figure_format : str
-        ``png``, ``svg`` or ``pdf``.
-
-    Returns
-    -------
-    dict of str to bytes
-        File names and contents.
+    The trajectory of the samples, excerpts of the recording, is drawn over the maps, their residual over the angle.
     """
     figures = {
         "flux_map": draw_flux_maps(identification.flux_map, identification.i_max, trajectory(samples), caption),
@@ -65,49 +59,57 @@ def draw_flux_maps(
     caption: Caption = NO_CAPTION,
     panels: Sequence[Axes] | None = None,
 ) -> Figure:
-    """Draw psi_d and psi_q side by side over the current disc.
+    """Draw psi_d and psi_q side by side over the current disc, and a trajectory (N, 2), A, which NaN interrupts.
 
-    Parameters
-    ----------
-    i_max : float
-        Radius of the disc, A.
-    i_dq : (N, 2) float, optional
-        Trajectory to draw over them, A; NaN interrupts it.
-    caption : Caption, optional
-        Below the panels.
-    panels : two matplotlib.axes.Axes, optional
-        To draw on, instead of those of a new figure; without key and caption.
+    On given panels, two axes, instead of those of a new figure, there are no key and caption.
 
-    Raises
-    ------
-    ConfigurationError
-        When there are not two panels.
+    Raises ConfigurationError when there are not two panels.
     """
-    if panels is not None:
-        if len(panels) != len("dq"):
-            raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
-        for panel, component in zip(panels, "dq", strict=True):
-            draw_flux(panel, Disc(flux_map, i_max), component, i_dq)
-        return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
-    figure = Figure(figsize=(WIDTH, 3.75))
     disc = Disc(flux_map, i_max)
-    for left, component in zip((0.65, 4.17), "dq", strict=True):
-        draw_flux(place(figure, left, 1.05, 2.3, 2.4), disc, component, i_dq)
-    add_key(figure, disc, i_dq, height=0.57)
-    add_caption(figure, caption)
-    return figure
+    if panels is None:
+        figure = Figure(figsize=(WIDTH, 3.75))
+        add_key(figure, disc, i_dq, height=0.57)
+        add_caption(figure, caption)
+        panels = [place(figure, left, 1.05, 2.3, 2.4) for left in (0.65, 4.17)]
+    if len(panels) != len("dq"):
+        raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
+    for panel, component in zip(panels, "dq", strict=True):
+        draw_flux(panel, disc, component, i_dq)
+    return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
 
 
 def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | None = None) -> Figure:
     """Draw by name speed (S,), rad/s, largest torque and its standard error, Nm, on a panel or in a new figure."""
-    figure = Figure(figsize=(WIDTH, 3.75), layout="constrained") if panel is None else panel.figure
-    axes = figure.add_subplot() if panel is None else panel
+    axes = Figure(figsize=(WIDTH, 3.75), layout="constrained").add_subplot() if panel is None else panel
     for label, (speed, torque, sigma) in curves.items():
         axes.plot(speed * 30 / np.pi, torque, label=label)
         axes.fill_between(speed * 30 / np.pi, torque - 2 * sigma, torque + 2 * sigma, alpha=0.3)
     name(axes, "Largest torque, band of two standard errors", "Speed / rpm", "Torque / Nm")
     axes.legend(fontsize=NORMAL)
-    return figure  # type: ignore[return-value]  # or the part of it that holds the panel
+    return axes.figure  # type: ignore[return-value]  # or the part of it that holds the panel
+
+
+def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
+    """Draw a log: currents and references over time, the current plane, and the speed."""
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
+    for row, component in enumerate("dq"):
+        axes = figure.add_subplot(grid[row, 0])
+        axes.plot(view.time, view.reference_dq[:, row], color="0.6", linewidth=1.2, label="reference")
+        axes.plot(view.time, view.i_dq[:, row], linewidth=0.5, label="measured")
+        name(axes, f"i_{component}", "Time / s", "Current / A")
+        if np.isfinite(view.reference_dq).any() and row == 0:
+            axes.legend(fontsize=NORMAL, loc="upper right")
+    axes = figure.add_subplot(grid[2, 0])
+    axes.plot(view.time, view.speed_curve * 30 / np.pi, linewidth=0.5)
+    name(axes, "Electrical speed", "Time / s", "Speed / rpm")
+    axes = figure.add_subplot(grid[:, 1])
+    axes.plot(view.i_dq[:, 0], view.i_dq[:, 1], ".", markersize=1)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    axes.plot(view.i_max * np.cos(turn), view.i_max * np.sin(turn), color="0.5", linewidth=0.8)
+    axes.set_aspect("equal")
+    name(axes, f"Disc of {view.i_max:.4g} A, {100 * view.coverage:.0f} % visited", "i_d / A", "i_q / A")
+    return rendered(figure, figure_format)
 
 
 def trajectory(samples: Sequence[Samples]) -> FloatArray | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from drive_id.exchange.comparison import Comparison
-from drive_id.pictures.panels import CURRENT, PSI, SMALL, add_colour_bar, levels, name, place
+from drive_id.pictures.panels import PSI, SMALL, add_colour_bar, levels, name_currents, place
 from drive_id.quantity import measured
 from drive_id.reporting.tables import plain_table
 from drive_id.result.result import Result
@@ -50,13 +49,9 @@ def _draw(panel: Axes, comparison: Comparison, values: FloatArray, title: str) -
     filled = panel.pcolormesh(
         comparison.i_d, comparison.i_q, values.T, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="nearest"
     )
-    name(panel, title, f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+    name_currents(panel, title)
     ticks = levels(-limit, limit, 8)
     add_colour_bar(panel, filled, ticks[np.abs(ticks) <= limit])
-
-
-def _pair(figures: Mapping[str, float], unit: str) -> str:
-    return f"{measured(figures['rms'], unit=unit)} ({measured(figures['largest'], unit=unit)})"
 
 
 def _name(result: Result) -> str:
@@ -73,24 +68,17 @@ def difference_table(comparison: Comparison) -> Table:
         return "unknown" if value is None else f"{value:.3g}"
 
     for axis in "dq":
-        rms, relative = tree[f"rms_{axis}"], 100 * tree[f"nrmse_{axis}"]
-        row = (
-            f"ψ_{axis}, rms (NRMSE)",
-            f"{measured(rms, unit='Wb')} ({relative:.4g} %)",
-            sigmas(tree[f"rms_{axis}_in_sigma"]),
-        )
-        table.add_row(*row)
+        rms = f"{measured(tree[f'rms_{axis}'], unit='Wb')} ({100 * tree[f'nrmse_{axis}']:.4g} %)"
+        table.add_row(f"ψ_{axis}, rms (NRMSE)", rms, sigmas(tree[f"rms_{axis}_in_sigma"]))
     worst = tree["worst"]
     size = math.hypot(worst["psi_d"], worst["psi_q"])
     table.add_row("ψ, largest", measured(size, unit="Wb"), sigmas(tree["largest_in_sigma"]))
     table.add_row("  at i_d, i_q", f"{measured(worst['i_d'], unit='A')}, {measured(worst['i_q'], unit='A')}", "")
     known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
     table.add_row("R", known, sigmas(tree["resistance_in_sigma"]))
-    curve = tree["inverter_curve"]
-    if curve is not None:
-        table.add_row("Inverter curve, rms (largest)", _pair(curve, "V"), "")
-    torque = tree["torque"]
-    if torque is not None:
-        table.add_row("Torque, rms (largest)", _pair(torque, "Nm"), "")
+    for what, key, unit in (("Inverter curve", "inverter_curve", "V"), ("Torque", "torque", "Nm")):
+        if (found := tree[key]) is not None:
+            pair = f"{measured(found['rms'], unit=unit)} ({measured(found['largest'], unit=unit)})"
+            table.add_row(f"{what}, rms (largest)", pair, "")
     table.add_row("Points compared", str(tree["points"]), "")
     return table

@@ -1,4 +1,4 @@
-"""Tables and picture of a log that was looked at."""
+"""Tables of a log that was looked at."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from drive_id.quantity import measured
-from drive_id.reporting.shaft import shaft_values
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Iterable, Mapping, Sequence
@@ -52,7 +51,8 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     if origin.harmonics:
         row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
     table.add_section()
-    for cells in (*_torque_rows(drive.torque), *_shaft_rows(drive.mechanics)):
+    of_shaft = _torque_rows(drive.torque) if drive.torque else []
+    for cells in (*of_shaft, *(shaft_rows(drive.mechanics) if drive.mechanics else ())):
         row(*cells)
     if known.nrmse:
         row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
@@ -68,7 +68,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     return table
 
 
-def _regression_rows(fit: Result) -> list[tuple[str, ...]]:
+def _regression_rows(fit: Result) -> list[tuple[str, str]]:
     report = fit.drive.report
     unseen = f" ({report.unseen} without any data)" if report.unseen else ""
     sums = [("Unknowns determined", f"{report.rank} of {report.parameters}{unseen}"), ("Gaps", str(report.gaps))]
@@ -85,29 +85,28 @@ def _true(name: str, truth: GroundTruth) -> str:
     return measured(float(truth.inverter_voltage[at]), unit="V")
 
 
-def _torque_rows(torque: TorqueFit | None) -> list[tuple[str, ...]]:
-    if torque is None:
-        return []
-    viscous = torque.viscous_friction
-    return [
+def _torque_rows(torque: TorqueFit) -> list[tuple[str, str]]:
+    rows = [
         ("Shaft torque / torque of the map", measured(torque.gain, torque.sigma_gain)),
         ("Friction torque", measured(torque.friction, torque.sigma_friction, "Nm")),
-        *(
-            []
-            if viscous is None
-            else [("Viscous friction", measured(viscous, torque.sigma_viscous_friction or 0.0, "Nm s/rad"))]
-        ),
-        *(
-            (f"Cogging torque, order {found.order}", measured(found.amplitude, found.sigma, "Nm"))
-            for found in torque.cogging
-        ),
-        ("Torque error of the map, rms", measured(torque.rms_map, unit="Nm")),
     ]
+    if torque.viscous_friction is not None:
+        viscous = measured(torque.viscous_friction, torque.sigma_viscous_friction or 0.0, "Nm s/rad")
+        rows.append(("Viscous friction", viscous))
+    rows += [(f"Cogging torque, order {c.order}", measured(c.amplitude, c.sigma, "Nm")) for c in torque.cogging]
+    return [*rows, ("Torque error of the map, rms", measured(torque.rms_map, unit="Nm"))]
 
 
-def _shaft_rows(mechanics: Mechanics | None) -> list[tuple[str, ...]]:
-    """Return what the headline does not hold."""
-    return [] if mechanics is None else [(name, measured(*value)) for name, value in shaft_values(mechanics)]
+def shaft_rows(mechanics: Mechanics) -> list[tuple[str, str]]:
+    """Return name and value of all that the motion of a free shaft tells, the inertia aside: the headline holds it."""
+    terms = (
+        ("True torque / torque of the map", mechanics.gain, mechanics.sigma_gain, ""),
+        ("Coulomb friction", mechanics.friction, mechanics.sigma_friction, "Nm"),
+        ("Viscous friction", mechanics.viscous_friction, mechanics.sigma_viscous_friction, "Nm s/rad"),
+        ("Load torque", mechanics.load, mechanics.sigma_load, "Nm"),
+        *((f"Cogging and mean ripple, order {c.order}", c.amplitude, c.sigma, "Nm") for c in mechanics.cogging),
+    )
+    return [(name, measured(x, sigma, unit)) for name, x, sigma, unit in terms if x is not None and sigma is not None]
 
 
 def _deviation(value: float) -> str:

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drive_id.core.result.headline import headline
-from drive_id.core.result.identification import (
-    FluxMap,
-    HarmonicMap,
-    IdentifiedDrive,
-    LinearMachine,
-    Mechanics,
-    TorqueFit,
-)
+from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results
 from drive_id.messages import Message
@@ -39,6 +32,7 @@ if TYPE_CHECKING:
     from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.full.calibration import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
+    from drive_id.core.result.identification import HarmonicMap, LinearMachine, Mechanics, TorqueFit
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
@@ -333,10 +327,7 @@ class Result:
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])
-            ripple_d, ripple_q = (
-                np.repeat(psi_d[..., None], len(theta), -1),
-                np.repeat(psi_q[..., None], len(theta), -1),
-            )
+            ripple_d, ripple_q = (np.repeat(psi[..., None], len(theta), -1) for psi in (psi_d, psi_q))
             for h in self.harmonics:
                 cosine, sine = np.cos(h.order * theta), np.sin(h.order * theta)
                 ripple_d += whole(h.psi_d_cos)[..., None] * cosine + whole(h.psi_d_sin)[..., None] * sine

@@ -19,13 +19,7 @@ _UNITS = {"psi_d": "Wb", "psi_q": "Wb", "sigma_d": "Wb", "sigma_q": "Wb", "i_d":
 
 
 def pandas_library() -> Any:
-    """Import pandas.
-
-    Raises
-    ------
-    ConfigurationError
-        When it is not installed.
-    """
+    """Import pandas; raises ConfigurationError when it is not installed."""
     try:
         import pandas as pd  # noqa: PLC0415  # optional
     except ImportError as error:

@@ -8,7 +8,7 @@ import re
 import pytest
 from rich.console import Console
 
-from drive_id.cli import options
+from drive_id.cli import console
 
 
 @pytest.fixture
@@ -16,14 +16,14 @@ def screen(monkeypatch):
     """What is drawn on a terminal."""
     text = io.StringIO()
     text.isatty = lambda: True
-    console = Console(file=text, force_terminal=True, width=100, color_system=None, _environ={})
-    monkeypatch.setattr(options, "err", lambda: console)
+    terminal = Console(file=text, force_terminal=True, width=100, color_system=None, _environ={})
+    monkeypatch.setattr(console, "err", lambda: terminal)
     return text
 
 
 def drawn(screen, *told):
     """Return the bar as it stands at the end of these steps."""
-    with options.working(silent=False) as tell:
+    with console.working(silent=False) as tell:
         for step in told:
             tell(*step)
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue()).replace("\r", "\n")
@@ -52,8 +52,8 @@ def test_a_rate_beside_the_name_does_not_begin_another_step(screen):
 
 def test_nothing_is_drawn_without_a_terminal(monkeypatch):
     text = io.StringIO()
-    monkeypatch.setattr(options, "err", lambda: Console(file=text, force_terminal=False, _environ={}))
-    with options.working(silent=False) as tell:
+    monkeypatch.setattr(console, "err", lambda: Console(file=text, force_terminal=False, _environ={}))
+    with console.working(silent=False) as tell:
         tell("Solving", None)
     assert not text.getvalue()
 
@@ -61,7 +61,7 @@ def test_nothing_is_drawn_without_a_terminal(monkeypatch):
 def test_colour_without_a_terminal_shows_no_bar(monkeypatch):
     """A notebook sets FORCE_COLOR for the programs that it starts; a bar would leave hundreds of lines in it."""
     text = io.StringIO()
-    monkeypatch.setattr(options, "err", lambda: Console(file=text, _environ={"FORCE_COLOR": "1"}))
-    with options.working(silent=False) as tell:
+    monkeypatch.setattr(console, "err", lambda: Console(file=text, _environ={"FORCE_COLOR": "1"}))
+    with console.working(silent=False) as tell:
         tell("Accumulating", 0.5)
     assert text.getvalue() == ""

@@ -9,11 +9,11 @@ import pytest
 from ros_bench import require_ros
 
 from drive_id.errors import ConfigurationError
-from drive_id.settings import check, setting
+from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)
-class Some:
+class Some(Checked):
     count: int = setting(3, "How many", minimum=1, maximum=5)
     size: float = setting(1.0, "How large", unit="m", minimum=0.0)
     name: str = setting("a", "Which", choices=("a", "b"))
@@ -24,7 +24,7 @@ class Some:
     fixed: bool = setting(True, "For good")
 
     def __post_init__(self):
-        check(self)
+        super().__post_init__()
         if self.limit is not None and self.size > self.limit:
             raise ConfigurationError("size is beyond limit: make it smaller.")
 

@@ -24,11 +24,10 @@ from drive_id.messages import Message
 from drive_id.quantity import measured
 from drive_id.reporting.page import pdf, report
 from drive_id.reporting.page.charts import MOST_POINTS, charts_of
-from drive_id.reporting.page.content import content_of
+from drive_id.reporting.page.content import SECTIONS, content_of
 from drive_id.reporting.page.html import rendered_page
 from drive_id.reporting.page.operation import torque_map
 from drive_id.reporting.page.report import check_report_output, report_files
-from drive_id.reporting.page.wording import SECTIONS
 
 HOSTILE = '</script><script>alert(1)</script> <b>&amp; "ipm"\' {{ 7 * 7 }} $x$'
 

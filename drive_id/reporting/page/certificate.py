@@ -9,12 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drive_id.analysis.verification import Judgement, Verification
-from drive_id.pictures.panels import CURRENT, PSI, add_colour_bar, levels, name, place
+from drive_id.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
 from drive_id.pictures.plots import rendered
 from drive_id.quantity import measured
-from drive_id.reporting.page.html import GENERATOR, environment
+from drive_id.reporting.page.html import filled
 from drive_id.result.result import Result
-from drive_id.version import VERSION
 
 _WIDEST = 5.0
 """End of the colour scale, standard errors."""
@@ -40,13 +39,7 @@ def row(entry: Judgement) -> tuple[str, str, str, str]:
 
 
 def certificate(result: Result, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]) -> str:
-    """Render the certificate.
-
-    Parameters
-    ----------
-    recordings : sequence of str
-        Names of the recordings and their digests.
-    """
+    """Render the certificate; of the recordings, it names files and digests."""
     facts = {
         "Machine": result.name or "unknown",
         "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,
@@ -58,18 +51,14 @@ def certificate(result: Result, found: Verification, judged: Sequence[Judgement]
     if found.torque is not None:
         facts["Torque over that of the map"] = measured(found.torque.gain, found.torque.sigma_gain)
         facts["Torque, rms difference"] = measured(found.torque.rms_map, unit="Nm")
-    return (
-        environment()
-        .get_template("certificate.html")
-        .render(
-            generator=f"{GENERATOR} {VERSION}",
-            title=f"Verification of the flux map: {result.name or 'unknown machine'}",
-            verdict=verdict(judged),
-            facts=facts,
-            rows=[row(entry) for entry in judged],
-            picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
-            note=_METHOD,
-        )
+    return filled(
+        "certificate.html",
+        title=f"Verification of the flux map: {result.name or 'unknown machine'}",
+        verdict=verdict(judged),
+        facts=facts,
+        rows=[row(entry) for entry in judged],
+        picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
+        note=_METHOD,
     )
 
 
@@ -79,6 +68,6 @@ def _picture(found: Verification) -> Figure:
         panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), found.in_sigma[:, column]
         i_d, i_q = found.i_dq.T
         drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
-        name(panel, f"{PSI[axis]}, standard errors", f"{CURRENT['d']} / A", f"{CURRENT['q']} / A")
+        name_currents(panel, f"{PSI[axis]}, standard errors")
         add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8))
     return figure

@@ -17,7 +17,7 @@ from drive_id.quantity import plain
 from drive_id.reporting.page.content import map_difference
 from drive_id.reporting.page.operation import TorqueMap
 from drive_id.result.result import Result
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import FloatArray
 
 MOST_POINTS = 97
 """Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
@@ -47,11 +47,11 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     inside = found.inside[at]
     i_d, i_q = np.meshgrid(found.i_d[rows], found.i_q[columns], indexing="ij")
     inductances = found.inductances(i_d, i_q)
+    components = (("d", found.psi_d, found.sigma_d), ("q", found.psi_q, found.sigma_q))
     quantities = [
-        _quantity("psi_d", "ψ_d", "mWb", 1e3 * found.psi_d[at], 1e3 * found.sigma_d[at]),
-        _quantity("psi_q", "ψ_q", "mWb", 1e3 * found.psi_q[at], 1e3 * found.sigma_q[at]),
+        _quantity(f"psi_{c}", f"ψ_{c}", "mWb", 1e3 * psi[at], 1e3 * sigma[at]) for c, psi, sigma in components
     ]
-    for component, sigma in (("d", found.sigma_d), ("q", found.sigma_q)):
+    for component, _, sigma in components:
         if np.isfinite(sigma[found.inside]).any():
             quantities.append(_quantity(f"sigma_{component}", f"σ of ψ_{component}", "µWb", 1e6 * sigma[at]))
     for row, flux in enumerate("dq"):
@@ -62,8 +62,7 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     quantities.append(_quantity("saliency", "Saliency L_qq / L_dd", "", ratio))
     if operation is not None:
         if operation.ripple is not None:
-            ripple = _quantity("ripple", "Torque ripple, peak to peak", "Nm", operation.ripple[at])
-            quantities.append(ripple)
+            quantities.append(_quantity("ripple", "Torque ripple, peak to peak", "Nm", operation.ripple[at]))
         quantities.append(_quantity("torque", "Torque", "Nm", operation.torque[at]))
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
     return {
@@ -96,16 +95,12 @@ def _comparison(result: Result) -> dict[str, Any] | None:
     for other in judged.comparisons if judged else ():
         if other.psi_d is None:
             continue
-        apart = (1e3 * _masked(values, found.inside)[at] for values in map_difference(result, other))
+        apart = (1e3 * np.where(found.inside, x, np.nan)[at] for x in map_difference(result, other))
         methods.append({"name": other.method, **{f"psi_{c}": _listed(z.T) for c, z in zip("dq", apart, strict=True)}})
     if not methods:
         return None
-    return {
-        "i_d": _listed(found.i_d[rows]),
-        "i_q": _listed(found.i_q[columns]),
-        "own": result.method,
-        "methods": methods,
-    }
+    axes = {"i_d": _listed(found.i_d[rows]), "i_q": _listed(found.i_q[columns])}
+    return {**axes, "own": result.method, "methods": methods}
 
 
 def _inverter(result: Result) -> dict[str, Any] | None:
@@ -127,17 +122,14 @@ def _residuals(result: Result) -> dict[str, Any] | None:
         return None
     time, angle = judged.over_time, judged.over_angle
     return {
-        "time": {"x": _listed(time.time), **_statistics(time.mean, time.rms)},
-        "angle": {"x": _listed(np.rad2deg(angle.angle)), **_statistics(angle.mean, angle.rms)},
+        "time": {"x": _listed(time.time), **_components(mean=time.mean, rms=time.rms)},
+        "angle": {"x": _listed(np.rad2deg(angle.angle)), **_components(mean=angle.mean, rms=angle.rms)},
     }
 
 
-def _statistics(mean: FloatArray, rms: FloatArray) -> dict[str, list[Any]]:
-    return {
-        f"{name}_{component}": _listed(values[:, axis])
-        for name, values in (("mean", mean), ("rms", rms))
-        for axis, component in enumerate("dq")
-    }
+def _components(**curves: FloatArray) -> dict[str, list[Any]]:
+    """Return both columns of curves (N, 2) by name, such as ``mean_d``."""
+    return {f"{name}_{c}": _listed(x[:, axis]) for name, x in curves.items() for axis, c in enumerate("dq")}
 
 
 def _currents(result: Result) -> dict[str, Any] | None:
@@ -146,10 +138,9 @@ def _currents(result: Result) -> dict[str, Any] | None:
         return None
     return {
         "time": _listed(found.time, digits=7),
-        **{f"measured_{c}": _listed(found.measured[:, axis]) for axis, c in enumerate("dq")},
-        **{f"simulated_{c}": _listed(found.simulated[:, axis]) for axis, c in enumerate("dq")},
+        **_components(measured=found.measured, simulated=found.simulated),
         "bin_time": _listed(found.bin_time),
-        **{f"deviation_{c}": _listed(found.deviation[:, axis]) for axis, c in enumerate("dq")},
+        **_components(deviation=found.deviation),
     }
 
 
@@ -168,13 +159,13 @@ def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
         },
         "lines": [
             {
-                "name": line.name,
+                "name": name,
                 "i_d": _listed(line.i_d),
                 "i_q": _listed(line.i_q),
                 "torque": _listed(line.torque),
                 "sigma": _listed(line.sigma_torque),
             }
-            for line in operation.lines
+            for name, line in operation.lines.items()
         ],
     }
 
@@ -182,7 +173,3 @@ def _operation(operation: TorqueMap | None) -> dict[str, Any] | None:
 def _thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Return at most 97 indices of an axis, its ends among them."""
     return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(np.int64))
-
-
-def _masked(values: FloatArray, known: BoolArray) -> FloatArray:
-    return np.where(known, values, np.nan)

@@ -16,14 +16,30 @@ from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
 from drive_id.quantity import Quantity, measured
 from drive_id.reporting.page.operation import TorqueMap
-from drive_id.reporting.page.wording import NOT_STORED
-from drive_id.reporting.shaft import shaft_values
+from drive_id.reporting.tables import shaft_rows
 from drive_id.result.advice import single_speed, sorted_statements
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
-GOOD, FAIR, WEAK, UNKNOWN = "good", "fair", "weak", "unknown"
+_NOT_STORED = (
+    "This result folder holds no diagnostics.npz, because an earlier version wrote it: fit the recording again to see "
+    "this section."
+)
+SECTIONS = {
+    "glance": "At a glance",
+    "warnings": "Warnings",
+    "map": "Flux maps",
+    "comparison": "With and without a model of the inverter",
+    "inverter": "Inverter",
+    "residuals": "Residuals",
+    "currents": "Simulated against measured current",
+    "operation": "Torque, MTPA and MTPV",
+    "identifiable": "What is known, and what to do next",
+    "method": "Paragraph of method",
+    "origin": "Settings, inputs and versions",
+}
+"""Headings by name, in their order."""
 _LEAST_CURRENT = 0.01
 """Share of the largest current of a line below which its points are not listed."""
 
@@ -174,60 +190,46 @@ def _without_folders(known: Provenance) -> Provenance:
 def _figures(result: Result) -> tuple[Merit, ...]:
     metrics, origin = result.metrics, result.origin
     flux, sigma = largest_flux(result), flux_sigma(result)
-    count = len(result.warnings)
+    count, coverage = len(result.warnings), metrics["coverage"]
     found = [
+        Merit("Warnings", str(count), level(count, 0, 2), "Each is a sentence below that says what to do."),
         Merit(
-            "Warnings", str(count), GOOD if not count else FAIR if count < 3 else WEAK,
-            "Each is a sentence below that says what to do.",
-        ),
-        Merit(
-            "Disc covered", percent(metrics["coverage"]), level(1 - metrics["coverage"], 0.05, 0.2),
+            "Disc covered", percent(coverage), level(1 - coverage, 0.05, 0.2),
             f"Share of the disc of {number(result.i_max)} A with data. Good from 95 %, weak below 80 %.",
         ),
     ]  # fmt: skip
     if origin.fitted or math.isfinite(sigma):
-        share = sigma / flux
-        found.append(
-            Merit(
-                "Standard error of the flux", percent(share), level(share, 0.002, 0.01),
-                "Median over the map, of the largest flux. Good up to 0.2 %, weak above 1 %.",
-            )
-        )  # fmt: skip
+        said = "Median over the map, of the largest flux."
+        found.append(_share("Standard error of the flux", sigma / flux, 0.002, 0.01, said))
     if origin.fitted:
         known = result.sigma_resistance / max(abs(result.resistance), 1e-12)
-        found.append(
-            Merit(
-                "Standard error of R", percent(known), level(known, 0.02, 0.1),
-                f"R = {measured(result.resistance, result.sigma_resistance, 'Ω')}. Good up to 2 %, weak above 10 %.",
-            )
-        )  # fmt: skip
+        said = f"R = {measured(result.resistance, result.sigma_resistance, 'Ω')}."
+        found.append(_share("Standard error of R", known, 0.02, 0.1, said))
     if origin.diagnostics:
         mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
-        found.append(
-            Merit(
-                "Simulated current", percent(mad), level(mad, 0.01, 0.03),
-                "Mean deviation of the open-loop simulation from the measurement, of i_max: "
-                f"{measured(metrics['mad_d'], unit='A')} in d, {measured(metrics['mad_q'], unit='A')} in q. Good up to "
-                "1 %, weak above 3 %.",
-            )
-        )  # fmt: skip
+        said = (
+            "Mean deviation of the open-loop simulation from the measurement, of i_max: "
+            f"{measured(metrics['mad_d'], unit='A')} in d, {measured(metrics['mad_q'], unit='A')} in q."
+        )
+        found.append(_share("Simulated current", mad, 0.01, 0.03, said))
     if math.isfinite(metrics["nrmse_d"]):
         worst = max(metrics["nrmse_d"], metrics["nrmse_q"])
-        found.append(
-            Merit(
-                "Error against the simulation's truth", percent(worst), level(worst, 0.002, 0.01),
-                f"NRMSE {percent(metrics['nrmse_d'])} in ψ_d, {percent(metrics['nrmse_q'])} in ψ_q. Good up to 0.2 %, "
-                "weak above 1 %.",
-            )
-        )  # fmt: skip
+        said = f"NRMSE {percent(metrics['nrmse_d'])} in ψ_d, {percent(metrics['nrmse_q'])} in ψ_q."
+        found.append(_share("Error against the simulation's truth", worst, 0.002, 0.01, said))
     return tuple(found)
+
+
+def _share(name: str, share: float, good: float, weak: float, meaning: str) -> Merit:
+    """Return a share that is better the smaller it is, and in its meaning what counts as good and weak."""
+    limits = f"Good up to {percent(good)}, weak above {percent(weak)}."
+    return Merit(name, percent(share), level(share, good, weak), f"{meaning} {limits}")
 
 
 def level(value: float, good: float, weak: float) -> str:
     """Judge a value that is better the smaller it is."""
     if not math.isfinite(value):
-        return UNKNOWN
-    return GOOD if value <= good else FAIR if value <= weak else WEAK
+        return "unknown"
+    return "good" if value <= good else "fair" if value <= weak else "weak"
 
 
 def _values(result: Result) -> TextTable:
@@ -245,7 +247,7 @@ def _values(result: Result) -> TextTable:
     if result.torque is not None:
         rows.append(("Common gain by the shaft torque", measured(result.torque.gain, result.torque.sigma_gain)))
     if result.mechanics is not None:
-        rows += [(name, measured(*value)) for name, value in shaft_values(result.mechanics)]
+        rows += shaft_rows(result.mechanics)
     rows += [
         ("Origin", result.origin.caption),
         ("Pole pairs", str(result.pole_pairs or "unknown")),
@@ -283,7 +285,7 @@ def _methods(result: Result) -> TextTable:
     """Lay out the result beside the paper's methods."""
     rows: list[tuple[str, ...]] = []
     judged, metrics = result.diagnostics, result.metrics
-    if judged is not None:
+    if judged is not None and judged.comparisons:
         own = ComparedMethod(
             method=result.method,
             samples=int(metrics["samples_used"]),
@@ -298,7 +300,7 @@ def _methods(result: Result) -> TextTable:
             nrmse_q=metrics["nrmse_q"],
         )
         every = sorted([own, *judged.comparisons], key=lambda found: list(ORIGINS).index(found.method))
-        rows = [_method_row(found, own=found is own) for found in every] if judged.comparisons else []
+        rows = [_method_row(found, own=found is own) for found in every]
     return TextTable(
         "The same data with and without a model of the inverter",
         ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
@@ -348,23 +350,21 @@ def map_difference(result: Result, other: ComparedMethod) -> tuple[FloatArray, F
 
 
 def _calibrations(result: Result) -> TextTable:
-    rows = []
-    for found in result.calibrations:
-        if not (found.applied or math.isfinite(found.sigma)):
-            continue  # nothing was estimated
-        done = "corrected" if found.applied else "not corrected"
-        rows.append((found.name, measured(found.value, found.sigma, found.unit), done))
+    rows = (
+        (found.name, measured(found.value, found.sigma, found.unit), "corrected" if found.applied else "not corrected")
+        for found in result.calibrations
+        if found.applied or math.isfinite(found.sigma)  # else nothing was estimated
+    )
     return TextTable("Sensor faults and effects of the drive", ("Name", "Value", "In the map"), tuple(rows))
 
 
 def _settings(result: Result) -> TextTable:
     usual = FitSettings()
-    rows: list[tuple[str, ...]] = []
-    if not result.origin.fitted:
-        return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), ())
-    for name, value in vars(result.provenance.settings).items():
-        changed = "default" if value == getattr(usual, name) else "set"
-        rows.append((name, _setting(name, value), changed))
+    settings = vars(result.provenance.settings) if result.origin.fitted else {}
+    rows = (
+        (name, _setting(name, value), "default" if value == getattr(usual, name) else "set")
+        for name, value in settings.items()
+    )
     return TextTable("Settings of the fit", ("Setting", "Value", "Origin"), tuple(rows))
 
 
@@ -377,7 +377,7 @@ def _setting(name: str, value: object) -> str:
 def _operation(operation: TorqueMap | None) -> TextTable:
     """Lay out a few points of the lines of operation."""
     rows = []
-    for line in operation.lines if operation else ():
+    for name, line in operation.lines.items() if operation else ():
         current = np.hypot(line.i_d, line.i_q)
         for wanted in np.linspace(current[0], current[-1], 5):
             if wanted < _LEAST_CURRENT * current[-1]:
@@ -386,7 +386,7 @@ def _operation(operation: TorqueMap | None) -> TextTable:
             angle = math.degrees(math.atan2(line.i_q[k], line.i_d[k]))
             torque = measured(float(line.torque[k]), float(line.sigma_torque[k]), "Nm")
             at = (float(current[k]), float(line.i_d[k]), float(line.i_q[k]))
-            rows.append((line.name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
+            rows.append((name, *(f"{number(value)} A" for value in at), f"{number(angle)}°", torque))
     header = ("Line", "Current", "i_d", "i_q", "Angle", "Torque")
     return TextTable("Points of the lines of operation, where there are data", header, tuple(rows))
 
@@ -395,7 +395,7 @@ def _missing(result: Result, operation: TorqueMap | None) -> dict[str, str]:
     """Say why a section has nothing to show."""
     judged, missing = result.diagnostics, {}
     if judged is None:
-        missing = dict.fromkeys(("comparison", "residuals", "currents"), result.origin.no_diagnostics or NOT_STORED)
+        missing = dict.fromkeys(("comparison", "residuals", "currents"), result.origin.no_diagnostics or _NOT_STORED)
     else:
         if not judged.comparisons:
             missing["comparison"] = (
@@ -418,7 +418,7 @@ def _missing(result: Result, operation: TorqueMap | None) -> dict[str, str]:
             "Torque and efficiency over speed are not shown: they need R, the DC-link voltage (the setting u_dc of the "
             "fit), and a current that keeps it."
         )
-    if operation is not None and not any(line.name == "MTPV" for line in operation.lines):
+    if operation is not None and "MTPV" not in operation.lines:
         missing["mtpv"] = (
             f"No MTPV is shown: it lies beyond {number(result.i_max)} A, or where there are no data. Within the data, "
             "the largest torque at a given flux is limited by the current."
@@ -470,18 +470,14 @@ def _paragraph(result: Result) -> str:
         sentences.append(
             f"The median standard error of the flux is {measured(sigma, unit='Wb')} ({share} of its largest value)."
         )
-    judged = [f"the data cover {percent(metrics['coverage'])} of the disc"]
+    judged = [f"The data cover {percent(metrics['coverage'])} of the disc"]
     if math.isfinite(metrics["mad_d"]):
         judged.append(
             "the current simulated in open loop deviates from the measured one by "
             f"{measured(metrics['mad_d'], unit='A')} in d and {measured(metrics['mad_q'], unit='A')} in q on average"
         )
-    sentences.append(_capital("; ".join(judged)) + ".")
+    sentences.append("; ".join(judged) + ".")
     return " ".join(filter(None, (*sentences, origin.reference)))
-
-
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
 
 
 def number(value: float | None, digits: int = 4) -> str:

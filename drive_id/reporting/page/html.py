@@ -10,8 +10,7 @@ from typing import Any
 
 import jinja2
 
-from drive_id.reporting.page.content import Content
-from drive_id.reporting.page.wording import SECTIONS
+from drive_id.reporting.page.content import SECTIONS, Content
 from drive_id.version import VERSION
 
 GENERATOR = "drive_id report"
@@ -19,38 +18,27 @@ GENERATOR = "drive_id report"
 
 
 def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """Render the page.
-
-    Parameters
-    ----------
-    charts : mapping
-        See :func:`~drive_id.reporting.page.charts.charts_of`.
-    pictures : mapping of str to bytes
-        PNG by name, for print and for browsers without scripts.
-    """
-    return (
-        environment()
-        .get_template("report.html")
-        .render(
-            generator=f"{GENERATOR} {VERSION}",
-            sections=SECTIONS,
-            content=content,
-            charts=charts,
-            pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
-            plotly=_plotly(),
-        )
+    """Render the page with the data of its charts, and PNG by name for print and for browsers without scripts."""
+    return filled(
+        "report.html",
+        sections=SECTIONS,
+        content=content,
+        charts=charts,
+        pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
+        plotly=_plotly(),
     )
 
 
-def environment() -> jinja2.Environment:
-    """Return the loader of our templates."""
-    return jinja2.Environment(
+def filled(template: str, **values: Any) -> str:
+    """Return one of our templates, filled with values and the name of its generator."""
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("drive_id.reporting.page"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    return environment.get_template(template).render(generator=f"{GENERATOR} {VERSION}", **values)
 
 
 @cache

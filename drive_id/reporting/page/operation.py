@@ -16,29 +16,11 @@ from drive_id.types import FloatArray
 
 _WEAKENING = 4.0
 """Highest speed over the corner speed."""
-_SPEEDS, _TORQUES = 32, 20
-"""Points of the efficiency map: finer ones look the same, and take seconds."""
+_SPEEDS = 32
+_TORQUES = 20
+"""Points along the axes of the efficiency map: finer ones look the same, and take seconds."""
 _SAME = 1e-6
 """Relative excess over the envelope within which a torque counts as reached."""
-
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    """A line of operation in the current plane, where there are data.
-
-    Parameters
-    ----------
-    i_d, i_q : (N,) float
-        A.
-    torque, sigma_torque : (N,) float
-        Nm; sigma is NaN where unknown.
-    """
-
-    name: str
-    i_d: FloatArray
-    i_q: FloatArray
-    torque: FloatArray
-    sigma_torque: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +59,8 @@ class TorqueMap:
     ----------
     torque : (D, Q) float
         On the grid of the flux map, Nm, NaN where there are no data.
-    lines : tuple of Line
-        MTPA in both directions of torque, and MTPV; those that lie in the data.
+    lines : dict of str to CurrentLocus
+        MTPA in both directions of torque, and MTPV, where there are data; without those that lie beyond them.
     ripple : (D, Q) float or None
         Peak to peak, Nm; None without rotor-position harmonics.
     speeds : SpeedMap or None
@@ -86,7 +68,7 @@ class TorqueMap:
     """
 
     torque: FloatArray
-    lines: tuple[Line, ...]
+    lines: dict[str, CurrentLocus]
     ripple: FloatArray | None
     speeds: SpeedMap | None
 
@@ -102,11 +84,11 @@ def torque_map(result: Result) -> TorqueMap | None:
         "MTPA, negative torque": mtpa(model, result.i_max, sign=-1.0),
         "MTPV": mtpv(model, result.i_max),
     }
-    lines = (_line(name, trajectory) for name, trajectory in trajectories.items())
+    lines = {name: _known(trajectory) for name, trajectory in trajectories.items()}
     known = bool(result.u_dc) and math.isfinite(result.resistance)
     return TorqueMap(
         np.where(found.inside, torque, np.nan),
-        tuple(line for line in lines if len(line.i_d) > 1),
+        {name: line for name, line in lines.items() if len(line) > 1},
         _ripple(result, model) if result.harmonics else None,
         _speed_map(result, model) if known else None,
     )
@@ -137,6 +119,6 @@ def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
 
 
-def _line(name: str, found: CurrentLocus) -> Line:
-    at = found.inside
-    return Line(name, found.i_d[at], found.i_q[at], found.torque[at], found.sigma_torque[at])
+def _known(found: CurrentLocus) -> CurrentLocus:
+    """Return the points that data support."""
+    return CurrentLocus(*(values[found.inside] for values in vars(found).values()))

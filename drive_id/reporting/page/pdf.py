@@ -11,32 +11,25 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from drive_id.reporting.page.content import Content, TextTable
+from drive_id.reporting.page.content import SECTIONS, Content, TextTable
 from drive_id.reporting.page.html import GENERATOR
-from drive_id.reporting.page.wording import SECTIONS
 from drive_id.version import VERSION
 
 _WIDTH = 8.27  # of a page (A4), inches
 _HEIGHT = 11.69  # likewise
 _MARGIN = 0.7  # inches
 _TEXT = 8.5  # size of text, points
-_HEADING = 12.0
-_TITLE = 17.0
-_SMALL = 7.0  # tables
+_HEADING = 12.0  # likewise, of headings
+_TITLE = 17.0  # of the title
+_SMALL = 7.0  # of tables
 _CHARACTER = 0.55
 """Mean width of a character over its size."""
-_DPI = 180
-_WARNING = "#a03000"
+_DPI = 180  # of figures, which are drawn as pixels: sharp in print
+_WARNING = "#a03000"  # colour of warnings
 
 
 def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
-    """Render the report.
-
-    Parameters
-    ----------
-    figures : mapping of str to Figure
-        By the name of their section, see :func:`~drive_id.reporting.page.pictures.figures_of`.
-    """
+    """Render the report with figures by the name of their section."""
     sheets = _Sheets()
     sheets.text(content.title, _TITLE, bold=True)
     sheets.text(content.subtitle)

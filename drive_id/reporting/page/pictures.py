@@ -8,14 +8,12 @@ from matplotlib.figure import Figure
 
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
-from drive_id.pictures.diagnostics import DARK, LIGHT, draw_inverter, draw_residual
+from drive_id.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_residual
 from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.reporting.page.content import map_difference
 from drive_id.reporting.page.operation import SpeedMap, TorqueMap
 from drive_id.result.result import Result
-
-_COLOURS = {"d": DARK, "q": LIGHT}
 
 
 def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]:
@@ -58,7 +56,7 @@ def _draw_residuals(judged: Diagnostics) -> Figure:
     for number, component in enumerate("dq"):
         for values, width, label in ((time.mean, 1.0, "mean"), (time.rms, 0.5, "rms")):
             axes.plot(
-                time.time, values[:, number], color=_COLOURS[component], linewidth=width, label=f"{component}: {label}"
+                time.time, values[:, number], color=COLOUR[component], linewidth=width, label=f"{component}: {label}"
             )
     _finished(axes)
     draw_residual(place(figure, 0.65, 0.5, 6.35, 1.5), judged.over_angle)
@@ -71,18 +69,13 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
         axes = place(figure, 0.65, bottom, 6.35, 1.15)
         name(axes, f"{CURRENT[component]}, the second with the largest deviation", "", "current / A")
         axes.plot(found.time, found.measured[:, number], color="0.45", linewidth=1.6, label="measured")
-        axes.plot(found.time, found.simulated[:, number], color=_COLOURS[component], linewidth=0.8, label="simulated")
+        axes.plot(found.time, found.simulated[:, number], color=COLOUR[component], linewidth=0.8, label="simulated")
         _finished(axes)
     axes = place(figure, 0.65, 0.45, 6.35, 1.1)
     name(axes, "Deviation over all data that were simulated", "time of data / s", "mean deviation / A")
     for number, component in enumerate("dq"):
-        axes.plot(
-            found.bin_time,
-            found.deviation[:, number],
-            color=_COLOURS[component],
-            linewidth=0.8,
-            label=CURRENT[component],
-        )
+        deviation, label = found.deviation[:, number], CURRENT[component]
+        axes.plot(found.bin_time, deviation, color=COLOUR[component], linewidth=0.8, label=label)
     _finished(axes)
     return figure
 
@@ -91,8 +84,8 @@ def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
     draw_field(axes, Disc(result.flux_map, result.i_max), operation.torque, "Torque / Nm")
-    for line, dashes in zip(operation.lines, ("solid", "dashed", "dotted"), strict=False):
-        axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=line.name, zorder=3)
+    for (label, line), dashes in zip(operation.lines.items(), ("solid", "dashed", "dotted"), strict=False):
+        axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=label, zorder=3)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
     return figure

@@ -16,7 +16,9 @@ from drive_id.reporting.page.pdf import rendered_pdf
 from drive_id.reporting.page.pictures import figures_of
 from drive_id.result.result import Result
 
-_DPI, _PDF = 110, ".pdf"
+_DPI = 110
+"""Of the pictures in the page, which only print and browsers without scripts show: it shall stay small."""
+_PDF = ".pdf"
 _BEGINNING = 2000
 """Bytes of a page that hold its generator."""
 
@@ -37,12 +39,8 @@ def report_files(result: Result, names: Iterable[str] = ("report.html",)) -> dic
 def check_report_output(path: Path, *, pdf: bool = False) -> None:
     """Check, before the work is done, that a report may be written.
 
-    Raises
-    ------
-    ConfigurationError
-        When the name does not end with .html or .pdf.
-    OutputError
-        When there is something else than an earlier report.
+    Raises ConfigurationError when the name does not end with .html or .pdf, and OutputError when there is something
+    else than an earlier report.
     """
     if path.suffix not in {".html", ".htm", _PDF}:
         raise ConfigurationError(f"The report {path} is neither HTML nor PDF: let its name end with .html or .pdf.")
@@ -52,17 +50,9 @@ def check_report_output(path: Path, *, pdf: bool = False) -> None:
 
 
 def write_report(result: Result, path: Path, *, pdf: bool = False) -> tuple[Path, ...]:
-    """Write the report to a file, and beside it the PDF if wanted; an earlier report is replaced.
+    """Write the report to a file, and beside it the PDF if wanted, and return the paths; an earlier report is replaced.
 
-    Returns
-    -------
-    tuple of Path
-        What was written.
-
-    Raises
-    ------
-    ConfigurationError, OutputError
-        See :func:`check_report_output`.
+    Raises what :func:`check_report_output` does.
     """
     check_report_output(path, pdf=pdf)
     paths = _paths(path, pdf=pdf)

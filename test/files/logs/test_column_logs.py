@@ -15,7 +15,6 @@ from bag_samples import assert_equal_samples, make_samples
 from column_files import WRITERS, write_csv, write_mdf, write_tdms
 from scipy.io import savemat
 
-from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.join import joined
 from drive_id.errors import (
     BagError,
@@ -33,7 +32,7 @@ from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.reader import bag_pieces
 from drive_id.files.read.several import read_recording
-from drive_id.fitting.sources import Job, Sources, radius_of
+from drive_id.fitting.sources import Sources, radius_of
 
 N = 5000
 
@@ -85,9 +84,8 @@ def test_the_numbers_are_those_of_the_recording(name, tmp_path, samples, columns
     true = open_log_module._Guarded.parts
     monkeypatch.setattr(open_log_module._Guarded, "parts", lambda log, wanted, rows=700: true(log, wanted, rows))
     assert_equal_samples(joined(list(bag_pieces(path, signal_map))), found)
-    assert radius_of(path, Job(FitSettings(), Sources([path], signal_map))) == pytest.approx(
-        np.hypot(*samples.i_dq_reference.T).max(), rel=5e-3
-    )
+    largest = np.hypot(*samples.i_dq_reference.T).max()
+    assert radius_of(path, Sources([path], signal_map)) == pytest.approx(largest, rel=5e-3)
 
 
 @pytest.mark.parametrize("name", WRITERS)

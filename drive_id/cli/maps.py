@@ -1,13 +1,12 @@
-"""The command ``drive-id import``."""
+"""The commands ``drive-id import`` and ``drive-id export``: maps of other tools."""
 
-import json
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from drive_id.cli.options import JsonFlag, QuietFlag, say, show_result, working
-from drive_id.cli.outputs import beside
+from drive_id.cli import console, options
 from drive_id.errors import ConfigurationError
 
 
@@ -15,9 +14,7 @@ def import_file(
     file: Annotated[Path, typer.Argument(help="Map: .npz, .mat of SyR-e or Motor-CAD, or .csv.", show_default=False)],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Result folder, like that of fit.  \\[default: a new one beside the file: FILE_map]"
-        ),
+        options.output("Result folder, like that of fit.  \\[default: a new one beside the file: FILE_map]"),
     ] = None,
     format_name: Annotated[
         str | None, typer.Option("--format", help="npz, syre, syre-flux, motor-cad or csv.  \\[default: by the file]")
@@ -52,9 +49,9 @@ def import_file(
     ] = None,
     u_dc: Annotated[float | None, typer.Option(help="DC-link voltage, V.")] = None,
     machine: Annotated[str, typer.Option(help="Name of the machine.  \\[default: that of the file]")] = "",
-    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    force: options.ForceFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Read a flux map of another tool, check that it is plausible, and write it as a result folder."""
     from drive_id.exchange.imports.conventions import Conventions
@@ -72,18 +69,17 @@ def import_file(
         order=order, sign=sign, magnet=magnet, q_axis=q_axis, current=current, flux=flux,
         current_scale=current_scale, flux_scale=flux_scale,
     )  # fmt: skip
-    output = output or beside(file, "_map")
+    output = output or options.beside(file, "_map")
     check_output(output, force=force)
-    with working(quiet or as_json) as tell:
-        tell("Importing", None)
+    with console.working(quiet or as_json, "Importing"):
         result = import_map(source, ImportOptions(format_name, axis, conventions, machine))
         pictures = {"flux_map.png": rendered(result.plot())}
         write_results(output, result.drive, result.provenance, force=force, pictures=pictures)
     if as_json:
-        typer.echo(json.dumps(results_tree(result.drive, result.provenance), allow_nan=False))
+        console.print_json(results_tree(result.drive, result.provenance))
     elif not quiet:
-        show_result(result)
-        say(f"Results in {output}")
+        console.show_result(result)
+        console.say(f"Results in {output}")
 
 
 def _positive(**given: float | None) -> dict[str, float]:
@@ -103,3 +99,72 @@ def _columns(text: str | None) -> dict[str, str]:
                 f"--columns {text} is not of the form i_d=Id,i_q=Iq,psi_d=Fd,psi_q=Fq: write it so."
             )
     return {name.strip(): column.strip() for name, _, column in pairs}
+
+
+def export_result(
+    directory: Annotated[Path, typer.Argument(help="Result folder.", show_default=False, metavar="DIR")],
+    format_name: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="csv, netcdf, machine, motulator, gradnet-data, syre, syre-model, simscape, simscape-2d, "
+            "motor-control, powertrain, powertrain-controller, c-header, fmu, fmu-2, plecs, modelica, vesc or odrive.",
+        ),
+    ],
+    output: Annotated[Path, options.output("File to write.")],
+    grid: Annotated[int | None, typer.Option(help="Points on each axis.  \\[default: about 41, a round step]")] = None,
+    span: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--range", metavar="LOW HIGH", help="Ends of both axes, A.  \\[default: -i_max i_max]"),
+    ] = None,
+    axis_d: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Axis of i_d, A: -300,-200,0 or FIRST:STEP:LAST.")
+    ] = None,
+    axis_q: Annotated[str | None, typer.Option(metavar="LIST", help="Axis of i_q, A, likewise.")] = None,
+    fill: Annotated[
+        bool, typer.Option("--fill", help="Extrapolate the map to points without data instead of marking them as NaN.")
+    ] = False,
+    pole_pairs: options.PolePairsOption = None,
+    u_dc: options.LinkOption = None,
+    leakage: Annotated[float, typer.Option(help="Stator leakage inductance for plecs, H.")] = 0.0,
+    bandwidth: Annotated[
+        float, typer.Option(help="Controller bandwidth for vesc, odrive and c-header, rad/s.")
+    ] = 1000.0,
+    sample_period: Annotated[
+        float | None, typer.Option(help="Of the controllers of c-header, s: their delay limits the bandwidth.")
+    ] = None,
+    phase_margin: Annotated[float, typer.Option(help="Least phase margin with that delay, degrees.")] = 60.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
+) -> None:
+    """Write the map of a result in the format of another tool, on a grid of your choice."""
+    from drive_id.exchange.exports.axes import equal_steps, listed
+    from drive_id.exchange.exports.exporting import TableChoice, export_map
+    from drive_id.exchange.exports.formats import export_format
+    from drive_id.exchange.exports.options import ExportOptions
+    from drive_id.fitting.result import load
+
+    title = export_format(format_name).title
+    given = [None if text is None else listed(text, name) for text, name in ((axis_d, "axis-d"), (axis_q, "axis-q"))]
+    result = load(directory)
+    common = None
+    if grid is not None or span is not None:
+        low, high = span or (-result.i_max, result.i_max)
+        common = equal_steps(41 if grid is None else grid, low, high)
+        if all(axis is not None for axis in given):
+            raise ConfigurationError(
+                "--axis-d and --axis-q leave nothing for --grid and --range to choose: drop one pair."
+            )
+    i_d, i_q = (common if axis is None else axis for axis in given)
+    choice = TableChoice(i_d, i_q, fill, pole_pairs, u_dc)
+    wanted = ExportOptions(leakage, bandwidth, sample_period, phase_margin)
+    with console.working(quiet or as_json, "Exporting"):
+        exported = export_map(result, format_name, output, choice, wanted, force=force)
+    if as_json:
+        tree = {"output": str(output), "format": format_name} | dataclasses.asdict(exported)
+        console.print_json(tree | {"warnings": list(exported.warnings)})
+    elif not quiet:
+        console.warn(*exported.warnings)
+        size = f", {exported.points} points" if exported.points else ""
+        console.say(f"{output}: {title}{size}.")

@@ -1,12 +1,11 @@
-"""The command ``drive-id check``."""
+"""The commands ``drive-id check`` and ``drive-id convert``, on a log before a fit."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drive_id.cli.options import JsonFlag, NamespaceOption, QuietFlag, SignalsOption, say, show, warn, working
+from drive_id.cli import console, options
 from drive_id.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
@@ -14,17 +13,14 @@ if TYPE_CHECKING:
 
 
 def check_log(
-    log: Annotated[
-        Path,
-        typer.Argument(help="Bag, or CSV, Parquet, MATLAB, MDF, TDMS or HDF5 file.", show_default=False, metavar="LOG"),
-    ],
-    signals: SignalsOption = None,
+    log: options.LogArgument,
+    signals: options.SignalsOption = None,
     draft: Annotated[Path | None, typer.Option(help="Write a proposed signals file (YAML).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw currents and speed: .png, .svg or .pdf.")] = None,
-    namespace: NamespaceOption = "",
+    namespace: options.NamespaceOption = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite the draft and the picture.")] = False,
-    as_json: JsonFlag = False,
-    quiet: QuietFlag = False,
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
 ) -> None:
     """Inspect a log before a fit: list its contents, check it, and propose where the signals are."""
     from drive_id.files.messages.signals_file import read_signals
@@ -34,26 +30,25 @@ def check_log(
 
     _refuse(draft, picture, force=force)
     signal_map = read_signals(signals) if signals else None
-    with working(quiet or as_json) as tell:
+    with console.working(quiet or as_json) as tell:
         found = inspect_log(log, signal_map, namespace=namespace, draft=draft is not None, tell=tell)
     if draft is not None and found.draft is not None:
         replace_file(draft, found.draft.text.encode())
     if picture is not None and found.overview is None:
-        warn(f"{picture} was not drawn, for there are no joined samples.")
+        console.warn(f"{picture} was not drawn, for there are no joined samples.")
     elif picture is not None and found.overview is not None:
-        from drive_id.reporting.log_picture import overview_picture
+        from drive_id.pictures.plots import overview_picture
 
         replace_file(picture, overview_picture(found.overview, picture.suffix[1:]))
     if as_json:
-        typer.echo(json.dumps(found.tree(), allow_nan=False))
+        console.print_json(found.tree())
     elif not quiet:
         for table in inspection_tables(found):
-            show(table)
+            console.show(table)
         _comment(found, asked=draft is not None)
         if draft is not None and found.draft is not None:
             how = f"--signals {draft}" + (" --method static" if found.draft.static else "")
-            say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} {how}")
-
+            console.say(f"Draft in {draft}: look at lines marked NOT SURE or EDIT, then drive-id fit {log} {how}")
     if draft is not None and found.draft is None:
         why = next(str(finding) for finding in found.findings if finding.code == "no_draft")
         raise ConfigurationError(f"{draft} was not written: {why}")
@@ -74,10 +69,39 @@ def _comment(found: "Inspection", *, asked: bool) -> None:
     for finding in found.findings:
         if finding.code == "no_draft" and asked:
             continue  # reported as the error at the end
-        say(f"{finding.code}: {finding}", style="red" if finding.kind == "error" else "yellow")
-    for warning in found.warnings:
-        warn(warning)
+        console.say(f"{finding.code}: {finding}", style="red" if finding.kind == "error" else "yellow")
+    console.warn(*found.warnings)
     if not found.findings:
-        say("Nothing is wrong with it.")
+        console.say("Nothing is wrong with it.")
     if found.draft is not None:
-        say("The signals are those of a proposed signals file: --draft FILE writes it.")
+        console.say("The signals are those of a proposed signals file: --draft FILE writes it.")
+
+
+def convert_log(
+    log: options.LogArgument,
+    bag: Annotated[Path, typer.Argument(help="Bag (folder) to write.", show_default=False, metavar="BAG")],
+    signals: options.SignalsOption = None,
+    namespace: options.NamespaceOption = "",
+    as_json: options.JsonFlag = False,
+    quiet: options.QuietFlag = False,
+) -> None:
+    """Convert a log to a bag with our messages, which needs no signals file. Loads the whole log into memory."""
+    from drive_id.files.messages.signals_file import read_signals
+    from drive_id.files.read.several import read_recording
+    from drive_id.files.results.folder import check_absent
+    from drive_id.files.write.writer import write_recording
+
+    check_absent(bag)
+    signal_map = read_signals(signals) if signals else None
+    with console.working(quiet or as_json, "Reading") as tell:
+        recording = read_recording(log, signal_map, namespace=namespace)
+        samples = recording.samples
+        tell("Writing", None)
+        write_recording(bag, samples, recording.truth, start_stamp=0 if int(samples.stamp[0]) < 0 else None)
+    if as_json:
+        told = {"bag": str(bag), "samples": len(samples), "sample_period": samples.sample_period}
+        console.print_json(told | {"runs": len(samples.run_starts), "warnings": list(recording.warnings)})
+    elif not quiet:
+        console.warn(*recording.warnings)
+        period, runs = samples.sample_period * 1e6, len(samples.run_starts)
+        console.say(f"{bag}: {len(samples)} samples every {period:.6g} us, {runs} runs.")

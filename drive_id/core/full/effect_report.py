@@ -19,7 +19,7 @@ from drive_id.messages import Message
 from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
-_MICRO = 1e6
+_MICRO = 1e6  # us per s
 _PER_KILOWATT = 1e5
 """%/kW in 1/W."""
 _NEGLIGIBLE = 5e-4

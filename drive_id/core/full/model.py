@@ -90,7 +90,7 @@ synchronous with the rotor, so that harmonics and map cannot be separated, the f
 
 _GROUP = 512
 """Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
-_DROP_RIDGE = 1e-7
+_DROP_RIDGE = 1e-7  # likewise of the shapes of the curve: they are nearly dependent
 _EFFECT_RIDGE = 1e-9
 """Relative to the mean diagonal of Z'Z over the columns: only keeps the factorization of columns without data."""
 _TINY = float(np.finfo(np.float64).tiny)

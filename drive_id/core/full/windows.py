@@ -42,7 +42,7 @@ MOST_DELAY = float(-SHIFTS[0])
 LAGS = (1e-3, 4e-3, 16e-3)
 """Time constants of flux lags, s."""
 
-_REACH = 4
+_REACH = 4  # samples to each side over which the speed is fitted: a tenth of the noise of one difference
 _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""

@@ -24,20 +24,20 @@ from drive_id.types import FloatArray, Samples
 
 DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
 """Delays of the voltages that are tried, samples."""
-_SIZE = 16
+_SIZE = 16  # unknowns of the rough model
 _RESISTANCE = 0  # columns of the unknowns, from here on
 _DROP = 1
 _MAGNET = slice(2, 4)
 _INDUCTANCE = 4
 _SATURATION = 5
 _SALIENCY = slice(6, 8)
-_WINDOW_TURN = np.pi / 3
-_LONGEST_WINDOW = 512
+_WINDOW_TURN = np.pi / 3  # rad: as in method full
+_LONGEST_WINDOW = 512  # samples: bounds the drift of an offset at low speed
 _NODES = 750  # most windows of a run in a fit: 16 unknowns need no more
 _FEW_NODES = 250  # likewise in the search for the likeliest of 130 readings
 _SIGN_WIDTH = 0.02
 """Width of the smoothed sign relative to the largest current."""
-_RIDGE = 1e-9
+_RIDGE = 1e-9  # of the unit diagonal: keeps columns without data solvable, far below their noise
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from drive_id.core.signals.join import Piece
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
-_POINTS = 4096
-_NODES = 33
-_REACH = 4.0
-_LEAST_COVERAGE = 0.45
+_POINTS = 4096  # of a curve: more than a picture has columns
+_NODES = 33  # per axis of the plane in which coverage is counted
+_REACH = 4.0  # part of i_max within which a sample covers a node
+_LEAST_COVERAGE = 0.45  # of the disc: as the fit warns
 
 
 @dataclass(frozen=True, eq=False)

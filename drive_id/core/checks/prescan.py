@@ -41,7 +41,7 @@ _FAULT_FACTOR = 10.0
 """Ratio to the usual amplitude above which a sample shows a faulty sensor or field and is refused."""
 _NOISE_SHARE = 0.1  # rms step over the range of a current: a trajectory takes many samples from end to end
 _RESOLVER_TOLERANCE = 0.02  # of the ratio of angle and speed, which a poor time base may have
-_LEAST_TURN = 2 * np.pi
+_LEAST_TURN = 2 * np.pi  # rad, electrical: each position once
 _WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
 _JUMP = 0.2  # rad between angle and speed within a sample, beyond any resolver's error
 _JUMP_FACTOR = 5.0  # by the usual one, where a slow speed signal makes it large

@@ -8,11 +8,11 @@ from drive_id.core.accumulation.evidence import DOMAIN_MARGIN, Evidence
 from drive_id.errors import CoverageError
 from drive_id.messages import Message
 
-_LEAST_COVERAGE = 0.05
-_WEAK_COVERAGE = 0.45
-_MUCH_TOO_SMALL = 2.0
-_TOO_LARGE = 0.7
-_EMPTY_HALF = 0.5
+_LEAST_COVERAGE = 0.05  # of the disc: a map of less is a line
+_WEAK_COVERAGE = 0.45  # a quadrant or half a disc, and some more, is covered from which on nothing is said
+_MUCH_TOO_SMALL = 2.0  # currents over i_max: three quarters of the plane would be left out
+_TOO_LARGE = 0.7  # largest current over i_max: half of the disc stays empty
+_EMPTY_HALF = 0.5  # coverage of a half-plane over that of the best one, below which it is named
 
 
 def check_radius(evidence: Evidence, coverage: float) -> None:

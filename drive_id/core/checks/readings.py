@@ -19,11 +19,11 @@ _BETTER = 1 / 3
 _BETTER_ROTATED = 0.6  # likewise for voltages turned by odd multiples of 30 degrees: 0.96 at best on 34 random drives
 _BETTER_EXCHANGED = 0.5  # likewise for currents and voltages exchanged: 2.2 at best on the same drives
 _ALIKE = 1.02  # ratio of unexplained voltages within which the reading with the least factor is taken
-_REFUSED = 0.1
+_REFUSED = 0.1  # unexplained share of the voltage above which a far better reading is an error, below a warning
 _CERTAIN = 0.005
 """Unexplained share of the voltage above which voltages between phases or exchanged signals are refused: below, what a
 rough model misses at many degrees per sample may decide between readings."""
-_HOPELESS = 0.35
+_HOPELESS = 0.35  # unexplained share above which no reading of a rough model explains the voltages
 _FEW_RUNS = 3
 """Number of runs used to choose the likeliest of the other readings."""
 _MULTIPLES = 24  # most pole pairs that are tried as a factor on the angle

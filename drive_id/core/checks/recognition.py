@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from drive_id.types import BoolArray, FloatArray
 
-_FEWEST = 50
+_FEWEST = 50  # values, to tell a shape
 _WRAP = 0.6
 """Step relative to the range above which a column starts again."""
-_LARGEST_STEP = 0.45
+_LARGEST_STEP = 0.45  # of the range: an angle that moves further between samples is ambiguous
 _STEADY = 0.9  # share of steps in one direction where the column wraps: noise reverses some
 _MONOTONE = 0.98  # the same where it does not, which drifts of other signals do, too
 _UNEVEN = 20  # largest over median step of an angle without wraps

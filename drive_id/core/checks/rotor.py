@@ -13,9 +13,9 @@ from drive_id.types import Samples
 _PERIODS = (5e-7, 0.02)
 """Shortest and longest plausible sample period, s."""
 _UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts" for n in range(8, 25)}
-_TURN_TOLERANCE = 0.003
-_FEWEST_WRAPS = 3
-_COARSE_TURN = np.deg2rad(40.0)
+_TURN_TOLERANCE = 0.003  # relative, of the step by which an angle wraps: one sample of advance is added by median
+_FEWEST_WRAPS = 3  # so that a median tells their step
+_COARSE_TURN = np.deg2rad(40.0)  # per sample: the voltage within a sample is hardly known any more
 _HELD_STEP = 0.02  # rad: smaller steps are those of an encoder at low speed
 _HELD_SHARE = 0.5  # of samples without a step, from which on the angle is held
 _DRIFT = (0.03, 0.5)  # change over the recording, by the mean speed: a larger one is meant

@@ -17,19 +17,19 @@ from drive_id.core.numerics.largest import Largest
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
-_KEPT = 1 << 14
+_KEPT = 1 << 14  # largest bends: the quantile is exact up to 16 million samples
 _USUAL = 0.999  # quantile of the bends
 _FACTOR = 4.0  # its multiple above which a sample stands out
 _LEAST_CURRENT = 0.005  # least error that is reported, by the usual amplitude: less does not distort a map
 _LEAST_ANGLE = 0.01  # rad, likewise
-_ALIKE = 0.25
-_STRIDES = (1, 2)
+_ALIKE = 0.25  # largest deviation from the pattern of one wrong sample, by its bend: noise around it has room
+_STRIDES = (1, 2)  # every sample, and every second one: two wrong ones in a row
 _AROUND = 4
 """Samples that the pattern needs around one."""
 _BEFORE = _AROUND * max(_STRIDES)
 """Samples that are kept for the next piece."""
-_FEWEST = 3000
-_MOST_SHARE = 1e-3
+_FEWEST = 3000  # samples, for the quantile
+_MOST_SHARE = 1e-3  # of samples: more are ripple or noise of the drive, not single faults
 
 
 class SingleSamples:

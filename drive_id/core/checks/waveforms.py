@@ -11,7 +11,7 @@ from drive_id.core.checks.balance import Excerpt, rough_fit
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
-_LARGEST_DUTY = 2 / np.sqrt(3) * 1.005
+_LARGEST_DUTY = 2 / np.sqrt(3) * 1.005  # of half the DC link: the corner of the hexagon, and rounding
 _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
 _CURRENTS = (0.5, 5000.0)  # plausible amplitudes, A: drives up to 500 A in kA lie outside

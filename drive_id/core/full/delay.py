@@ -20,7 +20,8 @@ _BIAS = 0.01
 """Samples; largest bias of an estimated delay seen in simulations."""
 _NOISE_SHARE = 0.02
 """Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
-_USUAL, _MOST_LEFT = 2.0, 0.7
+_USUAL = 2.0  # samples: a delay of more is believed only where it explains much
+_MOST_LEFT = 0.7  # share of the squared residuals that such a delay may leave
 _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05

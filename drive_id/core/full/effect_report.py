@@ -19,7 +19,7 @@ from drive_id.messages import Message
 from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
-_MICRO = 1e6
+_MICRO = 1e6  # us per s
 _PER_KILOWATT = 1e5
 """%/kW in 1/W."""
 _NEGLIGIBLE = 5e-4
@@ -91,7 +91,7 @@ def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibr
             Message(entry.key, **entry.values, rivals=rivals, several_speeds=several_speeds),
             doubtful=rivals is not None or entry.name == VOLTAGE_MISMATCH,
         )
-        for entry in _REPORTS.get(name, _gains)(_Evaluated(fit, taken.name, value, sigma))
+        for entry in _REPORTS[name](_Evaluated(fit, taken.name, value, sigma))
     ]
 
 
@@ -120,13 +120,9 @@ class _Evaluated(NamedTuple):
     sigma: FloatArray
 
 
-def _iron(found: _Evaluated) -> Iterator[_Shown]:
-    quantity, unit = {
-        "iron_loss": ("iron_loss_conductance", "S"),
-        "coercivity": ("iron_loss_current", "A"),
-        "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
-    }[found.name]
-    yield _Shown.of(quantity, found.value[0], found.sigma[0], unit)
+def _one(found: _Evaluated) -> Iterator[_Shown]:
+    name, unit = _OF_ONE_VALUE[found.name]
+    yield _Shown.of(name, found.value[0], found.sigma[0], unit)
 
 
 def _late(found: _Evaluated) -> Iterator[_Shown]:
@@ -173,9 +169,7 @@ def _magnet(found: _Evaluated) -> Iterator[_Shown]:
 
 
 def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
-    name, unit = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}.get(
-        found.name, (found.name, "rad")
-    )
+    name, unit = _OF_TURN.get(found.name, (found.name, "rad"))
     pairs = found.fit.selection.search.found.columns.pole_pairs
     yield _Shown.of(name, *_amplitude(found), unit, pole_pairs=pairs)
 
@@ -188,13 +182,9 @@ def _amplitude(found: _Evaluated) -> tuple[float, float]:
     return float(amplitude), float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
 
 
-def _link(found: _Evaluated) -> Iterator[_Shown]:
-    yield _Shown.of("dc_link_share", found.value[0], found.sigma[0], "1")
-
-
 def _ripple(found: _Evaluated) -> Iterator[_Shown]:
-    value, sigma = _amplitude(found)
-    yield _Shown.of("link_ripple", value, sigma, "1", frequency=found.fit.selection.search.found.columns.ripple)
+    frequency = found.fit.selection.search.found.columns.ripple
+    yield _Shown.of("link_ripple", *_amplitude(found), "1", frequency=frequency)
 
 
 def _sag(found: _Evaluated) -> Iterator[_Shown]:
@@ -208,19 +198,9 @@ def _phases(found: _Evaluated) -> Iterator[_Shown]:
         yield _Shown.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
 
 
-def _rotation(found: _Evaluated) -> Iterator[_Shown]:
-    yield _Shown.of(CURRENT_ROTATION, found.value[0], found.sigma[0], "rad")
-
-
-def _mismatch(found: _Evaluated) -> Iterator[_Shown]:
-    yield from _by_axis(found, "current_gain_mismatch", "1", 1.0)
-
-
-def _offset(found: _Evaluated) -> Iterator[_Shown]:
-    yield from _by_axis(found, "current_offset", "A", found.fit.model.i_max)
-
-
-def _by_axis(found: _Evaluated, name: str, unit: str, size: float) -> Iterator[_Shown]:
+def _of_sensors(found: _Evaluated) -> Iterator[_Shown]:
+    name, unit = _BY_AXIS[found.name]
+    size = found.fit.model.i_max if unit == "A" else 1.0
     for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
         yield _Shown.of(f"{name}_{axis}", x, dx, unit, f"{name}.fit", axis=axis, share=abs(x) / size)
 
@@ -234,26 +214,27 @@ def _gains(found: _Evaluated) -> Iterator[_Shown]:
     yield _Shown.of(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])
 
 
+_OF_ONE_VALUE = {
+    "iron_loss": ("iron_loss_conductance", "S"),
+    "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
+    "coercivity": ("iron_loss_current", "A"),
+    "dc_link": ("dc_link_share", "1"),
+    "current_rotation": (CURRENT_ROTATION, "rad"),
+}
+_OF_TURN = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}
+_BY_AXIS = {"current_gains": ("current_gain_mismatch", "1"), "current_offset": ("current_offset", "A")}
+"""Names and units under which effects are reported."""
+
 _REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
-    "iron_loss": _iron,
-    "hysteresis": _iron,
-    "coercivity": _iron,
-    "current_latency": _late,
-    "angle_latency": _late,
+    **dict.fromkeys(_OF_ONE_VALUE, _one),
+    **dict.fromkeys(("current_latency", "angle_latency"), _late),
+    **dict.fromkeys(("copper_heating", "copper_recordings"), _copper),
+    **dict.fromkeys(("magnet_heating", "magnet_recordings"), _magnet),
+    **dict.fromkeys((*_OF_TURN, "resolver_first", "resolver_second"), _of_turn),
+    **dict.fromkeys(_BY_AXIS, _of_sensors),
     "flux_lag": _lag,
-    "copper_heating": _copper,
-    "copper_recordings": _copper,
-    "magnet_heating": _magnet,
-    "magnet_recordings": _magnet,
-    "eccentricity": _of_turn,
-    "eccentric_rotor": _of_turn,
-    "resolver_first": _of_turn,
-    "resolver_second": _of_turn,
-    "dc_link": _link,
     "link_ripple": _ripple,
     "link_sag": _sag,
     "phase_resistance": _phases,
-    "current_rotation": _rotation,
-    "current_gains": _mismatch,
-    "current_offset": _offset,
+    "voltage_gains": _gains,
 }

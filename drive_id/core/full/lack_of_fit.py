@@ -56,8 +56,6 @@ class LackOfFit:
         The same ratio there.
     low : float
         The same ratio below a fifth of i_max.
-    by_current, by_position : float
-        Mean square of the misfit that recurs in a region, or at a rotor position, relative to white residuals.
     missed : (C, C, 2) float
         Mean square flux, Wb^2, of d and q, that the data show and the model cannot follow, on equal cells of the square
         around the current disc; 0 unless significant, see :func:`missed_flux`.
@@ -72,8 +70,6 @@ class LackOfFit:
     i_dq: FloatArray
     worst: float
     low: float
-    by_current: float
-    by_position: float
     missed: FloatArray
     changes: FloatArray
     causes: Mapping[str, float] = field(default_factory=dict)
@@ -141,8 +137,6 @@ class GroupSums:
             i_dq=_centre(worst, model.i_max),
             worst=float(np.sqrt(squares[worst])),
             low=_rms_ratio(cells[inner]),
-            by_current=ratios[0],
-            by_position=ratios[1],
             missed=missed_flux(fluxes),
             changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
         )

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -87,7 +88,9 @@ _HARMONIC_RIDGE = 0.1
 """Relative to the mean diagonal of Z'Z over the map; over a harmonic it is many times larger. If the trajectory is
 synchronous with the rotor, so that harmonics and map cannot be separated, the flux is assigned to the map."""
 
-_DROP_RIDGE = 1e-7
+_GROUP = 512
+"""Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
+_DROP_RIDGE = 1e-7  # likewise of the shapes of the curve: they are nearly dependent
 _EFFECT_RIDGE = 1e-9
 """Relative to the mean diagonal of Z'Z over the columns: only keeps the factorization of columns without data."""
 _TINY = float(np.finfo(np.float64).tiny)
@@ -123,7 +126,7 @@ class Layout:
     harmonic: Space
     orders: tuple[int, ...]
 
-    @property
+    @cached_property
     def map(self) -> slice:
         """Columns of the flux map."""
         return slice(self.start, self.start + self.flux.parameters)
@@ -135,7 +138,7 @@ class Layout:
         starts = [self.map.stop + number * width for number in range(len(self.orders))]
         return {order: slice(start, start + width) for order, start in zip(self.orders, starts, strict=True)}
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of columns."""
         return int((self.harmonics[self.orders[-1]] if self.orders else self.map).stop)
@@ -196,35 +199,39 @@ class FullModel:
         """Space of the amplitudes of a rotor-position harmonic."""
         return GradientSpline.within(self.low, self.high, self.resolution.harmonic, HARMONIC_DEGREE)
 
-    @property
+    @cached_property
     def drops(self) -> slice:
         """Columns of the inverter's shapes, [shape, phase] row-major."""
         return slice(MAGNET + 1, MAGNET + 1 + 3 * len(self.shapes.scales))
 
-    @property
+    @cached_property
     def usual_drops(self) -> slice:
         """Columns of the usual shapes of the inverter's drop."""
         return slice(self.drops.start, self.drops.start + 3 * self.shapes.usual)
 
-    @property
+    @cached_property
     def lags(self) -> slice:
         """Columns of the drop that remains after compensation with the currents one sample earlier."""
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
 
-    @property
+    @cached_property
     def crossing(self) -> int:
         """Column of the time by which the step of the drop is early."""
         return int(self.lags.stop)
 
-    @property
+    @cached_property
     def effects(self) -> slice:
         """Columns of the effects that depend on the map, see :mod:`drive_id.core.full.effects`."""
         return slice(self.crossing + 1, self.crossing + 1 + EFFECT_COLUMNS)
 
+    @cached_property
+    def _effects(self) -> dict[str, slice]:
+        start = self.effects.start
+        return {name: slice(start + own.start, start + own.stop) for name, own in EFFECTS.items()}
+
     def effect(self, name: str) -> slice:
         """Columns of one effect."""
-        own = EFFECTS[name]
-        return slice(self.effects.start + own.start, self.effects.start + own.stop)
+        return self._effects[name]
 
     @cached_property
     def columns(self) -> Layout:
@@ -285,32 +292,35 @@ class FullModel:
             add_end(column, value, turn, start, factor, out)
         return _weighted(windows, out)
 
-    def nonzero_columns(self, windows: Windows) -> tuple[FloatArray, IntArray]:
-        """Return the nonzero columns of N windows in the sums, (N, 2, K), and their indices (K,), increasing.
+    def nonzero_columns(self, windows: Windows) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Yield the nonzero columns of all windows in the sums, (2 N, C), and their indices (C,), increasing.
 
-        Neighbouring windows share few nonzero basis functions.
+        They come in groups of windows that are close in current: these share most nonzero basis functions.
         """
-        layout = self.summed
-        beside = np.zeros((len(windows), 2, layout.start))
+        order, edges = _neighbours(windows.i_dq.reshape(len(windows), -1))
+        windows = windows.part(order)
+        beside = np.zeros((len(windows), 2, self.summed.start))
         self._beside_flux(windows, beside)
-        columns = [np.flatnonzero(beside.any(axis=(0, 1)))]
-        ends = list(self._ends(windows, layout, self.orders))
-        spaces = [ends[k : k + len(ends) // 2 + 1 : len(ends) // 2] for k in range(len(ends) // 2)]
-        places = []
-        for pair in spaces:
-            used = np.zeros(1 + max(int(column.max()) for _, column, *_ in pair), np.bool_)
-            for _, column, *_ in pair:
-                used[column] = True
-            functions, start = np.flatnonzero(used), pair[0][3]
-            first = sum(map(len, columns)) + len(functions) * np.arange(len(start))
-            places.append((np.cumsum(used, dtype=np.int32) - 1, first))
-            columns.append((start[:, None] + functions).ravel())
-        out = np.zeros((len(windows), 2, sum(map(len, columns))))
-        out[:, :, : len(columns[0])] = beside[:, :, columns[0]]
-        for pair, (place, first) in zip(spaces, places, strict=True):
-            for turn, column, value, _, factor in pair:
-                add_end(place[column], value, turn, first, factor, out)
-        return _weighted(windows, out), np.concatenate(columns)
+        ends = list(self._ends(windows, self.summed, self.orders))
+        spaces = len(ends) // 2
+        for group in (slice(*each) for each in pairwise(edges)):
+            columns, places = [np.flatnonzero(beside[group].any(axis=(0, 1)))], []
+            for both in zip(ends[:spaces], ends[spaces:], strict=True):
+                met = [column[group] for _, column, *_ in both]
+                used = np.zeros(1 + max(int(column.max()) for column in met), np.bool_)
+                for column in met:
+                    used[column] = True
+                functions, start = np.flatnonzero(used), both[0][3]
+                first = sum(map(len, columns)) + len(functions) * np.arange(len(start))
+                places.append((np.cumsum(used, dtype=np.int32) - 1, first))
+                columns.append((start[:, None] + functions).ravel())
+            out = np.zeros((group.stop - group.start, 2, sum(map(len, columns))))
+            out[:, :, : len(columns[0])] = beside[group][:, :, columns[0]]
+            for (turn, column, value, _, factor), (place, first) in zip(ends, 2 * places, strict=True):
+                add_end(place[column[group]], value[group], turn[group], first, factor[:, group].copy(), out)
+            if windows.weight is not None:
+                out *= np.sqrt(windows.weight[group])[:, None, None]
+            yield out.reshape(-1, out.shape[2]), np.concatenate(columns)
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -370,6 +380,20 @@ class FullModel:
                 rows = space.rows(windows.i_dq[:, end])
                 start, factor = np.array([start for start, _ in maps]), np.array([factor for _, factor in maps])
                 yield turn, rows.column, rows.value, start, factor
+
+
+def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:
+    """Return an order (N,) in which windows that are close in currents (N, 4) adjoin, and the edges of their groups."""
+    groups, done = [np.arange(len(ends))], []
+    while groups:
+        group = groups.pop()
+        if len(group) <= _GROUP:
+            done.append(np.sort(group))
+            continue
+        widest, half = int(np.argmax(np.ptp(ends[group], axis=0))), len(group) // 2
+        order = np.argpartition(ends[group, widest], half)
+        groups += [group[order[half:]], group[order[:half]]]
+    return np.concatenate(done), np.cumsum([0, *map(len, done)]).tolist()
 
 
 def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
@@ -558,39 +582,49 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """
     if model.reciprocal and not spec.reciprocal:
         raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")
-    layout, blocks = model.summed, []
+    layout, entries, count = model.summed, [], 0
 
-    def place(block: sparse.sparray | FloatArray, first: int) -> None:
-        block = sparse.coo_array(block)
-        coordinates = (block.coords[0] + first, block.coords[1])
-        blocks.append(sparse.coo_array((block.data, coordinates), (layout.size, block.shape[1])))
+    def place(block: sparse.coo_array, first: int) -> None:
+        """Add the unknowns of a block, whose rows are the columns from ``first`` on."""
+        nonlocal count
+        entries.append((block.coords[0] + first, block.coords[1] + count, block.data))
+        count += block.shape[1]
 
-    def of_map(space: GradientSpline) -> sparse.sparray:
+    def of_map(space: GradientSpline) -> sparse.coo_array:
         if not spec.reciprocal:
-            return sparse.eye_array(space.parameters)
-        whole = sparse.eye_array(space.potential.parameters).tocsr() if model.reciprocal else space.gradient
-        return whole[:, 1:]  # without the constant part of the co-energy
+            return sparse.eye_array(space.parameters, format="coo")
+        potentials = space.potential.parameters  # without the constant part of the co-energy
+        constant = sparse.eye_array(potentials, potentials - 1, k=-1, format="coo")
+        return constant if model.reciprocal else sparse.coo_array(space.gradient @ constant)
 
-    place(np.ones((1, 1)), RESISTANCE)
-    if spec.constant:
-        place(np.eye(2), CONSTANT.start)
-    if spec.magnet:
-        place(np.ones((1, 1)), MAGNET)
+    for columns in _own_columns(model, spec):
+        place(sparse.eye_array(columns.stop - columns.start, format="coo"), columns.start)
     if spec.inverter:
         shapes = model.shapes.usual + spec.wide
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
-        place(drops, model.drops.start)
-        if spec.crossing:
-            place(np.ones((1, 1)), model.crossing)
-    if spec.lag:
-        place(np.eye(len(model.shapes.coarse.scales)), model.lags.start)
-    for name in spec.effects:
-        columns = model.effect(name)
-        place(np.eye(columns.stop - columns.start), columns.start)
+        place(sparse.coo_array(drops), model.drops.start)
     place(of_map(model.flux), layout.map.start)
+    amplitudes = of_map(model.harmonic)
     for order in spec.orders:
-        place(sparse.block_diag(2 * [of_map(model.harmonic)]), layout.harmonics[order].start)
-    return sparse.csr_array(sparse.hstack(blocks))
+        place(amplitudes, layout.harmonics[order].start)
+        place(amplitudes, layout.harmonics[order].start + amplitudes.shape[0])
+    rows, unknowns, shares = (np.concatenate(each) for each in zip(*entries, strict=True))
+    return sparse.csr_array((shares, (rows, unknowns)), shape=(layout.size, count))
+
+
+def _own_columns(model: FullModel, spec: ModelSpec) -> Iterator[slice]:
+    """Yield the columns of a variant with an unknown for each, those of the maps apart."""
+    yield slice(RESISTANCE, RESISTANCE + 1)
+    if spec.constant:
+        yield CONSTANT
+    if spec.magnet:
+        yield slice(MAGNET, MAGNET + 1)
+    if spec.inverter and spec.crossing:
+        yield slice(model.crossing, model.crossing + 1)
+    if spec.lag:
+        yield model.lags
+    for name in spec.effects:
+        yield model.effect(name)
 
 
 def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float | None = None) -> sparse.csr_array:

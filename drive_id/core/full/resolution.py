@@ -30,6 +30,8 @@ _FEWER = (1.0, 3.0, 10.0)
 """Factors of the least misfit of a cell that is divided, tried in turn until there are no more cells than allowed."""
 _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
+_BY_CHANCE = 3.0
+"""Standard errors by which the mean misfit of the windows that meet a cell must exceed the least one."""
 _BENT = 0.25
 """Change of an inductance over a cell, relative to the largest: of smooth saturation, a cell meets a tenth."""
 _STRONG = 64.0
@@ -133,19 +135,22 @@ def misfit_by_cell(
     negligible : float
         Squared residual that matters to nobody, (Vs)^2.
     """
-    met = []
+    of_axes = []
     for axis, edges in enumerate((resolution.d, resolution.q)):
         ends = np.stack([_cell(edges, i_dq[:, end, axis]) for end in (0, 1)], axis=1)
-        met.append(np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64))
-    columns = np.concatenate([*met, np.ones((len(i_dq), 1))], axis=1)
+        of_axes.append(
+            np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64)
+        )
+    columns = np.concatenate([*of_axes, np.ones((len(i_dq), 1))], axis=1)
     unit = max(float(expected.mean()), np.finfo(np.float64).tiny)
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
-    found = np.zeros(columns.shape[1])
-    if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
+    found, met = np.zeros(columns.shape[1]), np.maximum(columns.sum(axis=0), 1.0)
+    chance = _BY_CHANCE * np.sqrt(columns.T @ excess**2)
+    if np.max((columns.T @ excess - chance) / met) > least:
         from scipy.optimize import nnls  # noqa: PLC0415  # slow to import, and most drives do without
 
         found, _ = nnls(columns, excess)
-    split = met[0].shape[1]
+    split = of_axes[0].shape[1]
     return Misfit(found[:split], found[split:-1], max(least, _OF_LARGEST * float(found[:-1].max())))
 
 

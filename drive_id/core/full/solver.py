@@ -100,8 +100,7 @@ class FullSolution:
     @property
     def variance_of_resistance(self) -> float:
         """Variance of R for white residuals, ohm^2."""
-        row = self.basis[[RESISTANCE]].toarray()[0]
-        return float(self.residual_rms**2 * (row @ self.white_covariance @ row))
+        return float(self.residual_rms**2 * np.sum(self.half_gain(self.basis[[RESISTANCE]].toarray().T) ** 2))
 
     @cached_property
     def white_covariance(self) -> FloatArray:
@@ -157,7 +156,7 @@ class Solver:
         known, voltage = self._normal(spec), self._voltage(spec)
         normal = increased(known.normal.copy(), known.penalty(spec.penalty))
         if noise is not None:
-            increased(normal, self._on_unknowns(known.basis, noise))
+            increased(normal, sparse.csr_array(known.basis.T @ noise @ known.basis))
         factor, scale = factorize(normal)
         moment = known.t.T @ times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale, check_finite=False) / scale
@@ -176,7 +175,8 @@ class Solver:
 
     def shrinkage(self, solution: FullSolution) -> FloatArray:
         """Return the bias (size,) of the estimate caused by the penalties, to first order."""
-        return solution.response(self._roughness(solution.spec.penalty) @ solution.estimate)
+        ridge, rough = self._penalties
+        return solution.response((ridge + solution.spec.penalty * rough) @ solution.estimate)
 
     def by_remainder(self, solution: FullSolution) -> FloatArray:
         """Return the change (size,) of the estimate by the remainder, see :mod:`drive_id.core.full.effects`."""
@@ -286,19 +286,15 @@ class Solver:
     def _full(self, fold: FloatArray) -> FloatArray:
         return unpacked(fold, self.model.summed.size) if fold.ndim == 1 else fold
 
-    def _on_unknowns(self, t: sparse.csr_array, noise: sparse.csr_array) -> sparse.csr_array:
-        """Return the products (size, size) of noise as an addition to T'Z'ZT."""
-        return sparse.csr_array(t.T @ noise @ t)
-
     def _normal(self, spec: ModelSpec) -> _Normal:
         """Return what depends on neither penalty nor delay; that of the last variant is kept."""
         key = replace(spec, penalty=0.0, delay=0.0)
         if key not in self._normals:
             t = sum_basis(self.model, spec)
             all_columns = sparse.csr_array(self.model.expansion @ t)
-            ridge, rough = (all_columns.T @ self._roughness(penalty) @ all_columns for penalty in (0.0, 1.0))
+            ridge, rough = (sparse.csr_array(all_columns.T @ each @ all_columns) for each in self._penalties)
             self._normals.clear()
-            self._normals[key] = _Normal(t, all_columns, congruent(t, self.total), ridge, rough - ridge)
+            self._normals[key] = _Normal(t, all_columns, congruent(t, self.total), ridge, rough)
         return self._normals[key]
 
     def _voltage(self, spec: ModelSpec) -> FloatArray:
@@ -309,8 +305,11 @@ class Solver:
         voltage[self.model.effect("remainder")] = -1.0
         return voltage
 
-    def _roughness(self, penalty: float) -> sparse.csr_array:
-        return roughness(self.model, self.total, penalty, self._unit)
+    @cached_property
+    def _penalties(self) -> tuple[sparse.csr_array, sparse.csr_array]:
+        """Ridge, and roughness of the map for a weight of 1, both (size, size)."""
+        ridge, both = (roughness(self.model, self.total, weight, self._unit) for weight in (0.0, 1.0))
+        return ridge, sparse.csr_array(both - ridge)
 
 
 @dataclass(frozen=True, eq=False)

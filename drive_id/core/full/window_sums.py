@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,6 @@ SEGMENT = 0.25
 MOST_KEPT = 24_000
 """Number of stored windows, in whole segments evenly over time, for the analysis of residuals."""
 
-_GROUP = 512
-"""Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
 _DUE = 16 * FOLDS
 """Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
 in parallel threads."""
@@ -67,7 +66,8 @@ class WindowSums:
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
         self._last = -1  # last segment with windows
-        self._kept: dict[int, Windows] = {}
+        self._kept: dict[int, Windows] = {}  # by segment
+        self._short: dict[int, Windows] = {}  # those that are short, likewise
         self._every = 1
         self._recording = 0
 
@@ -109,7 +109,8 @@ class WindowSums:
         self._shared = set(other._shared)  # noqa: SLF001  # copied before the first change
         other._due = list(self._due)  # noqa: SLF001
         other._counts, other._squares = self._counts.copy(), self._squares.copy()  # noqa: SLF001
-        other._pending, other._kept = list(self._pending), dict(self._kept)  # noqa: SLF001
+        other._pending = list(self._pending)  # noqa: SLF001
+        other._kept, other._short = dict(self._kept), dict(self._short)  # noqa: SLF001
         return other
 
     def with_orders(self, orders: tuple[int, ...]) -> WindowSums:
@@ -132,12 +133,11 @@ class WindowSums:
 
     def between_crossings(self, weights: Callable[[Windows], FloatArray]) -> WindowSums:
         """Return the sums over the kept short windows instead, with weights (N,) on their squared residuals."""
-        short = {number: windows.part(windows.short) for number, windows in self._kept.items()}
         return self._over(
             self.model,
             {
                 number: replace(windows, short=np.zeros(len(windows), np.bool_), weight=weights(windows))
-                for number, windows in short.items()
+                for number, windows in self._short.items()
             },
         )
 
@@ -147,6 +147,7 @@ class WindowSums:
             other._segment, other._pending = number, [kept[number]]  # of its own class
             other._flush()
         other._form_products()
+        other._short = dict(self._short)
         other.outside = self.outside
         return other
 
@@ -172,23 +173,24 @@ class WindowSums:
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
 
         def of_fold(fold: int) -> list[tuple[int, Windows]]:
-            out = []
-            for number, own in zip(numbers, kept, strict=True):
-                if number % FOLDS != fold:
-                    continue
-                windows = replace(own, effects=columns(own))
-                rows, indices = model.nonzero_columns(windows)
-                rows = rows.reshape(-1, len(indices))
+            own = [(number, windows) for number, windows in zip(numbers, kept, strict=True) if number % FOLDS == fold]
+            if not own:
+                return []
+            together = Windows.joined([windows for _, windows in own])
+            together = replace(together, effects=columns(together))
+            for rows, indices in model.nonzero_columns(together):
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
                 chosen = indices[first:last] - model.effects.start
                 products[fold, indices[:, None], chosen] += rows.T @ rows[:, first:last]
                 if some is not None:
-                    rows = np.delete(rows, slice(first, last), axis=1)
-                    indices = np.delete(indices, slice(first, last))
-                    add_triangle(rows.T @ rows, indices, some.triangles[fold])
-                    some.counts[fold] += own.weights.sum()
-                out.append((number, windows))
-            return out
+                    others = np.delete(rows, slice(first, last), axis=1)
+                    add_triangle(others.T @ others, np.delete(indices, slice(first, last)), some.triangles[fold])
+            if some is not None:
+                some.counts[fold] += together.weights.sum()
+            edges = np.cumsum([0, *(len(windows) for _, windows in own)]).tolist()
+            return [
+                (number, together.part(slice(*edge))) for (number, _), edge in zip(own, pairwise(edges), strict=True)
+            ]
 
         for done in in_threads(of_fold, range(FOLDS)):
             other._kept |= dict(done)  # noqa: SLF001  # of its own class
@@ -238,10 +240,10 @@ class WindowSums:
         self._squares = self._squares + np.roll(theirs._squares, offset)  # noqa: SLF001
         known = self._recording + 1 if self.windows else 0
         runs = 1 + max((int(windows.run.max()) for windows in self._kept.values()), default=-1)
-        self._kept |= {
-            offset + number: replace(windows, recording=windows.recording + known, run=windows.run + runs)
-            for number, windows in theirs._kept.items()  # noqa: SLF001
-        }
+        for own, more in ((self._kept, theirs._kept), (self._short, theirs._short)):  # noqa: SLF001
+            for number, windows in more.items():
+                renumbered = replace(windows, recording=windows.recording + known, run=windows.run + runs)
+                own[offset + number] = renumbered
         self._recording = known + theirs._recording  # noqa: SLF001
         if theirs.windows:
             self._last = offset + theirs._last  # noqa: SLF001
@@ -256,7 +258,7 @@ class WindowSums:
         done = self.finished()
         out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
-        kept = [done._kept[number] for number in sorted(done._kept)]  # noqa: SLF001
+        kept = [Windows.joined(list(both)) for both in zip(done.kept(), done.kept_short(), strict=True)]
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
         if kept:
             together = Windows.joined(kept)
@@ -327,11 +329,11 @@ class WindowSums:
 
     def kept(self) -> list[Windows]:
         """Return the kept segments in order of time."""
-        return [windows.whole for _, windows in sorted(self._kept.items())]
+        return [self._kept[number] for number in sorted(self._kept)]
 
     def kept_short(self) -> list[Windows]:
         """Return the short windows of the kept segments in order of time."""
-        return [windows.part(windows.short) for _, windows in sorted(self._kept.items())]
+        return [self._short[number] for number in sorted(self._kept)]
 
     def _next_start(self) -> int:
         """Return the segment in which the next recording begins, the same for merging and adding."""
@@ -362,16 +364,17 @@ class WindowSums:
         self._pending = []
         if windows is None or windows.short.all():
             return
-        fold, whole = self._segment % FOLDS, windows.whole
+        fold, short = self._segment % FOLDS, windows.part(windows.short)
+        whole = windows.part(~windows.short) if len(short) else windows
         if form:
             self._due.append((fold, whole))
         self._some = None
-        self._counts[fold] += len(whole) if whole.weight is None else whole.weight.sum()
+        self._counts[fold] += whole.weights.sum()
         self.windows += len(whole)
         self._last = self._segment
         if self._segment % self._every == 0:
-            earlier = self._kept.get(self._segment)
-            self._kept[self._segment] = windows if earlier is None else Windows.joined([earlier, windows])
+            for known, new in ((self._kept, whole), (self._short, short)):
+                known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
             self._thin()
         if len(self._due) >= _DUE:
             self._form_products()
@@ -386,12 +389,11 @@ class WindowSums:
         model = self.model
 
         def add(number: int) -> None:
-            for few in _neighbours(Windows.joined(by_fold.pop(number))):
-                rows, columns = model.nonzero_columns(few)
-                rows = rows.reshape(-1, len(columns))
+            windows = Windows.joined(by_fold.pop(number))
+            for rows, columns in model.nonzero_columns(windows):
                 add_triangle(rows.T @ rows, columns, triangles[number])
-                if model.reciprocal:
-                    self._squares[number] += model.map_squares(few)
+            if model.reciprocal:
+                self._squares[number] += model.map_squares(windows)
 
         with one_blas_thread():
             in_threads(add, sorted(by_fold), threads)
@@ -406,23 +408,11 @@ class WindowSums:
         self.model, self._shared = model, set()
 
     def _thin(self) -> None:
-        while len(self._kept) > 1 and sum(int((~windows.short).sum()) for windows in self._kept.values()) > MOST_KEPT:
+        while len(self._kept) > 1 and sum(map(len, self._kept.values())) > MOST_KEPT:
             self._every *= 2
-            self._kept = {number: windows for number, windows in self._kept.items() if number % self._every == 0}
-
-
-def _neighbours(windows: Windows) -> Iterator[Windows]:
-    """Yield all windows in groups that are close in the currents at both ends: they share most nonzero columns."""
-    ends = windows.i_dq.reshape(len(windows), -1)
-    groups = [np.arange(len(windows))]
-    while groups:
-        group = groups.pop()
-        if len(group) <= _GROUP:
-            yield windows.part(np.sort(group))
-            continue
-        widest, half = int(np.argmax(np.ptp(ends[group], axis=0))), len(group) // 2
-        order = np.argpartition(ends[group, widest], half)
-        groups += [group[order[half:]], group[order[:half]]]
+            for known in (self._kept, self._short):
+                for number in [number for number in known if number % self._every]:
+                    del known[number]
 
 
 @dataclass(frozen=True, eq=False)

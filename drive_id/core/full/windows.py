@@ -14,7 +14,6 @@ import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
@@ -43,7 +42,7 @@ MOST_DELAY = float(-SHIFTS[0])
 LAGS = (1e-3, 4e-3, 16e-3)
 """Time constants of flux lags, s."""
 
-_REACH = 4
+_REACH = 4  # samples to each side over which the speed is fitted: a tenth of the noise of one difference
 _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
 """Samples around and before the end of a window over which lines are fitted by least squares."""
@@ -181,9 +180,8 @@ class Windows:
 
     def part(self, selected: slice | IntArray | BoolArray) -> Windows:
         """Return some of the windows."""
-        own: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        chosen: dict[str, Any] = {name: x if x is None else x[selected] for name, x in own.items()}
-        return Windows(**chosen)
+        own = ((name, getattr(self, name)) for name in (*MEASURED, *_ADDED))
+        return Windows(**{name: x[selected] for name, x in own if x is not None})
 
     @staticmethod
     def joined(parts: list[Windows]) -> Windows:
@@ -205,11 +203,6 @@ class Windows:
         if len(self) <= most:
             return self
         return self.part(np.sort(np.random.default_rng(0).choice(len(self), most, replace=False)))
-
-    @property
-    def whole(self) -> Windows:
-        """Those that are not short."""
-        return self.part(~self.short) if self.short.any() else self
 
     @property
     def measured(self) -> ComplexArray:

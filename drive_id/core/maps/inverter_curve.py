@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class CapacitiveShapes:
         """Number of curves, from the first, that the drop of most inverters needs: up to about i_max / 6."""
         return len(self.scales) - 2
 
-    @property
+    @cached_property
     def coarse(self) -> CapacitiveShapes:
         """Every second of the usual curves: enough for effects that are small beside the drop."""
         return CapacitiveShapes(self.scales[: self.usual : 2])

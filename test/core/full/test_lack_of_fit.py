@@ -36,7 +36,6 @@ def fit(samples):
 def test_noise_explains_the_residuals_of_a_drive_that_obeys_the_model(good):
     misfit = fit(good).assessment.misfit
     assert misfit.ratio == pytest.approx(1.0, abs=0.1)
-    assert (misfit.by_current, misfit.by_position) == (1.0, 1.0)
     assert misfit.changes.shape[1] == 0
 
 
@@ -44,7 +43,6 @@ def test_what_repeats_over_the_rotor_position_widens_the_standard_errors(good, b
     found = fit(bad)
     misfit = found.assessment.misfit
     assert misfit.ratio > 1.3
-    assert misfit.by_position > 2
     in_map = np.square(found.assessment.changes[found.model.map]).sum(axis=1)
     repeating = np.square(misfit.changes[found.model.map]).sum(axis=1)
     assert np.median(repeating / in_map) > 0.05

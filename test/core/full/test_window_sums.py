@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline
 from synthetic import record
 
 from drive_id.core.full import window_sums
-from drive_id.core.full.model import EFFECT_COLUMNS, MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec, basis
+from drive_id.core.full.model import CONSTANT, EFFECT_COLUMNS, MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec, basis
 from drive_id.core.full.solver import Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import WindowCutter, Windows
@@ -115,8 +115,8 @@ def test_the_columns_of_the_sums_are_those_of_reciprocal_maps(model, samples):
     windows = some_windows(model, samples)
     expected = (model.design(windows).reshape(-1, model.size) @ model.expansion).reshape(len(windows), 2, -1)
     np.testing.assert_allclose(model.design(windows, model.summed), expected, rtol=0, atol=1e-13)
-    rows, columns = model.nonzero_columns(windows)
-    np.testing.assert_allclose(rows, expected[:, :, columns], rtol=0, atol=1e-13)
+    ((rows, columns),) = model.nonzero_columns(windows)  # one group: in order
+    np.testing.assert_allclose(rows.reshape(len(windows), 2, -1), expected[:, :, columns], rtol=0, atol=1e-13)
     assert np.all(np.diff(columns) > 0)
     assert not np.delete(expected, columns, axis=2).any()
     spec = ModelSpec(reciprocal=True, orders=(2, 6), per_phase=True, lag=True, effects=("iron_loss",))
@@ -199,7 +199,7 @@ def test_effects_of_all_windows_follow_from_the_kept_ones(free, samples, monkeyp
 def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
     monkeypatch.setattr(window_sums, "MOST_KEPT", 700)
     monkeypatch.setattr(window_sums, "_DUE", 5)  # reached by three passes, as in any long recording
-    monkeypatch.setattr(window_sums, "_GROUP", 128)
+    monkeypatch.setattr("drive_id.core.full.model._GROUP", 128)
 
     def peak(passes):
         sums = WindowSums(dataclasses.replace(free, reciprocal=True))
@@ -215,18 +215,19 @@ def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
 
 
 @pytest.mark.parametrize("most", [7, 64, 5000])
-def test_groups_of_neighbours_are_all_windows_once(model, samples, monkeypatch, most):
-    """And they share columns: that is what they are for."""
-    monkeypatch.setattr(window_sums, "_GROUP", most)
+def test_groups_hold_all_windows_once(model, samples, monkeypatch, most):
+    """And their windows share columns: that is what they are for."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
-    groups = list(window_sums._neighbours(windows))
-    assert max(map(len, groups)) <= most
-    np.testing.assert_array_equal(np.sort(np.concatenate([group.time for group in groups])), windows.time)
+    in_order = [windows.part(slice(start, start + most)) for start in range(0, len(windows), most)]
+    before = [len(columns) for part in in_order for _, columns in model.nonzero_columns(part)]
+    monkeypatch.setattr("drive_id.core.full.model._GROUP", most)
+    groups = list(model.nonzero_columns(windows))
+    assert max(len(rows) for rows, _ in groups) <= 2 * most
+    duration = [rows.reshape(-1, 2, len(columns))[:, 0, columns == CONSTANT.start].ravel() for rows, columns in groups]
+    np.testing.assert_array_equal(np.sort(np.concatenate(duration)), np.sort(windows.duration))
     if most == 64:
-        in_order = [windows.part(slice(start, start + 64)) for start in range(0, len(windows), 64)]
-        met, before = (np.mean([len(model.nonzero_columns(part)[1]) for part in parts]) for parts in (groups, in_order))
-        assert met < before
+        assert np.mean([len(columns) for _, columns in groups]) < np.mean(before)
 
 
 def test_prompt_products_leave_nothing_to_a_snapshot(free, samples):

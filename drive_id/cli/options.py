@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from rich.text import Text
@@ -95,6 +95,7 @@ def merged_settings(
     from drive_id.files.inputs.input_file import read_text_input
     from drive_id.files.inputs.yaml_tree import load_yaml
 
+    hints = get_type_hints(cls)
     unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
     values: dict[str, Any] = asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
     if config is not None:
@@ -111,7 +112,9 @@ def merged_settings(
         if not sign:
             raise ConfigurationError(f"--set {assignment} is not of the form NAME=VALUE: write it so.")
         try:
-            values[name.strip()] = load_yaml(text, _MOST_SETTINGS)
+            value = load_yaml(text, _MOST_SETTINGS)
+            literal = hints.get(name.strip()) is str and type(value) in (int, float)
+            values[name.strip()] = text.strip() if literal else value  # 0017 is a serial number, not 15
         except unreadable as error:
             raise ConfigurationError(f"The value in --set {assignment:.200} is not valid YAML: quote it.") from error
     chosen = {name: value for name, value in options.items() if value is not None}

@@ -59,7 +59,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     if origin.diagnostics:
         row("MAD of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q)))
     if origin.fitted:
-        row("Residual voltage, rms", measured(report.residual_rms, unit="V"))
+        row("Residual, rms over a sample", measured(report.residual_rms, unit="V"))
     row("Disc covered", f"{100 * report.coverage:.1f} %")
     for cells in _regression_rows(fit) if verbose and origin.fitted else ():
         row(*cells)
@@ -128,7 +128,8 @@ def _experiment(fit: Result) -> list[str]:
 def info_table(info: BagInfo) -> Table:
     """List the topics of a bag."""
     compression = f", {info.compression}" if info.compression else ""
-    title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB, {info.duration:.3f} s"
+    duration = f", {info.duration:.3f} s" if info.duration else ""
+    title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB{duration}"
     table = plain_table(title, ["Topic", "Type"], ["Messages"])
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
@@ -189,7 +190,7 @@ def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     for quantity, figure in figures.items():
         factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
         shown = measured(factor * figure.value, factor * figure.sigma, unit)
-        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "no data")
+        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "extrapolated")
     return table
 
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
 from drive_id.messages import Message, Value
-from drive_id.types import Samples
+from drive_id.types import FloatArray, Samples
 
 _BAD = 0.05
 """Unexplained share of the voltage above which other readings are tried."""
 _BETTER = 1 / 3
 """Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
 _BETTER_ROTATED = 0.6  # likewise for voltages turned by odd multiples of 30 degrees: 0.96 at best on 34 random drives
-_BETTER_EXCHANGED = 0.5  # likewise for currents and voltages exchanged: 2.2 at best on the same drives
+_BETTER_MISTAKEN = 0.5  # likewise for currents and voltages exchanged: 2.2 at best on the same drives
 _ALIKE = 1.02  # ratio of unexplained voltages within which the reading with the least factor is taken
 _REFUSED = 0.1  # unexplained share of the voltage above which a far better reading is an error, below a warning
 _CERTAIN = 0.005
@@ -70,8 +71,8 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]
     if declared is None:
         return
     better = _best_other(excerpts, declared)
-    if exchanged := _exchanged(runs, declared, better):
-        yield exchanged
+    if mistaken := _mistaken(runs, declared, better):
+        yield mistaken
         return
     if better is not None:
         shift = _time_shift(excerpts, declared)
@@ -188,16 +189,35 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
     return best if best is not None and best.unexplained < limit * declared.unexplained else None
 
 
-def _exchanged(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Message | None:
-    """Return a finding if the currents explain far more as voltages, and the voltages as currents."""
+def _mistaken(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Message | None:
+    """Return a finding if the signals explain far more when taken for others, see :func:`_mistakes`."""
     some = runs[:: -(-len(runs) // _FEW_RUNS)]
-    largest = max(float(np.quantile(np.abs(run.u_abc), _USUAL)) for run in some)
-    swapped = [Excerpt.of(replace(run, i_abc=run.u_abc, u_abc=run.i_abc), largest).coarse() for run in some]
-    fit = rough_fit(swapped)
-    limit = _BETTER_EXCHANGED * declared.unexplained if better is None else better.unexplained
-    if fit is None or fit.unexplained > limit or declared.unexplained < _CERTAIN:
+    found: list[tuple[RoughFit, str, str | None]] = []
+    for code, signals, taken in _mistakes(pairs=declared.unexplained > _BAD):
+        others = [taken(run) for run in some]
+        largest = max(float(np.quantile(np.abs(run.i_abc), _USUAL)) for run in others)
+        fit = rough_fit([Excerpt.of(run, largest).coarse() for run in others]) if largest > 0 else None
+        found += [] if fit is None else [(fit, code, signals)]
+    fit, code, signals = min(found, key=lambda each: each[0].unexplained, default=(declared, "", None))
+    limit = _BETTER_MISTAKEN * declared.unexplained if better is None else better.unexplained
+    if fit.unexplained > limit or declared.unexplained < _CERTAIN:
         return None
-    return Message("exchanged", **_compared(declared, fit))
+    return Message(code, **_compared(declared, fit), **({} if signals is None else {"signals": signals}))
+
+
+def _mistakes(*, pairs: bool) -> Iterator[tuple[str, str | None, Callable[[Samples], Samples]]]:
+    """Yield code, signals and cure of mistakes: exchanged signals, and, with ``pairs``, alpha and beta for a and b."""
+    yield "exchanged", None, lambda run: replace(run, i_abc=run.u_abc, u_abc=run.i_abc)
+    if pairs:
+        yield "alpha_beta", "voltages", lambda run: replace(run, u_abc=_of_pair(run.u_abc))
+        yield "alpha_beta", "currents", lambda run: replace(run, i_abc=_of_pair(run.i_abc))
+        both = "currents and voltages"
+        yield "alpha_beta", both, lambda run: replace(run, i_abc=_of_pair(run.i_abc), u_abc=_of_pair(run.u_abc))
+
+
+def _of_pair(x_abc: FloatArray) -> FloatArray:
+    """Return the phase quantities (N, 3) whose components alpha and beta were taken for phases a and b."""
+    return frames.phases(x_abc[:, 0] + 1j * x_abc[:, 1])
 
 
 def _others() -> Iterator[Reading]:

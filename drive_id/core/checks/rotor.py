@@ -174,9 +174,10 @@ def _ratio_meaning(ratio: float) -> str:
         machine = f"mechanical and the machine had {count} pole pairs"
         meanings += [(float(count), f"the speed were {machine}"), (1 / count, f"the angle were {machine}")]
     for unit, name in ((_RPM, "rpm"), (_REVOLUTION, "revolutions per second")):
+        meanings += [(unit, f"the speed were in {name}")]
         meanings += [
             (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
-            for count in range(1, _MOST_POLE_PAIRS)
+            for count in range(2, _MOST_POLE_PAIRS)
         ]
     for number, (value, meaning) in enumerate(meanings):
         tolerance = _DEGREES_MEANT if number == 0 else _MEANT  # degrees may have been wrapped as if in radians

@@ -53,6 +53,8 @@ _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
+_INNER = 0.9
+"""Part of the disc, by its radius, that has no hole if it is called whole: at the rim, noise makes some."""
 _FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
 """Share of the disc with data below which more of it helps most, and share without data up to which it is whole."""
 
@@ -385,7 +387,8 @@ def _on_region(evidence: Gathered, inside: BoolArray) -> Message:
     disc = np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max
     missing = disc & ~inside
     share = missing.sum() / max(disc.sum(), 1)
-    if share < _WHOLE_DISC:
+    inner = np.hypot(grid[..., 0], grid[..., 1]) <= _INNER * evidence.i_max
+    if share < _WHOLE_DISC and not (missing & inner).any():
         return Message("region.whole")
     d, q = grid[missing][np.hypot(*grid[missing].T).argmin()]
     return Message("region", share=share, i_d=d, i_q=q)

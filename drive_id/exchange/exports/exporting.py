@@ -75,7 +75,9 @@ class Exported:
         what = f"{self.missing} of {self.points} points of the table have no data"
         if self.filled:
             return (f"{what}: they hold a continuation of the map.",)
-        return (f"{what}: {self.gaps}; choose a smaller --range, or --fill them with a continuation.",)
+        return (
+            f"{what}: {self.gaps}; choose a smaller --range or a larger --grid, or --fill them with a continuation.",
+        )
 
 
 def content_of(

@@ -252,7 +252,7 @@ def _values(result: Result) -> TextTable:
         ("Origin", result.origin.caption),
         ("Pole pairs", str(result.pole_pairs or "unknown")),
         ("DC link", f"{number(result.u_dc)} V" if result.u_dc else "unknown"),
-        ("Date", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown"),
+        ("Identified", result.date.replace("T", " ").replace("+00:00", " UTC") or "unknown"),
     ]
     if not result.origin.fitted:
         rows.append(("Points read", str(metrics["samples_read"])))

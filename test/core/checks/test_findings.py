@@ -71,6 +71,13 @@ def signed(x_abc, phase):
     return x_abc * np.where(np.arange(3) == phase, -1.0, 1.0)
 
 
+def pair(x_abc):
+    """Return alpha, beta and what a reader adds as phase c."""
+    a, b, c = x_abc.T
+    alpha, beta = (2 * a - b - c) / 3, (b - c) / np.sqrt(3)
+    return np.column_stack([alpha, beta, -alpha - beta])
+
+
 def told(samples):
     (finding,) = found(samples)
     assert finding.count(". ") == 0
@@ -85,7 +92,7 @@ def told(samples):
 READINGS = {
     "clockwise": (lambda s: turned(s, -1), "direction", "against the order of the phases"),
     "half the pole pairs": (lambda s: turned(s, 0.5), "pole_pairs", "with 2 pole pairs"),
-    "8 for 4 pole pairs": (lambda s: turned(s, 2), "pole_pairs", "(4 instead of 8, say)"),
+    "8 for 4 pole pairs": (lambda s: turned(s, 2), "pole_pairs", "(from 8 to 4, for example)"),
     "3 for 4 pole pairs": (lambda s: turned(s, 0.75), "pole_pairs", "by 4/3"),
     "a third, clockwise": (lambda s: turned(s, -1 / 3), "pole_pairs", "with 3 pole pairs"),
     "currents a, b": (lambda s: replace(s, i_abc=s.i_abc[:, [1, 0, 2]]), "phases_swapped", "a and b of the currents"),
@@ -104,6 +111,15 @@ READINGS = {
     "current b negative": (lambda s: replace(s, i_abc=signed(s.i_abc, 1)), "phase_reversed", "current of phase b"),
     "currents for voltages": (
         lambda s: replace(s, i_abc=s.u_abc, u_abc=s.i_abc), "exchanged", "exchange their topics or fields"
+    ),
+    "alpha and beta for a and b": (
+        lambda s: replace(s, u_abc=pair(s.u_abc)), "alpha_beta", "The voltages seem to be components alpha and beta"
+    ),
+    "currents alpha and beta": (
+        lambda s: replace(s, i_abc=pair(s.i_abc)), "alpha_beta", "The currents seem to be components alpha and beta"
+    ),
+    "all alpha and beta": (
+        lambda s: replace(s, i_abc=pair(s.i_abc), u_abc=pair(s.u_abc)), "alpha_beta", "The currents and voltages seem"
     ),
 }  # fmt: skip
 

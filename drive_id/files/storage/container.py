@@ -1,11 +1,12 @@
-"""The Protocol of storage files (MCAP, sqlite3), with what they share: magic numbers and decompression."""
+"""What storage files (MCAP, sqlite3, ROS 1) share: their base class, magic numbers and decompression."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -69,43 +70,43 @@ class RawMessage(NamedTuple):
     data: bytes | memoryview
 
 
-class Storage(Protocol):
+class Storage(ABC):
     """One storage file, open for reading. All errors are :class:`~drive_id.errors.BagError`."""
 
     kind: str
-    """``mcap`` or ``sqlite3``."""
-    compression: str
-    """Of the chunks; empty for none."""
-    topics: tuple[TopicInfo, ...]
-    start: int
+    """``mcap``, ``sqlite3`` or ``rosbag1``."""
+    topics: tuple[TopicInfo, ...] = ()
+    start = 0
     """Earliest log time, ns; ``start`` and ``end`` are 0 when there is no message."""
-    end: int
-    damage: str
+    end = 0
+    compression = ""
+    """Of the chunks; empty for none."""
+    damage = ""
     """What is wrong with the file; empty if it is complete."""
-    warning: Message | None
-    """A sentence about a file that was not completed but can be read; else empty."""
+    warning: Message | None = None
+    """About a file that was not completed but can be read."""
 
     @property
     def checked(self) -> bool:
         """Whether checksums covered all that has been read so far."""
-        ...
+        return False
 
     @property
     def progress(self) -> float:
         """Part of the file that has been read, 0 to 1; 0 if unknown."""
-        ...
+        return 0.0
 
+    @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in order of arrival; checks the declared counts at the end."""
-        ...
 
-    def attachment(self, name: str) -> bytes | None:
+    def attachment(self, name: str) -> bytes | None:  # noqa: ARG002  # only MCAP files have some
         """Return the attachment of that name, if there is one."""
-        ...
+        return None
 
+    @abstractmethod
     def close(self) -> None:
         """Release the file."""
-        ...
 
 
 def read_magic(path: Path, shown: Path) -> bytes:

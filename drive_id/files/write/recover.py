@@ -187,7 +187,9 @@ class _Copy:
             self._writer.add_attachment(*times, record.name, record.media_type, record.data)
         elif isinstance(record, records.Metadata):
             if record.name == "rosbag2":
-                self.distro = self.distro or _distro(record.metadata.get("serialized_metadata", ""))
+                tree = _loaded(record.metadata.get("serialized_metadata", ""))
+                distro = tree.get("ros_distro") if isinstance(tree, dict) else ""
+                self.distro = self.distro or (distro if isinstance(distro, str) else "")
             else:
                 self._writer.add_metadata(record.name, record.metadata)
 
@@ -201,26 +203,18 @@ class _Copy:
         )
         self._channels[channel.id] = (number, channel.topic)
         if channel.topic not in self._topics:
+            profiles = _loaded(channel.metadata.get("offered_qos_profiles", ""))
             self._topics[channel.topic] = TopicEntry(
                 channel.topic,
                 self._types.get(channel.schema_id, ""),
                 channel.metadata.get("topic_type_hash", ""),
-                _offered_qos(channel.metadata.get("offered_qos_profiles", "")),
+                profiles if isinstance(profiles, list) else [],
             )
 
 
-def _offered_qos(text: str) -> list[Any]:
+def _loaded(text: str) -> Any:
+    """Return a YAML document; None for a damaged one."""
     try:
-        profiles = load_yaml(text)
+        return load_yaml(text)
     except (yaml.YAMLError, ValueError):
-        return []
-    return profiles if isinstance(profiles, list) else []
-
-
-def _distro(text: str) -> str:
-    try:
-        tree = load_yaml(text)
-    except (yaml.YAMLError, ValueError):
-        return ""
-    distro = tree.get("ros_distro") if isinstance(tree, dict) else ""
-    return distro if isinstance(distro, str) else ""
+        return None

@@ -22,7 +22,8 @@ from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
 from drive_id.files.storage.container import TopicInfo
-from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
+from drive_id.files.storage.metadata import Qos
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import Topics, write_recording
 
 NAMES = {"/phase_currents": "i_abc", "/phase_voltages": "u_abc", "/current_reference": "i_dq_reference"}
@@ -186,7 +187,6 @@ def test_the_raw_writer_serves_any_type_and_flushes(tmp_path):
             writer.write("/x", b"\0\1\0\0" + np.float64(k).tobytes(), 1000 + k)
         writer.flush()
         assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 300
-        assert writer.message_count == 10
         with pytest.raises(OutputError, match="recorded already"):
             writer.add_topic("/x", kind, definition=definition)
     with AnyReader([tmp_path / "bag"]) as reader:

@@ -114,7 +114,9 @@ def _source(kind: type[Source], tree: Any, section: str, common: dict[str, Any],
     if not isinstance(tree, dict):
         raise ConfigurationError(f"{section} is not a mapping: write 'topic: ...' and so on below it.")
     values = common | tree
-    _check_nesting(values, section)
+    odd = next((name for name in values if not isinstance(name, str)), None)
+    if odd is not None:
+        raise ConfigurationError(f"{section} sets '{odd!r:.60}', which is no name: write 'topic: ...' and so on.")
     for name in _NESTED[kind]:
         if isinstance(values.get(name), dict):
             inherited = {} if {"topic", "group"} & set(values[name]) else values
@@ -126,13 +128,6 @@ def _source(kind: type[Source], tree: Any, section: str, common: dict[str, Any],
     if by_topic and not source.topic:
         raise ConfigurationError(f"In {section}: topic is missing: name the topic of the signal.")
     return source
-
-
-def _check_nesting(tree: dict[Any, Any], section: str) -> None:
-    """Refuse names that are not text, which no field has."""
-    odd = next((name for name in tree if not isinstance(name, str)), None)
-    if odd is not None:
-        raise ConfigurationError(f"{section} sets '{odd!r:.60}', which is no name: write 'topic: ...' and so on.")
 
 
 def _combined(entry: Any, section: str) -> Any:
@@ -176,7 +171,7 @@ def _optional(tree: Any, section: str, common: dict[str, Any], *, by_topic: bool
 def _check_scales(values: dict[str, Any], where: str) -> None:
     """Check that only voltages are duty cycles or decimated, and that the DC-link voltage is there for them."""
     currents, voltages = values["currents"], values["voltages"]
-    if currents.duty_cycles:
+    if currents.scaled_by:
         said = _BY_DC_LINK if currents.scaled_by == _BY_DC_LINK else "another signal"
         raise ConfigurationError(f"scale in section 'currents' of {where} is {said}: give the factor to A.")
     if currents.decimation != 1:

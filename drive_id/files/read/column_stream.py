@@ -16,7 +16,6 @@ from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog, Rows, fi
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
-from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
@@ -117,8 +116,7 @@ def largest_reference(path: Path, signals: SignalMap) -> float | None:
         largest = 0.0
         for rows in log.parts(section.columns):
             columns = [column.astype(np.float64) for column in _piece(rows, section).columns]
-            values = in_si_units(columns, source)
-            amplitude = np.hypot(*values.T)
+            amplitude = np.hypot(*source.in_si_units(columns).T)
             largest = max(largest, float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude))))
     return largest
 

@@ -15,7 +15,6 @@ from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
 from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
-from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
@@ -275,7 +274,7 @@ class SignalBuilder:
             for k in range(len(pieces[0].columns))
         ]
         self._unwrap_angle(columns)
-        return self._signal(stamp, in_si_units(columns, self.source), start, lost, period)
+        return self._signal(stamp, self.source.in_si_units(columns), start, lost, period)
 
     def _timed(self, stamp: IntArray, first: NDArray[Any] | None, count: IntArray) -> tuple[IntArray, float | None]:
         """Return stamps of messages (B,), ns, as the source says how to take them, and the period, s, if known."""

@@ -213,8 +213,8 @@ def test_bags_with_the_former_message_of_references_are_read_likewise(tmp_path):
             known = {"definition": former, "hash_": "RIHS01_x"} if connection.msgtype == CURRENT_REFERENCE else {}
             writer.add_topic(connection.topic, connection.msgtype, **known)
         for connection, time, data in reader.messages():
-            block, whole = decode_block(data, len(BLOCK_FIELDS[connection.msgtype])), bytes(data)
-            again = encode_block(block.stamp, block.first_sample, block.sample_period, block.values, "drive")
+            (head, values), whole = decode_block(data, len(BLOCK_FIELDS[connection.msgtype])), bytes(data)
+            again = encode_block(head.stamp, head.first_sample, head.sample_period, values, "drive")
             assert whole.startswith(again)
             assert len(whole) - len(again) in ({18, 22} if connection.msgtype == CURRENT_REFERENCE else {0})
             writer.write(connection.topic, again, time)

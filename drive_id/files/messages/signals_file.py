@@ -113,7 +113,7 @@ def _common(tree: dict[str, Any], section: str) -> dict[str, Any]:
 def _source(kind: type[Source], tree: Any, section: str, common: dict[str, Any], *, by_topic: bool) -> Source:
     if not isinstance(tree, dict):
         raise ConfigurationError(f"{section} is not a mapping: write 'topic: ...' and so on below it.")
-    values = common | tree
+    values: dict[Any, Any] = common | tree
     odd = next((name for name in values if not isinstance(name, str)), None)
     if odd is not None:
         raise ConfigurationError(f"{section} sets '{odd!r:.60}', which is no name: write 'topic: ...' and so on.")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _LONGEST_SENTENCE = 2000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BagInfo:
     """Contents of a recording, as its files declare them.
 
@@ -43,16 +43,16 @@ class BagInfo:
 
     path: str
     storage: str
-    compression: str
+    compression: str = ""
     files: tuple[str, ...]
     size: int
     topics: tuple[TopicInfo, ...]
     messages: int
-    start: int
-    duration: float
-    complete: bool
-    problem: str
-    ground_truth: bool
+    start: int = 0
+    duration: float = 0.0
+    complete: bool = True
+    problem: str = ""
+    ground_truth: bool = False
 
 
 def bag_info(path: Path) -> BagInfo:
@@ -98,16 +98,10 @@ def _log_info(log: ColumnLog) -> BagInfo:
     return BagInfo(
         path=str(log.path),
         storage=log.kind,
-        compression="",
         files=(str(log.path),),
         size=file_size(log.path),
         topics=columns,
         messages=max((group.rows or 0 for group in log.groups), default=0),
-        start=0,
-        duration=0.0,
-        complete=True,
-        problem="",
-        ground_truth=False,
     )
 
 

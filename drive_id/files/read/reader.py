@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +32,7 @@ CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
 _LOCKING_PAIRS = 1 << 17
 _AHEAD = 2
-_WAIT = 0.1
+"""Parts that another thread prepares."""
 
 Item = TypeVar("Item")
 
@@ -42,18 +42,8 @@ def read_signals_only(
 ) -> tuple[dict[str, Signal], dict[str, str], tuple[Message, ...]]:
     """Read the signals of a log one by one, without joining them: a speed is enough, and no angle is needed.
 
-    Returns
-    -------
-    signals : dict of str to Signal
-        By section of the signal map.
-    digests : dict of str to str
-        File to its sha256.
-    warnings : tuple of Message
-
-    Raises
-    ------
-    BagError, DataError, ConfigurationError
-        See :func:`~drive_id.files.read.several.read_recording`.
+    Returns them by section, the sha256 of each file, and warnings. Raises BagError, DataError or ConfigurationError, as
+    :func:`~drive_id.files.read.several.read_recording` does.
     """
     with _opened(path, signals, namespace, angle=False) as (bag, _, _, stream):
         found = stream.whole()
@@ -62,13 +52,7 @@ def read_signals_only(
 
 @dataclass(frozen=True, eq=False)
 class BagFacts:
-    """What :func:`bag_pieces` returns when all of a bag has been read.
-
-    Parameters
-    ----------
-    checked : bool
-        Whether checksums covered all of it.
-    """
+    """What :func:`bag_pieces` returns when all of a bag has been read; ``checked``: checksums covered all of it."""
 
     files: tuple[Path, ...]
     truth: GroundTruth | None
@@ -315,39 +299,12 @@ def prefetched(items: Generator[Item, None, None], ahead: int, threads: bool = T
 
 
 def _prefetched(items: Generator[Item, None, None], ahead: int) -> Generator[Item, None, None]:
-    waiting: queue.Queue[tuple[Item | None, BaseException | None]] = queue.Queue(ahead)
-    closed = threading.Event()
-
-    def put(item: Item | None, error: BaseException | None = None) -> bool:
-        while not closed.is_set():
-            try:
-                waiting.put((item, error), timeout=_WAIT)
-            except queue.Full:
-                continue
-            return True
-        return False
-
-    def work() -> None:
+    with ThreadPoolExecutor(1, "reader") as pool:
+        waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
         try:
-            for item in items:
-                if not put(item):
-                    return
-            put(None)
-        except BaseException as error:  # noqa: BLE001  # raised again where the items are used
-            put(None, error)
+            while (item := waiting.popleft().result()) is not None:
+                waiting.append(pool.submit(next, items, None))
+                yield item
         finally:
+            pool.shutdown(cancel_futures=True)
             items.close()
-
-    thread = threading.Thread(target=work, name="reader", daemon=True)
-    thread.start()
-    try:
-        while True:
-            item, error = waiting.get()
-            if error is not None:
-                raise error
-            if item is None:
-                return
-            yield item
-    finally:
-        closed.set()
-        thread.join()

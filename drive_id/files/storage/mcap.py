@@ -318,10 +318,11 @@ class McapStorage(Storage):
                     yield RawMessage(wanted[record.channel_id], record.log_time, record.data)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
-        for key, topic in wanted.items() if self._counts is not None else ():
-            if found[key] != self._counts[key]:
+        declared = found if self._counts is None else self._counts
+        for key, topic in wanted.items():
+            if found[key] != declared[key]:
                 raise MessageCountError(
-                    f"{self._shown} declares {self._counts[key]} messages on {topic} but holds {found[key]}: "
+                    f"{self._shown} declares {declared[key]} messages on {topic} but holds {found[key]}: "
                     "copy the file again from its origin, or rebuild it with 'drive-id recover'."
                 )
 

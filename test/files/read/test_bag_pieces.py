@@ -236,4 +236,4 @@ def test_closing_ends_the_thread_and_what_it_reads():
     assert next(stream) == 1
     stream.close()
     assert closed.is_set()
-    assert not [thread for thread in threading.enumerate() if thread.name == "reader"]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("reader")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +15,7 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests
+from drive_id.inspection.names import name_groups, suggests, time_unit
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
 from drive_id.types import FloatArray, IntArray, Samples
 
@@ -164,9 +163,8 @@ def time_column(table: Table) -> tuple[str, str] | None:
         step = float(np.median(np.diff(x)))
         if step <= 0 or float(np.mean(np.diff(x) > 0)) < 0.9:
             continue
-        said = re.search(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$", name.lower())
-        units = [said.group(1).replace("µ", "u")] if said else ["s", "ms", "us", "ns"]
-        for unit in units:
+        said = time_unit(name)
+        for unit in [said] if said else ["s", "ms", "us", "ns"]:
             fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
             if fits and _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
                 return name, unit
@@ -223,8 +221,7 @@ def _chosen(
         (i, u)
         for i in currents
         for u in voltages
-        if not set(zip([i.table.name] * 3, i.group.names, strict=False))
-        & set(zip([u.table.name] * 3, u.group.names, strict=False))
+        if i.table.name != u.table.name or not set(i.group.names) & set(u.group.names)
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None

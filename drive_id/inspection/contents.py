@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.errors import DriveIdError, MessageTypeError
-from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
@@ -143,7 +143,7 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
     columns = {
         column.name: np.concatenate(values).astype(np.float64)
         for column, values in found.items()
-        if column != time and all(np.asarray(part).dtype.kind in "iufb" for part in values)
+        if column != time and all(np.asarray(part).dtype.kind in NUMBERS for part in values)
     }
     stamp = np.concatenate(found[time]).astype(np.int64) if time in found else np.zeros(0, np.int64)
     return Table(

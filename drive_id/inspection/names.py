@@ -19,6 +19,7 @@ _WORDS = {
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds"),
 }  # fmt: skip
+_TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
 
@@ -53,6 +54,12 @@ def suggests(name: str, meaning: str) -> bool:
     own = words(name)
     long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
     return unit or long or bool(own & set(_WORDS[meaning]))
+
+
+def time_unit(name: str) -> str:
+    """Return the unit of time at the end of a name, as in ``time [ms]`` or ``t_us``; empty if it has none."""
+    said = _TIME_UNIT.search(name.lower())
+    return said.group(1).replace("µ", "u") if said else ""
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:

@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.errors import DriveIdError
 from drive_id.files.inputs.input_file import reason, shown_size
 
 DAMAGED = (
@@ -48,7 +49,9 @@ def npz_bytes(arrays: Mapping[str, Any], *, compressed: bool = True) -> bytes:
 
 
 def damage(error: Exception) -> str:
-    """Say in words what one of :data:`DAMAGED` tells."""
+    """Say in words what one of :data:`DAMAGED`, or an error of ours, tells."""
+    if isinstance(error, DriveIdError):
+        return str(error)
     if isinstance(error, OSError):
         return f"{Path(str(error.filename)).name}: {reason(error)}" if error.filename else reason(error)
     if isinstance(error, KeyError):

@@ -69,10 +69,6 @@ def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | No
     arrays = read_arrays(content, largest=_LARGEST)
     if int(arrays["format_version"]) > _FORMAT_VERSION:
         return None
-    return _diagnostics(arrays, shape)
-
-
-def _diagnostics(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Diagnostics:
     angle, time = (_table(arrays, name, name, 2) for name in ("angle", "time"))
     trajectory = np.asarray(arrays["trajectory"], np.float64)
     if trajectory.shape[1:] != (2,):

@@ -9,7 +9,6 @@ simulation.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -133,14 +132,6 @@ def encode_information(accumulated: Accumulated) -> bytes:
     if sum(max(array.nbytes, 8 * array.size) for array in arrays.values()) > unpacked_limit(len(content)):
         return npz_bytes(arrays, compressed=False)  # sums of so many splines are nearly all zero: readers would refuse
     return content
-
-
-def decode_information(data: bytes, where: str) -> StoredInformation:
-    """Decode the content of an information file.
-
-    Raises InformationError, see :func:`read_information`; naming ``where``.
-    """
-    return _decoded(io.BytesIO(data), where)
 
 
 def _decoded(stream: BinaryIO, where: str) -> StoredInformation:

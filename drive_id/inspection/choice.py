@@ -27,7 +27,7 @@ _FEWEST = 200
 """Rows by which a column is recognized at least."""
 _BALANCED = 0.35
 """Relative difference of the sizes of three phases, as gains of current sensors and a short log may cause."""
-_JITTER = 0.02
+JITTER = 0.02
 """Jitter of the stamps, by the period, from which they are replaced by equally spaced ones."""
 LARGEST_DUTY = 1.17
 """Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
@@ -77,18 +77,9 @@ class Choice:
 
 
 def choose(contents: Contents) -> tuple[list[Table], Choice]:
-    """Choose currents, voltages and angle of a log.
+    """Choose currents, voltages and angle of a log; return its tables with a time, too.
 
-    Returns
-    -------
-    tables : list of Table
-        Those with a time.
-    choice : Choice
-
-    Raises
-    ------
-    ConfigurationError
-        When no columns look like currents, voltages and an angle: says which are missing.
+    Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
     tables = [_timed(_filled(table), contents) for table in contents.tables]
     if not any(len(table.stamp) for table in tables):
@@ -158,7 +149,7 @@ def _numbered(table: Table) -> Table:
 def time_column(table: Table) -> tuple[str, str] | None:
     """Return the column that looks like the time, and its unit; None if none does."""
     for name, x in sorted(table.columns.items(), key=lambda item: not suggests(item[0], "time")):
-        if len(x) < 200 or not np.isfinite(x).all() or not suggests(name, "time"):
+        if len(x) < _FEWEST or not np.isfinite(x).all() or not suggests(name, "time"):
             continue
         step = float(np.median(np.diff(x)))
         if step <= 0 or float(np.mean(np.diff(x) > 0)) < 0.9:
@@ -299,7 +290,7 @@ def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.comple
 def regular_stamps(table: Table) -> IntArray:
     """Return the stamps of a table, without jitter if they have much."""
     period, jitter = table.period, table.jitter
-    if period is None or jitter is None or jitter < _JITTER * period * table.block:
+    if period is None or jitter is None or jitter < JITTER * period * table.block:
         return table.stamp
     return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
 

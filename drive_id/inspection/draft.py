@@ -14,6 +14,7 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import (
     GUESSED_PERIOD,
     INDEX,
+    JITTER,
     LARGEST_DUTY,
     Choice,
     NoAngleError,
@@ -27,9 +28,10 @@ from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import static_draft
 from drive_id.inspection.wording import listed, printable, quoted
 
-_JITTER = 0.02
 _SAME_RATE = 0.005
+"""Relative difference up to which two sample periods are the same."""
 _POOR = 0.35
+"""Share of the voltage, unexplained, from which the choice itself is in doubt."""
 _LARGEST_CURRENT = 5000.0
 """Largest plausible current, A, the same as in the check ``current_scale``."""
 _NO_OFFSET = 0.035
@@ -143,7 +145,7 @@ class _DraftText:
         ]
         if counts:
             found.append(f"  first_sample: {quoted(counts[0])}")
-        if period is not None and jitter is not None and jitter > _JITTER * period * table.block:
+        if period is not None and jitter is not None and jitter > JITTER * period * table.block:
             found.append(f"  equally_spaced: true            # the stamps jitter by {jitter * 1e6:.3g} us rms")
             if table.block > 1:
                 found.append(f"  sample_period: {_nice(period)}")

@@ -107,24 +107,9 @@ def check(
 def inspect_log(
     path: Path, signals: SignalMap | None = None, *, namespace: str = "", draft: bool = False, tell: Progress = silent
 ) -> Inspection:
-    """Inspect a log.
+    """Inspect a log as :func:`check` does; with ``draft``, propose a signals file even for our own messages.
 
-    Parameters
-    ----------
-    path : Path
-        Bag or file of columns.
-    signals : SignalMap, optional
-        Default: our own messages, or else a proposal.
-    namespace : str
-        Of the drive, when a bag holds several.
-    draft : bool
-        Propose a signals file even for our own messages.
-    tell : callable, optional
-
-    Raises
-    ------
-    BagError
-        When it cannot be read.
+    Raises BagError when it cannot be read.
     """
     tell("Reading", 0.0)
     contents = read_contents(path, signals)

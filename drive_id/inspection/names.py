@@ -25,19 +25,11 @@ _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
 @dataclass(frozen=True)
 class NameGroup:
-    """Columns that belong together by their names.
-
-    Parameters
-    ----------
-    frame : str
-        ``abc``, ``line_to_line``, ``alpha_beta`` or ``dq``.
-    stem : str
-        What the names have in common.
-    """
+    """Columns that belong together by their names."""
 
     names: tuple[str, ...]
-    frame: str
-    stem: str
+    frame: str  # "abc", "line_to_line", "alpha_beta" or "dq"
+    stem: str  # what the names have in common
 
 
 def words(name: str) -> set[str]:

@@ -72,25 +72,10 @@ def unpacked_limit(size: int, largest: int = LARGEST) -> int:
 def read_arrays(
     source: BinaryIO | bytes, names: Collection[str] | None = None, *, largest: int = LARGEST
 ) -> dict[str, NDArray[Any]]:
-    """Read arrays of an ``.npz`` file.
+    """Read the arrays of an ``.npz`` file that have one of these names, by default all.
 
-    Parameters
-    ----------
-    names : collection of str, optional
-        Arrays to read if they are there; default: all.
-    largest : int
-        Most bytes, as arrays of 64-bit numbers, in all.
-
-    Returns
-    -------
-    dict of str to array
-
-    Raises
-    ------
-    ValueError
-        When it declares more than :func:`unpacked_limit` allows, or other arrays than of plain numbers or texts.
-    Exception
-        Others of :data:`DAMAGED`, when it is no such file.
+    Raises ValueError when it declares more than :func:`unpacked_limit` allows, ``largest`` bytes as 64-bit numbers at
+    most, or other arrays than of plain numbers or texts; others of :data:`DAMAGED` when it is no such file.
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     limit = unpacked_limit(_checked_size(stream), largest)

@@ -36,24 +36,12 @@ _MOST_NAMED = 12
 
 @dataclass(frozen=True)
 class ColumnGroup:
-    """Columns of equal length that share their time.
+    """Columns of equal length that share their time."""
 
-    Parameters
-    ----------
-    name : str
-        Empty in a container without groups.
-    columns : dict of str to str
-        Name to type, such as ``float64``.
-    rows : int or None
-        None where a file does not tell without being read.
-    own_time : bool
-        The container itself knows the time of the rows.
-    """
-
-    name: str
-    columns: dict[str, str]
-    rows: int | None
-    own_time: bool = False
+    name: str  # empty in a container without groups
+    columns: dict[str, str]  # name to type, such as float64
+    rows: int | None  # None where a file does not tell without being read
+    own_time: bool = False  # the container itself knows the time of the rows
 
 
 class Column(NamedTuple):

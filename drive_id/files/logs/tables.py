@@ -32,22 +32,12 @@ _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(
 
 @dataclass(frozen=True)
 class CsvDialect:
-    """How a text file writes its table.
+    """How a text file writes its table."""
 
-    Parameters
-    ----------
-    delimiter, decimal : str
-        The delimiter is ``WHITE`` for any white space.
-    header : int
-        Line of the names, from 0.
-    skipped : tuple of int
-        Lines below it that hold no numbers, such as units.
-    """
-
-    delimiter: str
+    delimiter: str  # WHITE for any white space
     decimal: str
-    header: int
-    skipped: tuple[int, ...]
+    header: int  # line of the names, from 0
+    skipped: tuple[int, ...]  # lines below it that hold no numbers, such as units
     names: tuple[str, ...]
     encoding: str = "utf-8-sig"
 

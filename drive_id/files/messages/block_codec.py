@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from drive_id.types import NANOSECONDS
 
+LONGEST_PERIOD = 1e4
+"""Sample period, s, from which one is no measurement but an error of its unit."""
 _STAMP_MAX = 2**31 * NANOSECONDS
 _TIME_AND_NAME = (struct.Struct(">iII"), struct.Struct("<iII"))
 LONGEST_REST = (3, 3, 24, 3)

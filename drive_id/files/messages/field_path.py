@@ -74,13 +74,7 @@ class FieldPath:
 
 
 def parse_field_path(text: str, where: str) -> FieldPath:
-    """Parse a path.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming ``where`` the text was found.
-    """
+    """Parse a path; raises ConfigurationError naming ``where`` the text was found."""
     steps: list[str | int | slice] = []
     position, name_may_follow = 0, True
     while position < len(text):

@@ -34,23 +34,12 @@ STAMP_LIMIT = 2**61
 
 @dataclass(frozen=True, eq=False)
 class MessageSamples:
-    """The samples of one signal in one message.
+    """The samples of one signal in one message."""
 
-    Parameters
-    ----------
-    stamp : int or (n,) int64
-        Of the first sample or of each, ns.
-    first_sample : int, (n,) int64 or None
-        Running count of the first sample, or of each.
-    sample_period : float or None
-        s.
-    columns : tuple of (n,) float32 or float64
-    """
-
-    stamp: int | IntArray
-    first_sample: int | IntArray | None
-    sample_period: float | None
-    columns: tuple[NDArray[np.floating], ...]
+    stamp: int | IntArray  # of the first sample or of each (n,), ns
+    first_sample: int | IntArray | None  # running count of the first sample, or of each (n,)
+    sample_period: float | None  # s
+    columns: tuple[NDArray[np.floating], ...]  # each (n,), float32 or float64
 
 
 Reader = Callable[[RawMessage], MessageSamples]

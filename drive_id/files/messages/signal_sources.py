@@ -13,6 +13,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.errors import ConfigurationError
+from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.field_path import parse_field_path
 from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS, FloatArray
@@ -28,7 +29,8 @@ VOLTAGE_SCALE = "voltage_scale"
 ROTOR_SPEED = "speed"
 """Section of a speed that is recorded apart from the angle."""
 NAMED_STAMPS = ("header", "log_time", "index")
-_BY_DC_LINK = "dc_link_voltage"
+BY_DC_LINK = "dc_link_voltage"
+"""Optional signal that scales the voltages under its own name."""
 _ROOT = 0.8660254037844386
 _FROM_ALPHA_BETA = np.array([[1.0, 0.0], [-0.5, _ROOT], [-0.5, -_ROOT]])
 _FROM_LINES = np.array([[1.0, 0.0, -1.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]]) / 3
@@ -108,7 +110,7 @@ class TimeSource(Checked):
             raise ConfigurationError("stamp is 'index' without a sample_period: give the time between samples in s.")
         if isinstance(self.sample_period, str):
             self.check_path(self.sample_period, "sample_period")
-        elif self.sample_period is not None and not 0 < self.sample_period < 1e4:
+        elif self.sample_period is not None and not 0 < self.sample_period < LONGEST_PERIOD:
             raise ConfigurationError(
                 f"sample_period is {self.sample_period} s: it must be positive and below 10 000 s."
             )
@@ -220,10 +222,9 @@ class PhaseSource(TimeSource):
             self.check_path(self.angle, "angle")
         if self.frame != "dq" and (self.angle or self.angle_advance):
             raise ConfigurationError(f"angle belongs to frame dq, not {self.frame}: set frame: dq, or remove it.")
-        if isinstance(self.scale, str) and self.scale != _BY_DC_LINK:
+        if isinstance(self.scale, str) and self.scale != BY_DC_LINK:
             raise ConfigurationError(
-                f"scale is '{self.scale}': give numbers, or {_BY_DC_LINK} or {{topic: ..., field: ...}} for duty "
-                "cycles."
+                f"scale is '{self.scale}': give numbers, or {BY_DC_LINK} or {{topic: ..., field: ...}} for duty cycles."
             )
         if 0.0 in self.factors or len(self.factors) != len(self.fields):
             raise ConfigurationError(
@@ -237,7 +238,7 @@ class PhaseSource(TimeSource):
         """Section of the signal that scales these; empty for none."""
         if isinstance(self.scale, ScalarSource):
             return VOLTAGE_SCALE
-        return _BY_DC_LINK if self.scale == _BY_DC_LINK else ""
+        return BY_DC_LINK if self.scale == BY_DC_LINK else ""
 
     @property
     def factors(self) -> tuple[float, ...]:

@@ -6,10 +6,8 @@ import numpy as np
 
 from drive_id.core.signals.signal import SampleCount, Signal, block_stamps
 from drive_id.errors import MessageTypeError, SamplePeriodError
-from drive_id.files.messages.block_codec import decode_block
+from drive_id.files.messages.block_codec import LONGEST_PERIOD, decode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
-
-_LONGEST_PERIOD = 1e4
 
 
 class BlockStream:
@@ -34,7 +32,7 @@ class BlockStream:
                 f"A message on {self.topic} cannot be read as {self.type_name} ({error}): correct its publisher."
             ) from error
         period = head.sample_period
-        if not 0.0 < period < _LONGEST_PERIOD:
+        if not 0.0 < period < LONGEST_PERIOD:
             raise SamplePeriodError(
                 f"A message on {self.topic} stamped {head.stamp} ns declares a sample period of {period} s: correct "
                 "its publisher."

@@ -35,22 +35,8 @@ def _conversion(source: PhaseSource) -> ToPhases | None:
 def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, float, list[Message]]:
     """Return the resolver's signal, with a speed recorded apart, at the times of the currents if it is interpolated.
 
-    Parameters
-    ----------
-    found : dict of str to Signal
-        By section.
-
-    Returns
-    -------
-    signal : Signal
-    error : float
-        Root mean square error of an interpolated angle, rad; 0 if it was not interpolated.
-    warnings : list of Message
-
-    Raises
-    ------
-    DataError
-        When the angle cannot be interpolated.
+    Returns the root mean square error of an interpolated angle, rad, or 0, and warnings as well. Raises DataError when
+    the angle cannot be interpolated.
     """
     rotor = found["resolver"]
     if ROTOR_SPEED in found:

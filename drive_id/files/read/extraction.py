@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
+from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
@@ -23,8 +24,7 @@ from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
 """Size of a part, samples of the currents."""
-_LONGEST_PERIOD = 1e4
-_SAME_PERIOD = 1e-6
+_SAME_PERIOD = 1e-6  # relative: periods in float64 may have gone through a text
 INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
 """Sections of any rate, which may begin late and have gaps."""
 
@@ -43,16 +43,7 @@ class SignalPart(NamedTuple):
 class LogSignals:
     """The signals of one drive in an open log; its kinds say how the samples are read.
 
-    Parameters
-    ----------
-    path : Path
-        Of the log.
-    sources : dict of str to TimeSource
-        By section of the signal map.
-    names : dict of str to str
-        Of topic or columns, by section.
-    required : iterable of str
-        Sections that must hold samples.
+    ``sources``, and ``names`` of topic or columns, are by section of the signal map; ``required`` must hold samples.
     """
 
     def __init__(
@@ -82,16 +73,9 @@ class LogSignals:
     def whole(self) -> dict[str, Signal]:
         """Return the complete signals by section, in SI units; reference and optional signals only if they are there.
 
-        Raises
-        ------
-        MessageTypeError
-            When a topic has a type or a field from which the signal cannot be read.
-        EmptyTopicError
-            When a topic holds no sample.
-        SamplePeriodError
-            When the declared period of a topic changes, is not positive, or is missing where it is needed.
-        BagError
-            When the bag is damaged, or holds more or fewer messages than declared.
+        Raises MessageTypeError when a signal cannot be read from the type or fields of its topic, EmptyTopicError when
+        a topic holds no sample, SamplePeriodError when its declared period changes, is not positive, or is missing
+        where it is needed, BagError when the bag is damaged, or holds more or fewer messages than declared.
         """
         pieces: dict[str, list[MessageSamples]] = defaultdict(list)
         guard = MemoryGuard(self._path)
@@ -298,7 +282,7 @@ class SignalBuilder:
             period = piece.sample_period
             if period is None or self.period is None:
                 continue
-            if not 0.0 < period < _LONGEST_PERIOD:
+            if not 0.0 < period < LONGEST_PERIOD:
                 raise SamplePeriodError(
                     f"A message on {self.topic} stamped {np.min(piece.stamp)} ns declares a sample period of {period} "
                     "s: correct its publisher, or give the period in a signals file."

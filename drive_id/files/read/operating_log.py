@@ -40,17 +40,8 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
     sampled so fast that the rotor turns by less than 0.5 rad per sample; they are averaged. Where a log of columns has
     no time, and its signals file names none, each row is an operating point.
 
-    Parameters
-    ----------
-    signals : SignalMap, optional
-        Default: our own messages.
-    namespace : str
-        Of the drive, when a bag holds several.
-
-    Raises
-    ------
-    BagError, DataError, ConfigurationError
-        When the log cannot be read, or its signals do not fit together.
+    For ``signals`` and ``namespace``, see :func:`~drive_id.files.read.several.read_recording`. Raises BagError,
+    DataError or ConfigurationError when the log cannot be read, or its signals do not fit together.
     """
     known = signals or SignalMap()
     frames = {known.currents.frame, known.voltages.frame}

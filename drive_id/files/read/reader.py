@@ -30,7 +30,7 @@ from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
-_LOCKING_PAIRS = 1 << 17
+_LOCKING_PAIRS = 1 << 17  # samples by which the sample period is found: seconds of a drive at 10 kHz and more
 _AHEAD = 2
 """Parts that another thread prepares."""
 
@@ -73,8 +73,6 @@ def bag_pieces(
 
     Parameters
     ----------
-    namespace : str
-        Of the drive, when the bag holds several.
     whole : bool
         Read all of the bag before joining, for those that raise UnusualError otherwise.
     threads : bool
@@ -229,12 +227,8 @@ class _References:
 def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:
     """Return the topic of each section of a signal map: absolute names as given, others below one common namespace.
 
-    Raises
-    ------
-    MissingTopicError
-        When a required topic is not there; lists those that are.
-    ConfigurationError
-        When several namespaces hold all topics and ``namespace`` is empty.
+    Raises MissingTopicError when a required topic is not there, listing those that are, and ConfigurationError when
+    several namespaces hold all topics and ``namespace`` is empty.
     """
     sources, needed = signals.sources(), signals.needed
     if signals.of_columns:

@@ -22,23 +22,11 @@ _LONG = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class JoinedLog:
-    """The content of one bag or of several.
+    """The content of one bag or of several."""
 
-    Parameters
-    ----------
-    samples : Samples
-        Joined; each bag begins a new run.
-    truth : GroundTruth or None
-        Of the simulation; None unless all bags have one.
-    digests : dict of str to str
-        Storage file to its sha256.
-    warnings : tuple of Message
-        Sentences about the recordings.
-    """
-
-    samples: Samples
-    truth: GroundTruth | None
-    digests: dict[str, str]
+    samples: Samples  # joined; each bag begins a new run
+    truth: GroundTruth | None  # of the simulation; None unless all bags have one
+    digests: dict[str, str]  # storage file to its sha256
     warnings: tuple[Message, ...]
 
 
@@ -73,19 +61,7 @@ def read_recording(paths: Path | Sequence[Path], signals: SignalMap | None = Non
 
 
 class SeveralBags:
-    """Reads bags one after the other.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the drive, when a bag holds several.
-    tell : callable
-        Called with the progress.
-    threads : bool
-        Read ahead in other threads.
-    whole : bool
-        Read each bag at once.
-    """
+    """Reads bags one after the other, ahead in other ``threads``, or each at once if ``whole``."""
 
     def __init__(
         self,
@@ -142,15 +118,7 @@ class SeveralBags:
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
         """Yield the samples of all bags piece by piece, each with whether it is the first of a bag.
 
-        Parameters
-        ----------
-        what : str
-            Shown with the progress.
-
-        Raises
-        ------
-        DriveIdError, UnusualError
-            See :func:`~drive_id.files.read.reader.bag_pieces`.
+        ``what`` is told with the progress. For the errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()

@@ -64,46 +64,20 @@ _DAMAGE = (DriveIdError, *DAMAGED)
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a result comes from, and what is known of the experiment besides.
+    """Where a result comes from, and what is known of the experiment besides; None and empty for what is not known."""
 
-    Parameters
-    ----------
-    inputs : dict of str to str
-        File to its sha256.
-    machine : str
-        Name, empty when unknown.
-    nrmse : (float, float) or None
-        Of psi_d and psi_q against the ground truth, when the recording carried it.
-    warnings : tuple of Message
-        About the recording; those about the fit are in its report.
-    pole_pairs : int or None
-        None when unknown.
-    u_dc : float or None
-        DC-link voltage, V, when known.
-    speed_range : (float, float) or None
-        Lowest and highest electrical speed in the recording, rad/s.
-    duration : float or None
-        Of the samples, without gaps, s.
-    date : str
-        Of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day.
-    versions : mapping of str to str
-        Of the software that made the result; empty: of this process.
-    temperature : float or None
-        Of the winding to which the resistance refers, degrees Celsius; None: as in the experiment.
-    """
-
-    inputs: Mapping[str, str]
+    inputs: Mapping[str, str]  # file to its sha256
     settings: FitSettings
-    machine: str = ""
-    nrmse: tuple[float, float] | None = None
-    warnings: tuple[Message, ...] = ()
+    machine: str = ""  # its name
+    nrmse: tuple[float, float] | None = None  # of psi_d and psi_q against the ground truth, if the recording carried it
+    warnings: tuple[Message, ...] = ()  # about the recording; those about the fit are in its report
     pole_pairs: int | None = None
-    u_dc: float | None = None
-    speed_range: tuple[float, float] | None = None
-    duration: float | None = None
-    date: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
-    temperature: float | None = None
+    u_dc: float | None = None  # DC-link voltage, V
+    speed_range: tuple[float, float] | None = None  # lowest and highest electrical speed in the recording, rad/s
+    duration: float | None = None  # of the samples, without gaps, s
+    date: str = ""  # of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day
+    versions: Mapping[str, str] = field(default_factory=dict)  # of the software that made it; empty: of this process
+    temperature: float | None = None  # of the winding, degrees C, to which R refers; None: as in the experiment
 
 
 def write_results(
@@ -115,23 +89,10 @@ def write_results(
     pictures: Mapping[str, bytes] | None = None,
     diagnostics: Diagnostics | None = None,
 ) -> None:
-    """Write the result files of a fit, and pictures beside them.
+    """Write the result files of a fit, pictures by their names beside them, and diagnostics for reports.
 
-    Parameters
-    ----------
-    directory : Path
-        See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
-    force : bool
-        Write into a folder that holds other files.
-    pictures : mapping of str to bytes, optional
-        Further files by name.
-    diagnostics : Diagnostics, optional
-        Residuals, simulated currents and the paper's methods, for reports.
-
-    Raises
-    ------
-    OutputError
-        See :func:`~drive_id.files.results.folder.replace_folder`.
+    Results of an earlier fit in the folder are replaced; with ``force``, it may hold other files. Raises OutputError,
+    see :func:`~drive_id.files.results.folder.replace_folder`.
     """
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
@@ -144,18 +105,9 @@ def write_results(
 
 
 def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
-    """Read the result folder of a fit.
+    """Read the result folder of a fit: its map is the stored grid, and all warnings are in the provenance.
 
-    Returns
-    -------
-    identification : IdentifiedDrive
-        Without ``model`` and ``gamma``: the map is the stored grid. All warnings are in the provenance.
-    provenance : Provenance
-
-    Raises
-    ------
-    ResultError
-        When it is not a result folder, is damaged, or was written by a newer version.
+    Raises ResultError when it is not a result folder, is damaged, or was written by a newer version.
     """
     try:
         try:

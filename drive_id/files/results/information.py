@@ -48,16 +48,10 @@ _DAMAGE = (DriveIdError, *DAMAGED)
 
 @dataclass(frozen=True, eq=False)
 class StoredInformation:
-    """Content of an information file.
-
-    Parameters
-    ----------
-    software : str
-        Version of drive_id that wrote it.
-    """
+    """Content of an information file."""
 
     accumulated: Accumulated
-    software: str
+    software: str  # version of drive_id that wrote it
 
 
 def check_information_output(path: Path) -> None:
@@ -77,15 +71,8 @@ def check_information_output(path: Path) -> None:
 def write_information(path: Path, accumulated: Accumulated) -> None:
     """Write an information file completely or not at all; an earlier one is replaced.
 
-    Parameters
-    ----------
-    accumulated : Accumulated
-        Of its excerpts, only the first 2 s of at most 10 recordings are kept.
-
-    Raises
-    ------
-    OutputError
-        When something else has this name, or it cannot be written.
+    Only the first 2 s of at most 10 recordings are kept. Raises OutputError when something else has this name, or it
+    cannot be written.
     """
     check_information_output(path)
     replace_file(path, encode_information(accumulated))

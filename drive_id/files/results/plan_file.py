@@ -45,13 +45,7 @@ def plan_tree(plan: Plan) -> dict[str, Any]:
 
 
 def plan_yaml(plan: Plan, machine: str = "") -> str:
-    """Write a plan as ROS parameters.
-
-    Parameters
-    ----------
-    machine : str
-        For the simulated bench: a shipped machine by name, or a machine file.
-    """
+    """Write a plan as ROS parameters; ``machine``, for the simulated bench, is shipped by this name, or a file."""
     experiment, trajectory = plan.experiment, plan.experiment.trajectory
     electrical = [plan.machine.electrical(speed) for speed in experiment.speeds]
     speeds = ", ".join(f"{speed:g}" for speed in experiment.speeds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import tempfile
 from collections import Counter
@@ -38,26 +39,14 @@ _ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", 
 
 @dataclass(eq=False)
 class Bag:
-    """An open recording; made by :func:`open_bag`.
-
-    Parameters
-    ----------
-    files : tuple of Path
-        The storage files in order.
-    storages : tuple of Storage
-        The same, open.
-    compression : str
-        Of the files as a whole, or within them; empty for none.
-    packed_with_checksum : bool
-        Whether all files are compressed as a whole, with a checksum of their content.
-    """
+    """An open recording; made by :func:`open_bag`."""
 
     path: Path
-    files: tuple[Path, ...]
-    storages: tuple[Storage, ...]
+    files: tuple[Path, ...]  # the storage files in order
+    storages: tuple[Storage, ...]  # the same, open
     metadata: BagMetadata | None
-    compression: str
-    packed_with_checksum: bool
+    compression: str  # of the files as a whole, or within them; empty for none
+    packed_with_checksum: bool  # all files are compressed as a whole, with a checksum of their content
 
     def __post_init__(self) -> None:
         self.topics = self._merged_topics()
@@ -200,7 +189,7 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     metadata = read_metadata(path / "metadata.yaml")
     files = tuple(path / name for name in metadata.files)
     for file in files:
-        if not _is_file(file):
+        if not os.path.isfile(file):  # noqa: PTH113  # Path.is_file raises for names that the system refuses
             raise NotABagError(
                 f"metadata.yaml of {path} names {file.name[:80]}, which is not there: complete the folder, or rewrite "
                 "metadata.yaml with 'ros2 bag reindex'."
@@ -238,14 +227,6 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
-
-
-def _is_file(path: Path) -> bool:
-    """Tell whether there is a regular file; a name that the system refuses is none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _present(path: Path) -> list[Path]:

@@ -38,28 +38,14 @@ _DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a storage file.
-
-    Parameters
-    ----------
-    name, type_name : str
-        The type in the form ``package/msg/Name``.
-    count : int or None
-        Messages that the file declares; ``None`` when it does not.
-    encoding : str
-        Of the messages; only ``cdr`` can be read.
-    definition_format : str
-        ``ros2msg``, ``ros2idl`` or empty.
-    definition : str
-        Complete message definition, or empty.
-    """
+    """One topic of a storage file."""
 
     name: str
-    type_name: str
-    count: int | None
-    encoding: str
-    definition_format: str = ""
-    definition: str = ""
+    type_name: str  # in the form package/msg/Name
+    count: int | None  # messages that the file declares, if it does
+    encoding: str  # of the messages: cdr, ros1 and json can be read
+    definition_format: str = ""  # such as ros2msg or ros2idl
+    definition: str = ""  # complete message definition, or empty
 
 
 class RawMessage(NamedTuple):
@@ -121,18 +107,7 @@ def read_magic(path: Path, shown: Path) -> bytes:
 
 
 class UnpackBudget:
-    """Counts what a file unpacks to, so that some kB of it cannot take gigabytes and minutes.
-
-    Parameters
-    ----------
-    size : int
-        Of the file, bytes.
-
-    Attributes
-    ----------
-    limit : int
-        Most bytes.
-    """
+    """Counts what a file of so many bytes unpacks to, so that some kB of it cannot take gigabytes and minutes."""
 
     def __init__(self, size: int) -> None:
         self.limit = _UNPACKED + _RATIO * size
@@ -152,12 +127,7 @@ class UnpackBudget:
 def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
     """Decompress a file that is compressed as a whole into ``folder``.
 
-    Returns
-    -------
-    path : Path
-        Of the plain file; ``path`` itself when it is not compressed.
-    compression : str
-        ``zstd``, ``lz4`` or empty.
+    Returns the path of the plain file, or ``path`` itself, and the compression: ``zstd``, ``lz4`` or empty.
     """
     magic = read_magic(path, path)
     if not magic.startswith((ZSTD_MAGIC, LZ4_MAGIC)):

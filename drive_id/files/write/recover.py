@@ -26,28 +26,19 @@ _CHUNK_SIZE = 512 * 1024
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a recovery.
+    """Result of a recovery."""
 
-    Parameters
-    ----------
-    output : Path
-        The complete recording.
-    topics : dict of str to int
-        Messages by topic.
-    duration : float
-        Between the first and the last message, s.
-    damage : tuple of str
-        Sentences about what could not be recovered; empty when the recording was complete.
-    """
-
-    output: Path
-    topics: dict[str, int]
-    duration: float
-    damage: tuple[str, ...]
+    output: Path  # the complete recording
+    topics: dict[str, int]  # messages by topic
+    duration: float  # between the first and the last message, s
+    damage: tuple[str, ...]  # sentences about what could not be recovered; empty when the recording was complete
 
 
 def recover_bag(path: Path, output: Path | None = None) -> Recovery:
     """Write what can be read of an MCAP recording as a new, complete one; the original is not changed.
+
+    Raises NotABagError when it is no MCAP recording, EmptyTopicError when there is no message to recover, OutputError
+    when the output exists or cannot be written.
 
     Parameters
     ----------
@@ -55,15 +46,6 @@ def recover_bag(path: Path, output: Path | None = None) -> Recovery:
         Storage file or folder; its ``metadata.yaml`` is ignored.
     output : Path, optional
         Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
-
-    Raises
-    ------
-    NotABagError
-        When it is no MCAP recording.
-    EmptyTopicError
-        When there is no message to recover.
-    OutputError
-        When the output exists or cannot be written.
     """
     files = present_files(path)
     absolute = path.absolute()

@@ -187,7 +187,8 @@ class Rosbag2McapWriter:
     """Write one recording, message by message, already serialized.
 
     :meth:`close` completes the recording; what was flushed before the process died can be recovered. After an error of
-    the disk, :meth:`end_early` ends it behind what was written.
+    the disk, :meth:`end_early` ends it behind what was written. Every method raises OutputError when the folder exists
+    or cannot be written.
 
     Parameters
     ----------
@@ -197,17 +198,8 @@ class Rosbag2McapWriter:
         Bytes.
     compression : str
         Of the chunks: ``zstd``, ``lz4`` or empty.
-    ros_distro : str
-        For ``metadata.yaml``.
     live : bool
         Mark the files as written live, and reserve disk space for ending them when the disk is full.
-    opener : callable
-        Creates the files.
-
-    Raises
-    ------
-    OutputError
-        When the folder exists or cannot be written; from every method.
     """
 
     def __init__(

@@ -35,14 +35,15 @@ def write_recording(
     compression: str = "zstd",
     chunk_size: int = CHUNK_SIZE,
 ) -> None:
-    """Write samples as a rosbag2 recording, all of it or nothing.
+    """Write samples, as float32 like our messages, as a rosbag2 recording, all of it or nothing.
+
+    Raises OutputError when the path exists or cannot be written, ConfigurationError when the block size or the stamps
+    do not fit the messages.
 
     Parameters
     ----------
     path : Path
         Folder to create.
-    samples : Samples
-        Stored as float32, like the messages.
     truth : GroundTruth, optional
         Stored as the attachment ``ground_truth.npz``.
     block_size : int
@@ -53,13 +54,6 @@ def write_recording(
         Stamp of the first sample, ns; default: stamps are not shifted.
     compression, chunk_size
         See :class:`~drive_id.files.write.rosbag2_writer.Rosbag2McapWriter`.
-
-    Raises
-    ------
-    OutputError
-        When the path exists or cannot be written.
-    ConfigurationError
-        When the block size or the stamps do not fit the messages.
     """
     if block_size < 1:
         raise ConfigurationError(f"block_size is {block_size}: it must be at least 1 sample.")

@@ -23,10 +23,9 @@ from drive_id.inspection.choice import (
     time_column,
 )
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import static_draft
-from drive_id.inspection.wording import listed, printable, quoted
 
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""

@@ -1,7 +1,8 @@
-"""What column names suggest: which columns form phases, and what they may be."""
+"""What column names suggest: which columns form phases, and what they may be; names as text of a signals file."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ _WORDS = {
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds"),
 }  # fmt: skip
 _TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
+_YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
 
@@ -128,3 +130,20 @@ def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
                 )
                 if second in known and second != name:
                     yield NameGroup((name, second), frame, f"{name[: match.start()]} {name[match.end() :]}")
+
+
+def quoted(name: str) -> str:
+    """Return a name for YAML, quoted unless it is a plain word."""
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in _YAML_WORDS:
+        return name
+    return json.dumps(name, ensure_ascii=not name.isprintable())
+
+
+def printable(name: str) -> str:
+    """Return a name for a comment, without characters that end it."""
+    return "".join(letter for letter in name if letter.isprintable())
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a list for YAML."""
+    return "[" + ", ".join(quoted(name) for name in names) + "]"

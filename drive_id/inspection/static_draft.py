@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests, time_unit, words
-from drive_id.inspection.wording import listed, quoted
+from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, words
 
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""

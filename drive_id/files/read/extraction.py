@@ -24,7 +24,7 @@ from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
 """Size of a part, samples of the currents."""
-_SAME_PERIOD = 1e-6  # relative: periods in float64 may have gone through a text
+_SAME_PERIOD = 1e-6  # relative difference up to which two declared periods are the same
 INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
 """Sections of any rate, which may begin late and have gaps."""
 

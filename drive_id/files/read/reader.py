@@ -30,7 +30,7 @@ from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
-_LOCKING_PAIRS = 1 << 17  # samples by which the sample period is found: seconds of a drive at 10 kHz and more
+_LOCKING_PAIRS = 1 << 17  # samples by which the offset between the signals is measured, 13 s at 10 kHz
 _AHEAD = 2
 """Parts that another thread prepares."""
 

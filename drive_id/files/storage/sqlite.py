@@ -119,7 +119,10 @@ class SqliteStorage(Storage):
             raise MessageCountError(
                 f"{self._shown} holds messages that belong to none of its topics: copy it again from its origin."
             )
-        definitions = self._definitions() if "message_definitions" in tables else {}
+        definitions: dict[str, tuple[str, str]] = {}
+        if "message_definitions" in tables:
+            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            definitions = {str(name): (str(form), str(text)) for name, form, text in self._database.execute(query)}
         infos: dict[str, TopicInfo] = {}
         for key, name, type_name, encoding in rows:
             before = infos[name].count or 0 if name in infos else 0
@@ -142,12 +145,6 @@ class SqliteStorage(Storage):
         count, *longest = self._database.execute(f"SELECT count(*), {lengths} FROM {table}").fetchone()
         if count > _MOST_TOPICS or any(isinstance(length, int) and length > _LONGEST_TEXT for length in longest):
             raise sqlite3.DatabaseError(f"its table {table} is too large")
-
-    def _definitions(self) -> dict[str, tuple[str, str]]:
-        rows = self._database.execute(
-            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        )
-        return {str(name): (str(form), str(text)) for name, form, text in rows}
 
     def _damaged(self, error: BaseException) -> TruncatedBagError:
         return TruncatedBagError(

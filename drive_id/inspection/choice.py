@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice, product
 
 import numpy as np
 
@@ -216,24 +217,16 @@ def _chosen(
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None
-    tried = 0
-    for i, u in pairs:
-        for angle in angles[:3]:
-            if tried >= _MOST_TRIED:
-                break
-            tried += 1
-            found = _read(i, u, angle, dc)
-            if found is None:
-                continue
-            likely = found.reading.unexplained - _NAME * (current_points(i) + voltage_points(u) + angle_points(angle))
-            if best is None or likely < best[0]:
-                best = likely, found
-            if (
-                found.reading.unexplained < _GOOD
-                and current_points(i) > SURE_CURRENT
-                and voltage_points(u) > SURE_VOLTAGE
-            ):
-                return best[1]
+    for (i, u), angle in islice(product(pairs, angles[:3]), _MOST_TRIED):
+        found = _read(i, u, angle, dc)
+        if found is None:
+            continue
+        left = found.reading.unexplained
+        likely = left - _NAME * (current_points(i) + voltage_points(u) + angle_points(angle))
+        if best is None or likely < best[0]:
+            best = likely, found
+        if left < _GOOD and current_points(i) > SURE_CURRENT and voltage_points(u) > SURE_VOLTAGE:
+            break
     return best and best[1]
 
 

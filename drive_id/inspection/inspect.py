@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.operating_log import read_operating_log
-from drive_id.files.read.reader import bag_pieces, find_topics
+from drive_id.files.read.reader import BagFacts, bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
@@ -139,17 +140,12 @@ def _look(
     for whole in (False, True):
         prescan, overviewing = Prescan(), Overviewing()
         refused: DriveIdError | None = None
-        warnings: tuple[Message, ...] = ()
-        pieces = bag_pieces(
-            path, signals, namespace, whole=whole, threads=False, tell=lambda share: tell("Reading", share)
-        )
+        facts: list[BagFacts] = []
+        told = partial(tell, "Reading")
         try:
-            while True:
-                piece = next(pieces)
+            for piece in bag_pieces(path, signals, namespace, whole=whole, threads=False, tell=told, end=facts.append):
                 prescan.add(piece.samples, continues=piece.continues)
                 overviewing.add(piece)
-        except StopIteration as end:
-            warnings = end.value.warnings
         except UnusualError:
             continue
         except _LOOKED as error:
@@ -161,7 +157,7 @@ def _look(
     overview = overviewing.overview(prescan.radius) if prescan.samples else None
     if overview is not None:
         found += overview.findings()
-    return found, overview, warnings
+    return found, overview, facts[0].warnings if facts else ()
 
 
 def _look_at_points(

@@ -101,24 +101,24 @@ class Hdf5Log(SlicedLog):
         self.groups = grouped(self._lengths)
 
     def _take(self, dataset: str, name: str, item: Any) -> None:
+        def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:
+            self._where[own] = (dataset, k, axis)
+            self._lengths[own] = (str(kind), item.shape[axis])
+
         if item.dtype.names:
             for field in item.dtype.names:
                 if item.ndim == 1 and item.dtype[field].kind in NUMBERS:
-                    self._where[f"{name}.{field}"] = (dataset, None, 0)
-                    self._lengths[f"{name}.{field}"] = (str(item.dtype[field]), len(item))
+                    add(f"{name}.{field}", item.dtype[field])
             return
         if item.dtype.kind not in NUMBERS or item.ndim not in (1, 2) or "MATLAB_empty" in item.attrs:
             return
         if item.ndim == 1:
-            self._where[name] = (dataset, None, 0)
-            self._lengths[name] = (str(item.dtype), len(item))
+            add(name, item.dtype)
             return
         axis = int(item.shape[1] > item.shape[0])  # time runs along the longer one
         count = item.shape[1 - axis]
         for k in range(min(count, _MOST_COLUMNS)):
-            own = name if count == 1 else f"{name}[{k}]"
-            self._where[own] = (dataset, k, axis)
-            self._lengths[own] = (str(item.dtype), item.shape[axis])
+            add(name if count == 1 else f"{name}[{k}]", item.dtype, k, axis)
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         dataset, k, axis = self._where[column.name]

@@ -52,12 +52,11 @@ def read_signals_only(
 
 @dataclass(frozen=True, eq=False)
 class BagFacts:
-    """What :func:`bag_pieces` returns when all of a bag has been read; ``checked``: checksums covered all of it."""
+    """What is known when all of a bag has been read."""
 
-    files: tuple[Path, ...]
     truth: GroundTruth | None
     warnings: tuple[Message, ...]
-    checked: bool
+    checked: bool  # checksums covered all of it
 
 
 def bag_pieces(
@@ -68,8 +67,9 @@ def bag_pieces(
     whole: bool = False,
     threads: bool = True,
     tell: Callable[[float], None] = lambda _: None,
-) -> Generator[Piece, None, BagFacts]:
-    """Yield the joined samples of a bag in order of time, in bounded memory; return files, truth and warnings.
+    end: Callable[[BagFacts], None] = lambda _: None,
+) -> Iterator[Piece]:
+    """Yield the joined samples of a bag in order of time, in bounded memory.
 
     Parameters
     ----------
@@ -79,6 +79,8 @@ def bag_pieces(
         Read, unpack and join ahead in other threads.
     tell : callable
         Called with the part of the bag that has been read, 0 to 1.
+    end : callable
+        Called with what is known when all of it has been read.
 
     Raises
     ------
@@ -100,7 +102,7 @@ def bag_pieces(
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
-        return BagFacts(bag.files, truth, (*bag.warnings, *warnings), bag.checked)
+        end(BagFacts(truth, (*bag.warnings, *warnings), bag.checked))
 
 
 @contextmanager

@@ -375,19 +375,16 @@ class McapStorage(Storage):
         """Open a file that the recorder did not complete, up to where it breaks off."""
         try:
             self._index_by_scan()
-            self.damage = "its index is missing"
+            self.damage, broken = "its index is missing", self._file.begin
         except DamageError as damage:
-            self.damage = str(damage)
-            broken = self._file.begin
+            self.damage, broken = str(damage), self._file.begin
             far = self._file.size - broken > _LARGEST_BREAK
             within = not isinstance(damage, BreakError) and self._file.has_record(self._file.end)
             if far or within:  # more follows than the recorder can have left unwritten
                 if not salvage:
                     raise self._damaged(str(damage)) from damage
                 return
-            self._break = broken
-        else:
-            self._break = self._file.begin
+        self._break = broken
         seconds = (self.end - self.start) * 1e-9
         self.warning = Message("not_completed", file=str(self._shown), damage=self.damage, seconds=seconds)
 

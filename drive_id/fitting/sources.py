@@ -24,7 +24,7 @@ from drive_id.errors import ConfigurationError, DriveIdError, InformationError
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.read.column_stream import largest_reference
-from drive_id.files.read.extraction import extract_signals
+from drive_id.files.read.extraction import SignalStream
 from drive_id.files.read.reader import find_topics
 from drive_id.files.read.several import read_recording
 from drive_id.files.results.information import read_information
@@ -220,7 +220,7 @@ def radius_of(path: Path, sources: Sources) -> float | DriveIdError | None:
                 topics = find_topics(bag, signals, sources.namespace)
                 if "reference" not in topics:
                     return None
-                found = extract_signals(bag, signals, {"reference": topics["reference"]})
+                found = SignalStream(bag, signals, {"reference": topics["reference"]}).whole()
             amplitude = np.hypot(*found["reference"].values[:, :2].T)
             largest = float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude)))
     except DriveIdError as error:

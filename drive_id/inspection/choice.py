@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice, product
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests
+from drive_id.inspection.names import name_groups, suggests, time_unit
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
 from drive_id.types import FloatArray, IntArray, Samples
 
@@ -28,7 +28,7 @@ _FEWEST = 200
 """Rows by which a column is recognized at least."""
 _BALANCED = 0.35
 """Relative difference of the sizes of three phases, as gains of current sensors and a short log may cause."""
-_JITTER = 0.02
+JITTER = 0.02
 """Jitter of the stamps, by the period, from which they are replaced by equally spaced ones."""
 LARGEST_DUTY = 1.17
 """Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
@@ -78,18 +78,9 @@ class Choice:
 
 
 def choose(contents: Contents) -> tuple[list[Table], Choice]:
-    """Choose currents, voltages and angle of a log.
+    """Choose currents, voltages and angle of a log; return its tables with a time, too.
 
-    Returns
-    -------
-    tables : list of Table
-        Those with a time.
-    choice : Choice
-
-    Raises
-    ------
-    ConfigurationError
-        When no columns look like currents, voltages and an angle: says which are missing.
+    Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
     tables = [_timed(_filled(table), contents) for table in contents.tables]
     if not any(len(table.stamp) for table in tables):
@@ -159,14 +150,13 @@ def _numbered(table: Table) -> Table:
 def time_column(table: Table) -> tuple[str, str] | None:
     """Return the column that looks like the time, and its unit; None if none does."""
     for name, x in sorted(table.columns.items(), key=lambda item: not suggests(item[0], "time")):
-        if len(x) < 200 or not np.isfinite(x).all() or not suggests(name, "time"):
+        if len(x) < _FEWEST or not np.isfinite(x).all() or not suggests(name, "time"):
             continue
         step = float(np.median(np.diff(x)))
         if step <= 0 or float(np.mean(np.diff(x) > 0)) < 0.9:
             continue
-        said = re.search(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$", name.lower())
-        units = [said.group(1).replace("µ", "u")] if said else ["s", "ms", "us", "ns"]
-        for unit in units:
+        said = time_unit(name)
+        for unit in [said] if said else ["s", "ms", "us", "ns"]:
             fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
             if fits and _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
                 return name, unit
@@ -223,29 +213,20 @@ def _chosen(
         (i, u)
         for i in currents
         for u in voltages
-        if not set(zip([i.table.name] * 3, i.group.names, strict=False))
-        & set(zip([u.table.name] * 3, u.group.names, strict=False))
+        if i.table.name != u.table.name or not set(i.group.names) & set(u.group.names)
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None
-    tried = 0
-    for i, u in pairs:
-        for angle in angles[:3]:
-            if tried >= _MOST_TRIED:
-                break
-            tried += 1
-            found = _read(i, u, angle, dc)
-            if found is None:
-                continue
-            likely = found.reading.unexplained - _NAME * (current_points(i) + voltage_points(u) + angle_points(angle))
-            if best is None or likely < best[0]:
-                best = likely, found
-            if (
-                found.reading.unexplained < _GOOD
-                and current_points(i) > SURE_CURRENT
-                and voltage_points(u) > SURE_VOLTAGE
-            ):
-                return best[1]
+    for (i, u), angle in islice(product(pairs, angles[:3]), _MOST_TRIED):
+        found = _read(i, u, angle, dc)
+        if found is None:
+            continue
+        left = found.reading.unexplained
+        likely = left - _NAME * (current_points(i) + voltage_points(u) + angle_points(angle))
+        if best is None or likely < best[0]:
+            best = likely, found
+        if left < _GOOD and current_points(i) > SURE_CURRENT and voltage_points(u) > SURE_VOLTAGE:
+            break
     return best and best[1]
 
 
@@ -302,7 +283,7 @@ def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.comple
 def regular_stamps(table: Table) -> IntArray:
     """Return the stamps of a table, without jitter if they have much."""
     period, jitter = table.period, table.jitter
-    if period is None or jitter is None or jitter < _JITTER * period * table.block:
+    if period is None or jitter is None or jitter < JITTER * period * table.block:
         return table.stamp
     return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
 

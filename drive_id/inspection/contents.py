@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.errors import DriveIdError, MessageTypeError
-from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, ColumnLog
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
@@ -26,49 +26,30 @@ ROWS = 40_000
 """Rows of each group of columns, or samples in blocks of each topic, that are inspected."""
 MESSAGES = 20_000
 """Messages of each topic that are inspected; fewer, because each is decoded as a Python object."""
-_MOST_MESSAGES = 200_000
+_MOST_MESSAGES = 200_000  # of all topics
 _MOST_ELEMENTS = 16
 """Longest array whose elements are columns of their own; longer ones are blocks of samples."""
-_DEPTH = 4
-_FIRST_ROWS = 100
-
-_STEADY, _MOSTLY = 0.02, 0.8
-"""Steps of the stamps within 2 % of their median, and the share of them from which longer ones are lost messages."""
+_DEPTH = 4  # of fields within fields, beyond which nobody keeps a signal
+_FIRST_ROWS = 100  # by which columns are judged to hold numbers
+_STEADY = 0.02
+"""Difference of a step of the stamps from their median, by the median, up to which it is a usual one."""
+_MOSTLY = 0.8
+"""Share of usual steps from which longer ones are lost messages, and no jitter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The first rows of a topic, or of a group of columns.
+    """The first rows of a topic, or of a group of columns."""
 
-    Parameters
-    ----------
-    name : str
-        Topic, or group.
-    kind : str
-        Message type, or kind of file.
-    rows : int or None
-        In the log; messages of a topic.
-    columns : dict of str to (n,) float
-        By field path, or name.
-    stamp : (n,) int64
-        Of each row, ns; empty where only a column may hold the time.
-    stamp_source : str
-        ``header``, ``log_time``, ``own`` (the container's), or empty.
-    block : int
-        Samples per message; 1 for columns.
-    problem : str
-        Why a topic cannot be read; empty otherwise.
-    """
-
-    name: str
-    kind: str
-    rows: int | None
-    columns: dict[str, FloatArray] = field(default_factory=dict)
+    name: str  # topic, or group
+    kind: str  # message type, or kind of file
+    rows: int | None  # in the log; messages of a topic
+    columns: dict[str, FloatArray] = field(default_factory=dict)  # each (n,), by field path or name
     types: dict[str, str] = field(default_factory=dict)
-    stamp: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    stamp_source: str = ""
-    block: int = 1
-    problem: str = ""
+    stamp: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # (n,), ns; empty if only a column is a time
+    stamp_source: str = ""  # "header", "log_time", "own" (the container's), or empty
+    block: int = 1  # samples per message; 1 for columns
+    problem: str = ""  # why a topic cannot be read
 
     @property
     def period(self) -> float | None:
@@ -93,20 +74,12 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """Contents of a log.
-
-    Parameters
-    ----------
-    kind : str
-        ``mcap``, ``sqlite3``, ``rosbag1``, ``csv``, ``parquet``, ``mat``, ``mat73``, ``hdf5``, ``mdf`` or ``tdms``.
-    bounded : bool
-        Whether a fit reads it part by part.
-    """
+    """Contents of a log."""
 
     path: Path
-    kind: str
+    kind: str  # "mcap", "sqlite3", "rosbag1", "csv", "parquet", "mat", "mat73", "hdf5", "mdf" or "tdms"
     tables: tuple[Table, ...]
-    bounded: bool = True
+    bounded: bool = True  # a fit reads it part by part
 
     @property
     def is_bag(self) -> bool:
@@ -143,7 +116,7 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
     columns = {
         column.name: np.concatenate(values).astype(np.float64)
         for column, values in found.items()
-        if column != time and all(np.asarray(part).dtype.kind in "iufb" for part in values)
+        if column != time and all(np.asarray(part).dtype.kind in NUMBERS for part in values)
     }
     stamp = np.concatenate(found[time]).astype(np.int64) if time in found else np.zeros(0, np.int64)
     return Table(

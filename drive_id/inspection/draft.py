@@ -14,6 +14,7 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import (
     GUESSED_PERIOD,
     INDEX,
+    JITTER,
     LARGEST_DUTY,
     Choice,
     NoAngleError,
@@ -22,14 +23,14 @@ from drive_id.inspection.choice import (
     time_column,
 )
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import static_draft
-from drive_id.inspection.wording import listed, printable, quoted
 
-_JITTER = 0.02
 _SAME_RATE = 0.005
+"""Relative difference up to which two sample periods are the same."""
 _POOR = 0.35
+"""Share of the voltage, unexplained, from which the choice itself is in doubt."""
 _LARGEST_CURRENT = 5000.0
 """Largest plausible current, A, the same as in the check ``current_scale``."""
 _NO_OFFSET = 0.035
@@ -117,33 +118,33 @@ class _DraftText:
     def _doubt(self, sentence: str) -> None:
         self._unsure.append(sentence)
 
-    def _time(self, table: Table, lines: list[str]) -> list[str]:
-        """Return the lines that give the location and time of a table's samples."""
-        found = []
+    def _source(self, table: Table) -> list[str]:
+        """Return the settings that give the place and time of a table's samples."""
         if self._contents.is_bag:
-            found.append(f"  topic: {table.name}")
-            if table.stamp_source == "log_time":
-                found.append("  stamp: log_time                 # the messages have no header")
-        else:
-            if table.name and len(self._contents.tables) > 1:
-                found.append(f"  group: {quoted(table.name)}")
-            if table.stamp_source == INDEX:
-                return [
-                    *found,
-                    "  stamp: index",
-                    f"  sample_period: {GUESSED_PERIOD:g}         # EDIT: s; the log has no time column",
-                    *lines,
-                ]
-            if table.stamp_source not in ("", "own"):
-                _, unit = time_column(table) or ("", "s")
-                found += [f"  stamp: {quoted(table.stamp_source)}", f"  stamp_unit: {unit}"]
+            return [f"topic: {table.name}", *(["stamp: log_time"] if table.stamp_source == "log_time" else [])]
+        found = [f"group: {quoted(table.name)}"] if table.name and len(self._contents.tables) > 1 else []
+        if table.stamp_source == INDEX:
+            found += ["stamp: index", f"sample_period: {GUESSED_PERIOD:g}"]
+        elif table.stamp_source not in ("", "own"):
+            _, unit = time_column(table) or ("", "s")
+            found += [f"stamp: {quoted(table.stamp_source)}", f"stamp_unit: {unit}"]
+        return found
+
+    def _time(self, table: Table, lines: list[str]) -> list[str]:
+        """Return the lines that give the place and time of a table's samples, before other ``lines``."""
+        found = [f"  {setting}" for setting in self._source(table)]
+        if table.stamp_source == INDEX:
+            found[-1] += "         # EDIT: s; the log has no time column"
+            return [*found, *lines]
+        if table.stamp_source == "log_time":
+            found[-1] += "                 # the messages have no header"
         period, jitter = table.period, table.jitter
         counts = [
             name for name, x in table.columns.items() if table.block == 1 and is_count(x) and name != table.stamp_source
         ]
         if counts:
             found.append(f"  first_sample: {quoted(counts[0])}")
-        if period is not None and jitter is not None and jitter > _JITTER * period * table.block:
+        if period is not None and jitter is not None and jitter > JITTER * period * table.block:
             found.append(f"  equally_spaced: true            # the stamps jitter by {jitter * 1e6:.3g} us rms")
             if table.block > 1:
                 found.append(f"  sample_period: {_nice(period)}")
@@ -202,9 +203,9 @@ class _DraftText:
                 table, name = dc
                 if not is_named_link(table, name):
                     self._doubt(f"{name} was taken for the DC-link voltage by its values, not by its name.")
-                where = self._where(table)
-                scaled = "" if share == 1.0 else f", scale: {share:g}"
-                lines.append(f"  scale: {{{where}field: {quoted(name)}{scaled}}}   # duty cycles from {range_}")
+                source = [*self._source(table), f"field: {quoted(name)}"]
+                source += [] if share == 1.0 else [f"scale: {share:g}"]
+                lines.append(f"  scale: {{{', '.join(source)}}}   # duty cycles from {range_}")
         elif not suggests(u.label, "voltage"):
             self._doubt(f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names.")
         if u.group.frame == "dq":
@@ -216,18 +217,6 @@ class _DraftText:
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
             self._doubt("Voltages and currents are recorded at different rates, which a fit refuses.")
         return ["voltages:", *self._time(u.table, lines)]
-
-    def _where(self, table: Table) -> str:
-        if self._contents.is_bag:
-            stamp = "stamp: log_time, " if table.stamp_source == "log_time" else ""
-            return f"topic: {table.name}, {stamp}"
-        group = f"group: {quoted(table.name)}, " if table.name and len(self._contents.tables) > 1 else ""
-        if table.stamp_source == INDEX:
-            return f"{group}stamp: index, sample_period: {GUESSED_PERIOD:g}, "
-        if table.stamp_source in ("", "own"):
-            return group
-        _, unit = time_column(table) or ("", "s")
-        return f"{group}stamp: {quoted(table.stamp_source)}, stamp_unit: {unit}, "
 
     def _rotor(self) -> list[str]:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
 from drive_id.files.read.extraction import UnusualError
 from drive_id.files.read.operating_log import read_operating_log
-from drive_id.files.read.reader import bag_pieces, find_topics
+from drive_id.files.read.reader import BagFacts, bag_pieces, find_topics
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
@@ -107,24 +108,9 @@ def check(
 def inspect_log(
     path: Path, signals: SignalMap | None = None, *, namespace: str = "", draft: bool = False, tell: Progress = silent
 ) -> Inspection:
-    """Inspect a log.
+    """Inspect a log as :func:`check` does; with ``draft``, propose a signals file even for our own messages.
 
-    Parameters
-    ----------
-    path : Path
-        Bag or file of columns.
-    signals : SignalMap, optional
-        Default: our own messages, or else a proposal.
-    namespace : str
-        Of the drive, when a bag holds several.
-    draft : bool
-        Propose a signals file even for our own messages.
-    tell : callable, optional
-
-    Raises
-    ------
-    BagError
-        When it cannot be read.
+    Raises BagError when it cannot be read.
     """
     tell("Reading", 0.0)
     contents = read_contents(path, signals)
@@ -154,17 +140,12 @@ def _look(
     for whole in (False, True):
         prescan, overviewing = Prescan(), Overviewing()
         refused: DriveIdError | None = None
-        warnings: tuple[Message, ...] = ()
-        pieces = bag_pieces(
-            path, signals, namespace, whole=whole, threads=False, tell=lambda share: tell("Reading", share)
-        )
+        facts: list[BagFacts] = []
+        told = partial(tell, "Reading")
         try:
-            while True:
-                piece = next(pieces)
+            for piece in bag_pieces(path, signals, namespace, whole=whole, threads=False, tell=told, end=facts.append):
                 prescan.add(piece.samples, continues=piece.continues)
                 overviewing.add(piece)
-        except StopIteration as end:
-            warnings = end.value.warnings
         except UnusualError:
             continue
         except _LOOKED as error:
@@ -176,7 +157,7 @@ def _look(
     overview = overviewing.overview(prescan.radius) if prescan.samples else None
     if overview is not None:
         found += overview.findings()
-    return found, overview, warnings
+    return found, overview, facts[0].warnings if facts else ()
 
 
 def _look_at_points(

@@ -1,7 +1,8 @@
-"""What column names suggest: which columns form phases, and what they may be."""
+"""What column names suggest: which columns form phases, and what they may be; names as text of a signals file."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,24 +20,18 @@ _WORDS = {
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds"),
 }  # fmt: skip
+_TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
+_YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
 
 @dataclass(frozen=True)
 class NameGroup:
-    """Columns that belong together by their names.
-
-    Parameters
-    ----------
-    frame : str
-        ``abc``, ``line_to_line``, ``alpha_beta`` or ``dq``.
-    stem : str
-        What the names have in common.
-    """
+    """Columns that belong together by their names."""
 
     names: tuple[str, ...]
-    frame: str
-    stem: str
+    frame: str  # "abc", "line_to_line", "alpha_beta" or "dq"
+    stem: str  # what the names have in common
 
 
 def words(name: str) -> set[str]:
@@ -53,6 +48,12 @@ def suggests(name: str, meaning: str) -> bool:
     own = words(name)
     long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
     return unit or long or bool(own & set(_WORDS[meaning]))
+
+
+def time_unit(name: str) -> str:
+    """Return the unit of time at the end of a name, as in ``time [ms]`` or ``t_us``; empty if it has none."""
+    said = _TIME_UNIT.search(name.lower())
+    return said.group(1).replace("µ", "u") if said else ""
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
@@ -129,3 +130,20 @@ def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
                 )
                 if second in known and second != name:
                     yield NameGroup((name, second), frame, f"{name[: match.start()]} {name[match.end() :]}")
+
+
+def quoted(name: str) -> str:
+    """Return a name for YAML, quoted unless it is a plain word."""
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name) and name.lower() not in _YAML_WORDS:
+        return name
+    return json.dumps(name, ensure_ascii=not name.isprintable())
+
+
+def printable(name: str) -> str:
+    """Return a name for a comment, without characters that end it."""
+    return "".join(letter for letter in name if letter.isprintable())
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a list for YAML."""
+    return "[" + ", ".join(quoted(name) for name in names) + "]"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -104,22 +105,13 @@ _LINK_ALONE = 0.5
 
 
 def _points(rules: Sequence[_Rule[Candidate]], found: Candidate) -> float:
+    """Return what speaks for a candidate."""
     return sum(rule.points * rule.answer(found) for rule in rules)
 
 
-def current_points(found: PhaseGroup) -> float:
-    """Return what speaks for currents."""
-    return _points(CURRENT, found)
-
-
-def voltage_points(found: PhaseGroup) -> float:
-    """Return what speaks for voltages."""
-    return _points(VOLTAGE, found)
-
-
-def angle_points(found: AngleColumn) -> float:
-    """Return what speaks for the angle of the rotor."""
-    return _points(ANGLE, found)
+current_points = partial(_points, CURRENT)
+voltage_points = partial(_points, VOLTAGE)
+angle_points = partial(_points, ANGLE)
 
 
 def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests, words
-from drive_id.inspection.wording import listed, quoted
+from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, words
 
-_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""
 
@@ -43,9 +40,8 @@ def _lines(
         where = [f"group: {quoted(table.name)}"]
     time = next((name for name, x in table.columns.items() if suggests(name, "time") and _is_time(x)), "")
     if time and not len(table.stamp):
-        said = _UNIT.search(time.lower())
-        unit = said.group(1).replace("µ", "u") if said else "s"
-        where += [f"stamp: {quoted(time)}", f"stamp_unit: {unit}"]
+        said = time_unit(time)
+        where += [f"stamp: {quoted(time)}", f"stamp_unit: {said or 's'}"]
         if not said:
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):

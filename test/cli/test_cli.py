@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import typer
 import yaml
-from drive_bags import blocks_of, changed, with_arrays, wrapped, write_blocks
+from drive_bags import blocks_of, changed, renamed, with_arrays, wrapped, write_blocks
 
 import drive_id
 from drive_id.cli import app as cli
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
-from drive_id.files.write.writer import Topics, write_recording
+from drive_id.files.write.writer import write_recording
 from drive_id.quantity import measured
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
@@ -255,7 +255,7 @@ BAD_BAGS = [
     (of_arrays("clockwise", angle=lambda s: -s.angle, speed=lambda s: -s.speed), "clockwise encoder"),
     (
         of_arrays("pole_pairs", angle=lambda s: wrapped(2 * np.unwrap(s.angle)), speed=lambda s: 2 * s.speed),
-        "4 instead of 8",
+        "from 8 to 4",
     ),
 ]
 
@@ -607,8 +607,9 @@ def test_a_signals_file_maps_the_bag_of_a_stranger(run, bag, simulation, tmp_pat
         angle=wrapped((np.unwrap(samples.angle) - 0.4) / 4),
         speed=samples.speed / 4 * 60 / (2 * np.pi),
     )
-    topics = Topics(namespace="plant", currents="amps", voltages="volts", resolver="encoder")
-    write_recording(tmp_path / "foreign", foreign, topics=topics)
+    write_recording(tmp_path / "ours_alone", foreign)
+    names = {"phase_currents": "amps", "phase_voltages": "volts", "resolver": "encoder"}
+    renamed(tmp_path / "ours_alone", tmp_path / "foreign", "plant", **names)
     assert_one_sentence(run("fit", tmp_path / "foreign", "--output", "results"), "no topic")
     signals = {
         "currents": {"topic": "/plant/amps", "fields": ["a", "b", "c"], "scale": -1e-3, "sample_period": 1e-4},

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from column_files import write_csv, write_mdf, write_parquet
+from drive_bags import renamed
 from foreign_rows import write_rows
 from scipy.io import savemat
 
@@ -20,7 +21,7 @@ from drive_id.core import frames
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.several import read_recording
-from drive_id.files.write.writer import Topics, write_recording
+from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 from drive_id.inspection.inspect import inspect_log
 from drive_id.inspection.names import name_groups, suggests
@@ -204,7 +205,8 @@ def test_our_own_recording_has_no_finding(bag, simulation):
 
 
 def test_our_messages_on_other_topics_get_a_draft(tmp_path, samples):
-    write_recording(tmp_path / "bag", samples, topics=Topics(currents="sensors/i", voltages="u", resolver="rotor"))
+    write_recording(tmp_path / "ours", samples)
+    renamed(tmp_path / "ours", tmp_path / "bag", phase_currents="sensors/i", phase_voltages="u", resolver="rotor")
     found = inspect_log(tmp_path / "bag")
     read = read_recording(tmp_path / "bag", parse_signals(found.draft.text, "draft")).samples
     np.testing.assert_array_equal(read.i_abc, samples.i_abc.astype(np.float32))

@@ -11,6 +11,7 @@ import numpy as np
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
+from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.types import Samples
 
@@ -54,6 +55,21 @@ def write_blocks(path: Path, blocks: Blocks, types: Mapping[str, str] = TOPICS) 
             data = encode_block(block["stamp"], block["first"], block["period"], columns, "drive")
             writer.write(topic, data, (first + BLOCK) * 100_000)
     return path
+
+
+def renamed(source: Path, target: Path, namespace: str = "", **names: str) -> Path:
+    """Copy a bag of ours, without its truth, with its topics in a namespace and some of them with other names."""
+
+    def name(topic: str) -> str:
+        own = topic.removeprefix("/")
+        return f"{namespace and '/'}{namespace}/{names.get(own, own)}"
+
+    with open_bag(source) as bag, Rosbag2McapWriter(target) as writer:
+        for topic in bag.topics.values():
+            writer.add_topic(name(topic.name), topic.type_name)
+        for message in bag.messages(frozenset(bag.topics)):
+            writer.write(name(message.topic), bytes(message.data), message.log_time)
+    return target
 
 
 def changed(path: Path, samples: Samples, change: Callable[[Blocks], object]) -> Path:

@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.errors import DriveIdError
 from drive_id.files.inputs.input_file import reason, shown_size
 
 DAMAGED = (
@@ -48,7 +49,9 @@ def npz_bytes(arrays: Mapping[str, Any], *, compressed: bool = True) -> bytes:
 
 
 def damage(error: Exception) -> str:
-    """Say in words what one of :data:`DAMAGED` tells."""
+    """Say in words what one of :data:`DAMAGED`, or an error of ours, tells."""
+    if isinstance(error, DriveIdError):
+        return str(error)
     if isinstance(error, OSError):
         return f"{Path(str(error.filename)).name}: {reason(error)}" if error.filename else reason(error)
     if isinstance(error, KeyError):
@@ -69,25 +72,10 @@ def unpacked_limit(size: int, largest: int = LARGEST) -> int:
 def read_arrays(
     source: BinaryIO | bytes, names: Collection[str] | None = None, *, largest: int = LARGEST
 ) -> dict[str, NDArray[Any]]:
-    """Read arrays of an ``.npz`` file.
+    """Read the arrays of an ``.npz`` file that have one of these names, by default all.
 
-    Parameters
-    ----------
-    names : collection of str, optional
-        Arrays to read if they are there; default: all.
-    largest : int
-        Most bytes, as arrays of 64-bit numbers, in all.
-
-    Returns
-    -------
-    dict of str to array
-
-    Raises
-    ------
-    ValueError
-        When it declares more than :func:`unpacked_limit` allows, or other arrays than of plain numbers or texts.
-    Exception
-        Others of :data:`DAMAGED`, when it is no such file.
+    Raises ValueError when it declares more than :func:`unpacked_limit` allows, ``largest`` bytes as 64-bit numbers at
+    most, or other arrays than of plain numbers or texts; others of :data:`DAMAGED` when it is no such file.
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     limit = unpacked_limit(_checked_size(stream), largest)

@@ -27,37 +27,15 @@ class NotAFileError(OSError):
 
 
 def check_input(path: Path, most: int | None = None) -> int:
-    """Return the size of a regular file, bytes.
+    """Return the size of a regular file, bytes; links are followed.
 
-    Parameters
-    ----------
-    path : Path
-        Links are followed.
-    most : int, optional
-        Largest size that is accepted, bytes.
-
-    Raises
-    ------
-    OSError
-        When there is none, it is something else than a file, or it is larger.
+    Raises OSError when there is none, it is something else than a file, or it is larger than ``most`` bytes.
     """
     return _checked(path.stat(), path, most)
 
 
 def open_input(path: Path, most: int | None = None, *, buffering: int = -1) -> BinaryIO:
-    """Open a regular file for reading; see :func:`check_input`.
-
-    Parameters
-    ----------
-    most : int, optional
-        Largest size, bytes.
-    buffering : int
-        Size of the buffer, bytes.
-
-    Raises
-    ------
-    OSError
-    """
+    """Open a regular file for reading; raises OSError, see :func:`check_input`."""
     check_input(path, most)
     descriptor = os.open(path, os.O_RDONLY | _NEVER_BLOCK | _CLOSED)
     try:

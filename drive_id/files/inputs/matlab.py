@@ -47,15 +47,8 @@ def read_matlab(path: Path, names: Sequence[str] | None = None, limit: int | Non
 
     scipy's reader dies of some damaged files (SIGSEGV), so another process reads the file first.
 
-    Parameters
-    ----------
-    limit : int, optional
-        As in :func:`check_unpacked_size`.
-
-    Raises
-    ------
-    ValueError
-        When it is too large, or nothing that scipy can read; or another type that scipy raises.
+    Raises ValueError when it is too large (see :func:`check_unpacked_size`), or nothing that scipy can read; or another
+    type that scipy raises.
     """
     from scipy.io import loadmat  # noqa: PLC0415  # takes a quarter of a second, and only these files need it
 
@@ -71,15 +64,7 @@ def read_matlab(path: Path, names: Sequence[str] | None = None, limit: int | Non
 def check_unpacked_size(path: Path, limit: int | None = None) -> None:
     """Check what a file of MATLAB's version 5 to 7 unpacks to, before scipy takes an object for each of its matrices.
 
-    Parameters
-    ----------
-    limit : int, optional
-        Most bytes, packed or not; default: those of a map.
-
-    Raises
-    ------
-    ValueError
-        When it is too large.
+    Raises ValueError when it has more than ``limit`` bytes, packed or not; default: those of a map.
     """
     data = read_input(path, limit or _LARGEST)
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])

@@ -25,17 +25,7 @@ _FASTEST = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 def load_yaml(text: str, most: int = MOST_ENTRIES) -> Any:
     """Return a YAML document as plain values.
 
-    Parameters
-    ----------
-    most : int
-        Entries.
-
-    Raises
-    ------
-    yaml.YAMLError
-        When it is not YAML.
-    ValueError
-        When it is too large, or nested too deeply.
+    Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries or is nested too deeply.
     """
     check_text(text, most)
     loader = _FASTEST(text)
@@ -52,12 +42,7 @@ def load_yaml(text: str, most: int = MOST_ENTRIES) -> Any:
 def check_text(text: str, most: int = MOST_ENTRIES) -> None:
     """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses.
 
-    Raises
-    ------
-    yaml.YAMLError
-        When it is not YAML.
-    ValueError
-        When it has more entries, or nests them too deeply.
+    Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries or is nested too deeply.
     """
     try:
         _check_events(text, most, _FASTEST)

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from drive_id.errors import TruncatedBagError
 from drive_id.files.inputs.matlab import read_matlab
-from drive_id.files.logs.column_log import Column, ColumnGroup, SlicedLog
+from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64
-_NUMBERS = "iufb"
 _NAMED_DATA = (("Name", "Data"), ("label", "values"))
 """Fields that hold name and values in the structs of measurement tools."""
 
@@ -42,7 +41,7 @@ class MatLog(SlicedLog):
             for k, entry in enumerate(array.ravel()[:_MOST_COLUMNS]):
                 self._take_struct(f"{name}[{k}]", entry, name)
             return
-        if array.dtype.kind not in _NUMBERS or array.ndim not in (1, 2):
+        if array.dtype.kind not in NUMBERS or array.ndim not in (1, 2):
             return
         if array.ndim == 1:
             self._arrays[name] = array
@@ -69,9 +68,6 @@ class MatLog(SlicedLog):
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         return self._arrays[column.name][at]
-
-    def close(self) -> None:
-        """Do nothing: the file is closed."""
 
 
 class Hdf5Log(SlicedLog):
@@ -105,24 +101,24 @@ class Hdf5Log(SlicedLog):
         self.groups = grouped(self._lengths)
 
     def _take(self, dataset: str, name: str, item: Any) -> None:
+        def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:
+            self._where[own] = (dataset, k, axis)
+            self._lengths[own] = (str(kind), item.shape[axis])
+
         if item.dtype.names:
             for field in item.dtype.names:
-                if item.ndim == 1 and item.dtype[field].kind in _NUMBERS:
-                    self._where[f"{name}.{field}"] = (dataset, None, 0)
-                    self._lengths[f"{name}.{field}"] = (str(item.dtype[field]), len(item))
+                if item.ndim == 1 and item.dtype[field].kind in NUMBERS:
+                    add(f"{name}.{field}", item.dtype[field])
             return
-        if item.dtype.kind not in _NUMBERS or item.ndim not in (1, 2) or "MATLAB_empty" in item.attrs:
+        if item.dtype.kind not in NUMBERS or item.ndim not in (1, 2) or "MATLAB_empty" in item.attrs:
             return
         if item.ndim == 1:
-            self._where[name] = (dataset, None, 0)
-            self._lengths[name] = (str(item.dtype), len(item))
+            add(name, item.dtype)
             return
         axis = int(item.shape[1] > item.shape[0])  # time runs along the longer one
         count = item.shape[1 - axis]
         for k in range(min(count, _MOST_COLUMNS)):
-            own = name if count == 1 else f"{name}[{k}]"
-            self._where[own] = (dataset, k, axis)
-            self._lengths[own] = (str(item.dtype), item.shape[axis])
+            add(name if count == 1 else f"{name}[{k}]", item.dtype, k, axis)
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
         dataset, k, axis = self._where[column.name]

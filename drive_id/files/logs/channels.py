@@ -5,15 +5,33 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnGroup, SlicedLog
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, SlicedLog
 
 
-class MdfLog(SlicedLog):
+class _StreamLog(SlicedLog):
+    """A file that its library reads from a stream; both are closed here."""
+
+    def _open(self, path: Path, library: Callable[[Any], Any]) -> None:
+        self.path = path
+        self._stream = path.open("rb")
+        try:
+            self._file: Any = library(self._stream)
+        except BaseException:
+            self._stream.close()
+            raise
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+        self._stream.close()
+
+
+class MdfLog(_StreamLog):
     """An MDF file, version 3 or 4; each channel group has its own time, that of its master channel."""
 
     kind = "mdf"
@@ -21,9 +39,7 @@ class MdfLog(SlicedLog):
     def __init__(self, path: Path) -> None:
         from asammdf import MDF  # noqa: PLC0415  # takes seconds to load
 
-        self.path = path
-        self._stream = path.open("rb")
-        self._file: Any = opened_by(MDF, self._stream)
+        self._open(path, MDF)
         self._numbers: dict[str, int] = {}
         self._channels: dict[Column, int] = {}
         groups = []
@@ -50,13 +66,8 @@ class MdfLog(SlicedLog):
         signal = self._file.get(group=number, index=self._channels[column], record_offset=at.start, record_count=count)
         return np.asarray(signal.samples)
 
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
-        self._stream.close()
 
-
-class TdmsLog(SlicedLog):
+class TdmsLog(_StreamLog):
     """A TDMS file; a group has its own time if its channels are waveforms."""
 
     kind = "tdms"
@@ -66,15 +77,12 @@ class TdmsLog(SlicedLog):
         from nptdms.log import log_manager  # noqa: PLC0415
 
         log_manager.set_level(logging.CRITICAL)  # the reader itself reports missing data of truncated files
-
-        self.path = path
-        self._stream = path.open("rb")
-        self._file: Any = opened_by(TdmsFile.open, self._stream)
+        self._open(path, TdmsFile.open)
         groups = []
         for group in self._file.groups():
             columns, rows, timed = {}, 0, False
             for channel in group.channels():
-                if channel.dtype is not None and np.dtype(channel.dtype).kind in "iufbM":
+                if channel.dtype is not None and np.dtype(channel.dtype).kind in f"{NUMBERS}M":
                     columns[channel.name] = str(np.dtype(channel.dtype))
                     rows = max(rows, len(channel))
                     timed = timed or "wf_increment" in channel.properties
@@ -91,17 +99,3 @@ class TdmsLog(SlicedLog):
                 return np.rint((start + np.arange(at.start, at.stop) * step) * 1e9).astype(np.int64)
         found = np.asarray(group[column.name][at.start : at.stop])
         return found.astype("datetime64[ns]").astype(np.int64) if found.dtype.kind == "M" else found
-
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
-        self._stream.close()
-
-
-def opened_by(library: Callable[[Any], Any], stream: BinaryIO) -> Any:
-    """Return what a library makes of a file, which is closed if it refuses it."""
-    try:
-        return library(stream)
-    except BaseException:
-        stream.close()
-        raise

@@ -1,42 +1,47 @@
-"""The Protocol of logs of columns, and how a column is found by its name."""
+"""What logs of columns share: their base class, its errors, and how a column is found by its name."""
 
 from __future__ import annotations
 
 import difflib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from drive_id.errors import MissingTopicError, NotABagError
+from drive_id.errors import DriveIdError, MissingTopicError, NotABagError, TruncatedBagError
+from drive_id.files.inputs.input_file import reason
+from drive_id.files.storage.container import UnpackBudget
 
 ROWS = 1 << 16
 """Rows of a part."""
+NUMBERS = "iufb"
+"""Kinds of numpy's types that are numbers."""
+_NUMBER = 8
+"""Bytes."""
+_NAMES = {
+    "csv": "CSV",
+    "parquet": "Parquet",
+    "tdms": "TDMS",
+    "mdf": "MDF",
+    "mat": "MATLAB",
+    "mat73": "MATLAB",
+    "hdf5": "HDF5",
+}
 _MOST_NAMED = 12
 
 
 @dataclass(frozen=True)
 class ColumnGroup:
-    """Columns of equal length that share their time.
+    """Columns of equal length that share their time."""
 
-    Parameters
-    ----------
-    name : str
-        Empty in a container without groups.
-    columns : dict of str to str
-        Name to type, such as ``float64``.
-    rows : int or None
-        None where a file does not tell without being read.
-    own_time : bool
-        The container itself knows the time of the rows.
-    """
-
-    name: str
-    columns: dict[str, str]
-    rows: int | None
-    own_time: bool = False
+    name: str  # empty in a container without groups
+    columns: dict[str, str]  # name to type, such as float64
+    rows: int | None  # None where a file does not tell without being read
+    own_time: bool = False  # the container itself knows the time of the rows
 
 
 class Column(NamedTuple):
@@ -57,36 +62,70 @@ class Rows(NamedTuple):
     progress: float
 
 
-class ColumnLog(Protocol):
-    """One file of columns, open for reading."""
+class ColumnLog(ABC):
+    """One file of columns, open for reading; a library may raise anything from a damaged one."""
 
-    @property
-    def kind(self) -> str:
-        """Such as ``csv`` or ``mdf``."""
-        ...
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        ...
-
-    @property
-    def bounded(self) -> bool:
-        """Whether the file is read part by part; otherwise it is held in memory as a whole."""
-        ...
-
-    @property
-    def groups(self) -> tuple[ColumnGroup, ...]:
-        """Its columns."""
-        ...
+    kind: str
+    """Such as ``csv`` or ``mdf``."""
+    path: Path
+    groups: tuple[ColumnGroup, ...]
+    bounded = True
+    """Whether the file is read part by part; otherwise it is held in memory as a whole."""
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time."""
-        ...
+        """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time.
 
-    def close(self) -> None:
+        Refuses what is too much for the size of the file, and raises TruncatedBagError when it is damaged.
+        """
+        with one_sentence(self.path, self.kind):
+            lengths = {group.name: group.rows or 0 for group in self.groups}
+            UnpackBudget(self.path.stat().st_size).take(_NUMBER * sum(lengths[column.group] for column in wanted))
+            yield from self._parts(wanted, rows)
+
+    @abstractmethod
+    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
+        """Yield the wanted columns."""
+
+    def close(self) -> None:  # noqa: B027  # nothing to do for most
         """Release the file."""
-        ...
+
+
+class SlicedLog(ColumnLog):
+    """A log whose library reads any rows of a column."""
+
+    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
+        """Yield the wanted columns part by part: all groups advance by the same share of their length."""
+        lengths = {group.name: group.rows or 0 for group in self.groups if group.name in {c.group for c in wanted}}
+        count = max(-(-max(lengths.values(), default=0) // rows), 1)
+        for part in range(count):
+            at = {name: slice(n * part // count, n * (part + 1) // count) for name, n in lengths.items()}
+            yield Rows({column: self._slice(column, at[column.group]) for column in wanted}, (part + 1) / count)
+
+    @abstractmethod
+    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
+        """Return some rows of a column."""
+
+
+@contextmanager
+def one_sentence(path: Path, kind: str) -> Iterator[None]:
+    """Turn what the libraries raise for damaged files into one error."""
+    try:
+        yield
+    except (DriveIdError, MemoryError):
+        raise
+    except ImportError as error:
+        raise NotABagError(
+            f"{path} is a {_NAMES[kind]} file, and {error.name} is not installed, which reads it: run pip install "
+            "'drive_id[containers]'."
+        ) from error
+    except OSError as error:
+        said = reason(error) if error.strerror else " ".join(str(error).split())[:160]
+        raise TruncatedBagError(f"{path} cannot be read as a {_NAMES[kind]} file ({said}): check the file.") from error
+    except Exception as error:  # the libraries raise anything from damaged files
+        said = " ".join(str(error).split())[:160] or type(error).__name__
+        raise TruncatedBagError(
+            f"{path} cannot be read as a {_NAMES[kind]} file ({said}): it is damaged or of another kind."
+        ) from error
 
 
 def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Column:
@@ -128,30 +167,3 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
 def same_name(one: str, other: str) -> bool:
     """Tell whether two names are the same, structs and groups divided by a dot or a slash."""
     return one.strip("/").replace("/", ".") == other.strip("/").replace("/", ".")
-
-
-class SlicedLog:
-    """A log whose library reads any rows of a column."""
-
-    bounded = True
-    groups: tuple[ColumnGroup, ...]
-
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part: all groups advance by the same share of their length."""
-        lengths = {group.name: group.rows or 0 for group in self.groups if group.name in {c.group for c in wanted}}
-        count = max(-(-max(lengths.values(), default=0) // rows), 1)
-        for part in range(count):
-            at = {name: slice(n * part // count, n * (part + 1) // count) for name, n in lengths.items()}
-            yield Rows({column: self._slice(column, at[column.group]) for column in wanted}, (part + 1) / count)
-
-    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
-        """Return some rows of a column."""
-        raise NotImplementedError
-
-
-def missing_library(path: Path, kind: str, error: ImportError) -> NotABagError:
-    """Return the error for a container whose library is not installed."""
-    return NotABagError(
-        f"{path} is a {kind} file, and {error.name} is not installed, which reads it: run pip install "
-        "'drive_id[containers]'."
-    )

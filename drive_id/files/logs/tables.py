@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from drive_id.errors import MessageTypeError
-from drive_id.files.logs.column_log import ROWS, Column, ColumnGroup, Rows
+from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, ColumnLog, Rows
 from drive_id.files.logs.log_kind import UTF_16
 
 WHITE = r"\s+"
@@ -32,41 +32,29 @@ _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(
 
 @dataclass(frozen=True)
 class CsvDialect:
-    """How a text file writes its table.
+    """How a text file writes its table."""
 
-    Parameters
-    ----------
-    delimiter, decimal : str
-        The delimiter is ``WHITE`` for any white space.
-    header : int
-        Line of the names, from 0.
-    skipped : tuple of int
-        Lines below it that hold no numbers, such as units.
-    """
-
-    delimiter: str
+    delimiter: str  # WHITE for any white space
     decimal: str
-    header: int
-    skipped: tuple[int, ...]
+    header: int  # line of the names, from 0
+    skipped: tuple[int, ...]  # lines below it that hold no numbers, such as units
     names: tuple[str, ...]
     encoding: str = "utf-8-sig"
 
 
-class CsvLog:
+class CsvLog(ColumnLog):
     """A text file with one row per sample and the names of the columns above."""
 
     kind = "csv"
-    bounded = True
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._dialect = csv_dialect(path)
-        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
+        self.groups = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
 
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
+    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
         dialect, size = self._dialect, max(self.path.stat().st_size, 1)
-        numbers = sorted({dialect.names.index(column.name) for column in wanted})
+        numbers = {column: dialect.names.index(column.name) for column in wanted}
         with self.path.open("rb") as stream:
             chunks = pd.read_csv(
                 stream,
@@ -75,7 +63,7 @@ class CsvLog:
                 header=None,
                 names=list(range(len(dialect.names))),
                 skiprows=[*range(dialect.header + 1), *dialect.skipped],
-                usecols=numbers,
+                usecols=sorted(set(numbers.values())),
                 chunksize=rows,
                 skipinitialspace=True,
                 encoding=dialect.encoding,
@@ -84,24 +72,14 @@ class CsvLog:
                 **_EXACT,
             )
             for chunk in chunks:
-                values = {column: self._numbers(chunk, column.name) for column in wanted}
+                values = {column: _numbers(chunk[k], column.name, self.path) for column, k in numbers.items()}
                 yield Rows(values, min(stream.tell() / size, 1.0))
 
-    def _numbers(self, chunk: Any, name: str) -> NDArray[Any]:
-        found = chunk[self._dialect.names.index(name)]
-        if found.dtype.kind in "iufb":
-            return np.asarray(found)
-        return times_or_numbers(found, name, self.path)
 
-    def close(self) -> None:
-        """Do nothing: the file is open only while it is read."""
-
-
-class ParquetLog:
+class ParquetLog(ColumnLog):
     """A Parquet file."""
 
     kind = "parquet"
-    bounded = True
 
     def __init__(self, path: Path) -> None:
         from pyarrow.parquet import ParquetFile  # noqa: PLC0415  # text needs only pandas
@@ -110,28 +88,25 @@ class ParquetLog:
         self._file = ParquetFile(path)
         schema = self._file.schema_arrow
         columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
-        self.groups: tuple[ColumnGroup, ...] = (ColumnGroup("", columns, self._file.metadata.num_rows),)
+        self.groups = (ColumnGroup("", columns, self._file.metadata.num_rows),)
 
-    def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
-        """Yield the wanted columns part by part."""
+    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
         total, done = max(self._file.metadata.num_rows, 1), 0
         names = list(dict.fromkeys(column.name for column in wanted))
         for batch in self._file.iter_batches(batch_size=rows, columns=names):
             done += batch.num_rows
-            values = {}
-            for column in wanted:
-                found = batch.column(column.name).to_pandas()
-                plain = found.dtype.kind in "iufb"
-                values[column] = np.asarray(found) if plain else times_or_numbers(found, column.name, self.path)
-            yield Rows(values, done / total)
+            found = {column: batch.column(column.name).to_pandas() for column in wanted}
+            yield Rows({column: _numbers(x, column.name, self.path) for column, x in found.items()}, done / total)
 
     def close(self) -> None:
         """Release the file."""
         self._file.close()
 
 
-def times_or_numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
-    """Return dates as ns, and texts of numbers as numbers; raises MessageTypeError when they are neither."""
+def _numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
+    """Return dates as ns, and numbers also from texts; raises MessageTypeError when they are neither."""
+    if found.dtype.kind in NUMBERS:
+        return np.asarray(found)
     if found.dtype.kind == "M":
         return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
     numbers = pd.to_numeric(found, errors="coerce")

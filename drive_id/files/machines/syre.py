@@ -21,11 +21,6 @@ _OVER_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 def read_syre(path: Path) -> tuple[dict[str, Any], str]:
     """Read the flux map of a SyR-e file: the map over rotor position if there is one, else the averaged map.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.mat`` file up to MATLAB's version 7.
-
     Returns
     -------
     values : dict of str to array
@@ -36,7 +31,7 @@ def read_syre(path: Path) -> tuple[dict[str, Any], str]:
     Raises
     ------
     ConfigurationError
-        When the file is not a SyR-e file with a flux map.
+        When the file is not a SyR-e file, up to MATLAB's version 7, with a flux map.
     """
     model = load_matlab(path, f"Machine file '{path}'", ["motorModel"]).get("motorModel")
     data = getattr(model, "data", None)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,8 @@ from numpy.typing import NDArray
 
 from drive_id.types import NANOSECONDS
 
+LONGEST_PERIOD = 1e4
+"""Sample period, s, from which one is no measurement but an error of its unit."""
 _STAMP_MAX = 2**31 * NANOSECONDS
 _TIME_AND_NAME = (struct.Struct(">iII"), struct.Struct("<iII"))
 LONGEST_REST = (3, 3, 24, 3)
@@ -27,7 +28,7 @@ _FLOATS = (np.dtype(">f4"), np.dtype("<f4"))
 
 
 class BlockHead(NamedTuple):
-    """Head of a block: stamp (ns) and running count of the first sample, sample period (s), number of samples."""
+    """Head of a block: stamp (ns) and running count of the first sample, declared period (s), number of samples."""
 
     stamp: int
     first_sample: int
@@ -35,29 +36,11 @@ class BlockHead(NamedTuple):
     samples: int
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
-    """One sample message.
+class Block(NamedTuple):
+    """One sample message: its head, and its arrays (n,) in order of definition."""
 
-    Parameters
-    ----------
-    stamp : int
-        Time of the first sample, ns.
-    first_sample : int
-        Running count of samples, at the first one.
-    sample_period : float
-        s, as declared; not checked here.
-    values : tuple of (n,) float32
-        The arrays in order of definition, all of one length.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
+    head: BlockHead
     values: tuple[NDArray[np.float32], ...]
-
-    def __len__(self) -> int:
-        return len(self.values[0])
 
 
 def encode_block(
@@ -73,20 +56,13 @@ def encode_block(
     Parameters
     ----------
     stamp : int
-        Time of the first sample, ns, in [0, 2**31 s).
+        Time of the first sample, ns, in [0, 2**31 s), as fits into ``builtin_interfaces/Time``; else ValueError.
     sample_period : float
         s.
     values : sequence of (n,) float32
         The arrays in order of definition.
-    frame_id : str
-        Name of the drive.
     session : (int, int, bool, bool), optional
         Session, count, ``safe`` and ``stator_frame`` of a ``CurrentReference``.
-
-    Raises
-    ------
-    ValueError
-        When the stamp does not fit into ``builtin_interfaces/Time``.
     """
     if not 0 <= stamp < _STAMP_MAX:
         raise ValueError(f"stamp {stamp} ns does not fit into builtin_interfaces/Time")
@@ -94,8 +70,7 @@ def encode_block(
     name = frame_id.encode() + b"\0"
     head = struct.pack("<iII", seconds, nanoseconds, len(name)) + name
     head += bytes(-len(head) % 8) + struct.pack("<Qd", first_sample, sample_period)
-    arrays = b"".join(struct.pack("<I", len(v)) + v.astype("<f4").tobytes() for v in values)
-    body = head + arrays
+    body = head + b"".join(struct.pack("<I", len(v)) + v.astype("<f4").tobytes() for v in values)
     if session is not None:
         body += bytes(-len(body) % 8) + struct.pack("<QQ??", *session)
     return b"\x00\x01\x00\x00" + body
@@ -147,4 +122,4 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
         position += 4 * count
     if len(data) - position > LONGEST_REST[fields]:
         raise ValueError("it is longer than its type allows")
-    return Block(head.stamp, head.first_sample, head.sample_period, tuple(values))
+    return Block(head, tuple(values))

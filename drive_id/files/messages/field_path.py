@@ -24,20 +24,14 @@ class FieldPathError(ValueError):
 
 
 @dataclass
-class _Known:
-    """Fast access to the value, cached per message type, since all messages of a type have the same fields."""
-
-    kind: type | None = None
-    take: Callable[[Any], Any] | None = None
-
-
-@dataclass(frozen=True)
 class FieldPath:
     """A parsed path: field names, indices and slices, applied from left to right; after a slice, to each element."""
 
     text: str
     steps: tuple[str | int | slice, ...]
-    _known: _Known = field(default_factory=_Known, compare=False, repr=False)
+    _kind: type | None = field(default=None, compare=False, repr=False)
+    """Type of the messages that ``_take`` reads fast: all messages of a type have the same fields."""
+    _take: Callable[[Any], Any] | None = field(default=None, compare=False, repr=False)
 
     def values(self, message: object) -> FloatArray:
         """Return the numbers at the path as (n,) float.
@@ -61,26 +55,19 @@ class FieldPath:
 
     def find(self, message: object) -> Any:
         """Return the value at the path; FieldPathError when there is none."""
-        known = self._known
-        if known.take is not None and type(message) is known.kind:
+        if self._take is not None and type(message) is self._kind:
             try:
-                return known.take(message)
+                return self._take(message)
             except IndexError:  # the array is shorter; reported below
-                known.take = None
+                self._take = None
         found = _follow(message, self.steps, self.text)
-        if known.kind is not type(message) and dataclasses.is_dataclass(message):
-            known.kind, known.take = type(message), _getter(message, self.steps)
+        if self._kind is not type(message) and dataclasses.is_dataclass(message):
+            self._kind, self._take = type(message), _getter(message, self.steps)
         return found
 
 
 def parse_field_path(text: str, where: str) -> FieldPath:
-    """Parse a path.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming ``where`` the text was found.
-    """
+    """Parse a path; raises ConfigurationError naming ``where`` the text was found."""
     steps: list[str | int | slice] = []
     position, name_may_follow = 0, True
     while position < len(text):

@@ -23,15 +23,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 DECODE_ERRORS = (
-    struct.error,
-    ValueError,
-    LookupError,
-    TypeError,
-    AssertionError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-)
+    struct.error, ValueError, LookupError, TypeError, AssertionError, OverflowError, MemoryError, RecursionError,
+)  # fmt: skip
 """What a :data:`Reader` raises when a message does not fit its type."""
 _LARGEST_MESSAGE = 1 << 24
 """Bytes of a message that is read through its definition, which takes a Python object for each element."""
@@ -41,23 +34,12 @@ STAMP_LIMIT = 2**61
 
 @dataclass(frozen=True, eq=False)
 class MessageSamples:
-    """The samples of one signal in one message.
+    """The samples of one signal in one message."""
 
-    Parameters
-    ----------
-    stamp : int or (n,) int64
-        Of the first sample or of each, ns.
-    first_sample : int, (n,) int64 or None
-        Running count of the first sample, or of each.
-    sample_period : float or None
-        s.
-    columns : tuple of (n,) float32 or float64
-    """
-
-    stamp: int | IntArray
-    first_sample: int | IntArray | None
-    sample_period: float | None
-    columns: tuple[NDArray[np.floating], ...]
+    stamp: int | IntArray  # of the first sample or of each (n,), ns
+    first_sample: int | IntArray | None  # running count of the first sample, or of each (n,)
+    sample_period: float | None  # s
+    columns: tuple[NDArray[np.floating], ...]  # each (n,), float32 or float64
 
 
 Reader = Callable[[RawMessage], MessageSamples]
@@ -101,14 +83,11 @@ def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryvie
 
 def block_columns(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> list[int] | None:
     """Return the arrays of our own messages that hold the signal; ``None`` if it is not read from such messages."""
-    paths = source.paths
     arrays = BLOCK_FIELDS.get(topic.type_name, ())
-    usual = topic.encoding == "cdr" and source.stamp in ("header", "log_time")
-    usual = usual and source.sample_period == "sample_period"
-    usual = usual and not source.equally_spaced
-    usual = usual and source.first_sample == "first_sample" and set(paths) <= set(arrays)
-    if usual and _is_ours(topic, signals):
-        return [arrays.index(path) for path in paths]
+    usual = topic.encoding == "cdr" and source.stamp in ("header", "log_time") and not source.equally_spaced
+    usual = usual and source.sample_period == "sample_period" and source.first_sample == "first_sample"
+    if usual and set(source.paths) <= set(arrays) and _is_ours(topic, signals):
+        return [arrays.index(path) for path in source.paths]
     return None
 
 
@@ -137,9 +116,9 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
     logged = source.stamp == "log_time"
 
     def read(message: RawMessage) -> MessageSamples:
-        block = decode_block(message.data, count)
-        stamp = message.log_time if logged else block.stamp
-        return MessageSamples(stamp, block.first_sample, block.sample_period, tuple(block.values[k] for k in columns))
+        head, values = decode_block(message.data, count)
+        stamp = message.log_time if logged else head.stamp
+        return MessageSamples(stamp, head.first_sample, head.sample_period, tuple(values[k] for k in columns))
 
     return read
 
@@ -195,30 +174,16 @@ def _time(path: FieldPath, decoded: object, factor: float) -> int | IntArray:
 
 
 def ticks_to_ns(raw: NDArray[Any], factor: float, name: str) -> IntArray:
-    """Return times as ns.
+    """Return times (n,) or (), in units of ``factor`` ns, as ns.
 
-    Parameters
-    ----------
-    raw : (n,) or () array of numbers
-    factor : float
-        ns per unit.
-    name : str
-        Of the field, for messages.
-
-    Raises
-    ------
-    FieldPathError
-        When they are too large, or not finite.
+    Raises FieldPathError, which names the field, when they are too large, or not finite.
     """
-    whole = raw.dtype.kind in "iu" and float(factor).is_integer()
-    if whole:
+    if raw.dtype.kind in "iu" and float(factor).is_integer():
         limit = STAMP_LIMIT // int(factor)
         if raw.size and (int(raw.max()) > limit or int(raw.min()) < -limit):
             raise FieldPathError(f"'{name}' is not a time")
-        exact: IntArray = raw.astype(np.int64) * int(factor)
-    else:
-        values = raw.astype(np.longdouble) * np.longdouble(factor)
-        if not (np.abs(values) < STAMP_LIMIT).all():
-            raise FieldPathError(f"'{name}' is not a time")
-        exact = np.rint(values).astype(np.int64)
-    return exact
+        return np.asarray(raw.astype(np.int64) * int(factor))
+    values = raw.astype(np.longdouble) * np.longdouble(factor)
+    if not (np.abs(values) < STAMP_LIMIT).all():
+        raise FieldPathError(f"'{name}' is not a time")
+    return np.asarray(np.rint(values).astype(np.int64))

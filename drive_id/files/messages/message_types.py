@@ -70,15 +70,11 @@ def _known(name: str, signals: SignalMap) -> Typestore:
 
 @lru_cache(maxsize=64)
 def _embedded(name: str, form: str, definition: str) -> Typestore:
-    store = get_typestore(Stores.EMPTY)
-    if form == "ros1msg":
-        store = get_typestore(Stores.ROS1_NOETIC)
-        _register(store, get_types_from_msg(definition, name))
-    elif form == "ros2msg":
+    store = get_typestore(Stores.ROS1_NOETIC if form == "ros1msg" else Stores.EMPTY)
+    if form in ("ros1msg", "ros2msg"):
         _register(store, get_types_from_msg(definition, name))
     elif form in ("ros2idl", "omgidl"):
-        parts = definition.split(_IDL_SEPARATOR)
-        for part in parts:
+        for part in definition.split(_IDL_SEPARATOR):
             text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
             if text.strip():
                 _register(store, get_types_from_idl(text))

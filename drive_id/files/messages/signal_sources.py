@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.errors import ConfigurationError
+from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.field_path import parse_field_path
 from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS, FloatArray
@@ -25,7 +29,8 @@ VOLTAGE_SCALE = "voltage_scale"
 ROTOR_SPEED = "speed"
 """Section of a speed that is recorded apart from the angle."""
 NAMED_STAMPS = ("header", "log_time", "index")
-_BY_DC_LINK = "dc_link_voltage"
+BY_DC_LINK = "dc_link_voltage"
+"""Optional signal that scales the voltages under its own name."""
 _ROOT = 0.8660254037844386
 _FROM_ALPHA_BETA = np.array([[1.0, 0.0], [-0.5, _ROOT], [-0.5, -_ROOT]])
 _FROM_LINES = np.array([[1.0, 0.0, -1.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]]) / 3
@@ -46,9 +51,24 @@ class Combination:
 Field = str | Combination
 
 
-def terms_of(entry: Field) -> tuple[tuple[str, float], ...]:
+def _terms(entry: Field) -> tuple[tuple[str, float], ...]:
     """Return the paths of a field with their factors."""
     return entry.terms if isinstance(entry, Combination) else ((entry, 1.0),)
+
+
+def _paths(entries: Sequence[Field]) -> tuple[str, ...]:
+    """Return the paths of all fields, each once."""
+    return tuple(dict.fromkeys(path for entry in entries for path, _ in _terms(entry)))
+
+
+def _combination(entries: Sequence[Field], factors: Sequence[float]) -> FloatArray:
+    """Return the matrix (F, P) from the values at the paths to the scaled fields."""
+    paths = _paths(entries)
+    combine = np.zeros((len(entries), len(paths)))
+    for row, (entry, factor) in enumerate(zip(entries, factors, strict=True)):
+        for path, share in _terms(entry):
+            combine[row, paths.index(path)] = factor * share
+    return combine
 
 
 @dataclass(frozen=True)
@@ -90,7 +110,7 @@ class TimeSource(Checked):
             raise ConfigurationError("stamp is 'index' without a sample_period: give the time between samples in s.")
         if isinstance(self.sample_period, str):
             self.check_path(self.sample_period, "sample_period")
-        elif self.sample_period is not None and not 0 < self.sample_period < 1e4:
+        elif self.sample_period is not None and not 0 < self.sample_period < LONGEST_PERIOD:
             raise ConfigurationError(
                 f"sample_period is {self.sample_period} s: it must be positive and below 10 000 s."
             )
@@ -105,6 +125,13 @@ class TimeSource(Checked):
     @property
     def paths(self) -> tuple[str, ...]:
         """Fields of the values."""
+        raise NotImplementedError
+
+    def in_si_units(self, columns: list[FloatArray]) -> FloatArray:
+        """Return the values (N, K) of these columns, each (N,), by ``paths``, in SI units and electrical radians.
+
+        Phase quantities are (N, 3), or d and q (N, 2) in the frame of the resolver; the rotor has angle and speed.
+        """
         raise NotImplementedError
 
     @property
@@ -133,6 +160,10 @@ class ScalarSource(TimeSource):
     def paths(self) -> tuple[str, ...]:
         """Field of the value."""
         return (self.field,)
+
+    def in_si_units(self, columns: list[FloatArray]) -> FloatArray:
+        """Return the scaled value (N, 1)."""
+        return np.column_stack(columns) * self.scale + self.offset
 
 
 @dataclass(frozen=True)
@@ -185,16 +216,15 @@ class PhaseSource(TimeSource):
             raise ConfigurationError(f"fields names {len(self.fields)} {kind}: give the paths of {wanted}.")
         if len(set(self.fields)) != len(self.fields):
             raise ConfigurationError("fields names the same path twice: give one path per phase.")
-        for path in self._all:
+        for path in _paths(self.fields):
             self.check_path(path, "fields")
         if self.angle:
             self.check_path(self.angle, "angle")
         if self.frame != "dq" and (self.angle or self.angle_advance):
             raise ConfigurationError(f"angle belongs to frame dq, not {self.frame}: set frame: dq, or remove it.")
-        if isinstance(self.scale, str) and self.scale != _BY_DC_LINK:
+        if isinstance(self.scale, str) and self.scale != BY_DC_LINK:
             raise ConfigurationError(
-                f"scale is '{self.scale}': give numbers, or {_BY_DC_LINK} or {{topic: ..., field: ...}} for duty "
-                "cycles."
+                f"scale is '{self.scale}': give numbers, or {BY_DC_LINK} or {{topic: ..., field: ...}} for duty cycles."
             )
         if 0.0 in self.factors or len(self.factors) != len(self.fields):
             raise ConfigurationError(
@@ -204,16 +234,11 @@ class PhaseSource(TimeSource):
             raise ConfigurationError(f"offset is {self.offset}: give one, or one per field.")
 
     @property
-    def duty_cycles(self) -> bool:
-        """Whether another signal scales these."""
-        return bool(self.scaled_by)
-
-    @property
     def scaled_by(self) -> str:
         """Section of the signal that scales these; empty for none."""
         if isinstance(self.scale, ScalarSource):
             return VOLTAGE_SCALE
-        return _BY_DC_LINK if self.scale == _BY_DC_LINK else ""
+        return BY_DC_LINK if self.scale == BY_DC_LINK else ""
 
     @property
     def factors(self) -> tuple[float, ...]:
@@ -228,30 +253,30 @@ class PhaseSource(TimeSource):
         return self.offset if isinstance(self.offset, tuple) else (self.offset,) * len(self.fields)
 
     @property
-    def _all(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(path for entry in self.fields for path, _ in terms_of(entry)))
-
-    @property
     def paths(self) -> tuple[str, ...]:
         """Fields of the values, each once; the last is the angle of components d and q, if they have their own."""
-        return (*self._all, self.angle) if self.angle else self._all
+        return (*_paths(self.fields), self.angle) if self.angle else _paths(self.fields)
 
     @property
     def by_rotor(self) -> bool:
         """Whether these are d and q components of the resolver's angle: only then known in phases once joined."""
         return self.frame == "dq" and not self.angle
 
-    @property
-    def matrix(self) -> FloatArray:
-        """From the values of the fields, without an angle, to phases (3, P), or to d and q (2, P)."""
-        combine = np.zeros((len(self.fields), len(self._all)))
-        for row, (entry, factor) in enumerate(zip(self.fields, self.factors, strict=True)):
-            for path, share in terms_of(entry):
-                combine[row, self._all.index(path)] = factor * share
-        return np.asarray(self.to_phases @ combine)
+    def in_si_units(self, columns: list[FloatArray]) -> FloatArray:
+        """Return phase quantities (N, 3); components d and q (N, 2) if these are of the resolver's angle."""
+        if self.frame == "abc" and all(isinstance(entry, str) for entry in self.fields):
+            pairs = zip(columns, self.factors, self.offsets, strict=True)
+            phases = [column * factor + offset if offset else column * factor for column, factor, offset in pairs]
+            return np.column_stack(phases if len(phases) == 3 else [*phases, -phases[0] - phases[1]])
+        values = columns[:-1] if self.angle else columns
+        matrix = np.asarray(self._to_phases @ _combination(self.fields, self.factors))
+        found = np.column_stack(values) @ matrix.T + self._to_phases @ np.array(self.offsets)
+        if not self.angle:
+            return np.asarray(found)
+        return frames.to_abc(found, columns[-1] * ANGLE_UNITS[self.angle_unit])
 
     @property
-    def to_phases(self) -> FloatArray:
+    def _to_phases(self) -> FloatArray:
         """From the scaled fields to phases, or to d and q."""
         count = len(self.fields)
         if self.frame == "dq":
@@ -331,6 +356,13 @@ class RotorSource(TimeSource):
         """Fields of the angle and of the speed beside it, those that are there."""
         return tuple(filter(None, (self.angle, self.own_speed)))
 
+    def in_si_units(self, columns: list[FloatArray]) -> FloatArray:
+        """Return angle, rad, and speed, rad/s, both electrical (N, 2); one of them (N, 1) if the other is missing."""
+        if not self.angle:
+            return columns[0][:, None] * self.speed_factor
+        scaled = [columns[0] * self.angle_factor + self.angle_offset]
+        return np.column_stack([*scaled, *(column * self.speed_factor for column in columns[1:])])
+
     @property
     def angle_factor(self) -> float:
         """Factor from the field to electrical radians."""
@@ -362,25 +394,26 @@ class ReferenceSource(TimeSource):
     @property
     def paths(self) -> tuple[str, ...]:
         """Fields of the values, each once."""
-        return tuple(dict.fromkeys(path for entry in self.fields for path, _ in terms_of(entry)))
+        return _paths(self.fields)
 
-    @property
-    def matrix(self) -> FloatArray:
-        """From the values of the fields to d and q, A: (2, P)."""
-        combine = np.zeros((2, len(self.paths)))
-        for row, entry in enumerate(self.fields):
-            for path, share in terms_of(entry):
-                combine[row, self.paths.index(path)] = self.scale * share
-        return combine
+    def in_si_units(self, columns: list[FloatArray]) -> FloatArray:
+        """Return the currents in d and q (N, 2), A."""
+        if len(columns) == 2 and all(isinstance(entry, str) for entry in self.fields):
+            return np.column_stack(columns) * self.scale
+        return np.asarray(np.column_stack(columns) @ _combination(self.fields, (self.scale,) * 2).T)
+
+
+_OURS: dict[str, Any] = {"sample_period": "sample_period", "first_sample": "first_sample"}
+"""Where all our own messages hold their time."""
 
 
 def our_scalar(name: str) -> ScalarSource:
     """Return where our own messages hold an optional signal."""
-    return ScalarSource(name, sample_period="sample_period", first_sample="first_sample", field="value")
+    return ScalarSource(name, **_OURS, field="value")
 
 
 def _our_phases(topic: str) -> PhaseSource:
-    return PhaseSource(topic, sample_period="sample_period", first_sample="first_sample", fields=("a", "b", "c"))
+    return PhaseSource(topic, **_OURS, fields=("a", "b", "c"))
 
 
 @dataclass(frozen=True)
@@ -405,15 +438,9 @@ class SignalMap:
     currents: PhaseSource = field(default_factory=lambda: _our_phases("phase_currents"))
     voltages: PhaseSource = field(default_factory=lambda: _our_phases("phase_voltages"))
     resolver: RotorSource = field(
-        default_factory=lambda: RotorSource(
-            "resolver", sample_period="sample_period", first_sample="first_sample", angle="angle", speed="speed"
-        )
+        default_factory=lambda: RotorSource("resolver", **_OURS, angle="angle", speed="speed")
     )
-    reference: ReferenceSource | None = field(
-        default_factory=lambda: ReferenceSource(
-            "current_reference", sample_period="sample_period", first_sample="first_sample"
-        )
-    )
+    reference: ReferenceSource | None = field(default_factory=lambda: ReferenceSource("current_reference", **_OURS))
     optional: dict[str, ScalarSource] = field(default_factory=lambda: {name: our_scalar(name) for name in SCALARS})
     typestore: str = "jazzy"
     definitions: dict[str, str] = field(default_factory=dict)

@@ -19,6 +19,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.input_file import read_text_input, reason
 from drive_id.files.inputs.yaml_tree import check_node, check_text
 from drive_id.files.messages.signal_sources import (
+    BY_DC_LINK,
     TYPESTORES,
     Combination,
     PhaseSource,
@@ -38,7 +39,6 @@ Source = TypeVar("Source", bound=TimeSource)
 
 _LARGEST_FILE = 1 << 20  # bytes: a file with embedded definitions has some kB
 _MOST_ENTRIES = 10_000  # aliases followed
-_BY_DC_LINK = "dc_link_voltage"
 DEFAULTS = "defaults"
 """Section with what all others share: topic or group, stamps and sample period."""
 _TIME = tuple(item.name for item in fields(TimeSource))
@@ -52,13 +52,7 @@ _NESTED: dict[type, tuple[str, ...]] = {
 
 
 def read_signals(path: Path) -> SignalMap:
-    """Read a signals file.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming file, section, line and field of what is wrong.
-    """
+    """Read a signals file; raises ConfigurationError naming file, section, line and field of what is wrong."""
     try:
         text = read_text_input(path, _LARGEST_FILE)
     except OSError as error:
@@ -113,8 +107,10 @@ def _common(tree: dict[str, Any], section: str) -> dict[str, Any]:
 def _source(kind: type[Source], tree: Any, section: str, common: dict[str, Any], *, by_topic: bool) -> Source:
     if not isinstance(tree, dict):
         raise ConfigurationError(f"{section} is not a mapping: write 'topic: ...' and so on below it.")
-    values = common | tree
-    _check_nesting(values, section)
+    values: dict[Any, Any] = common | tree
+    odd = next((name for name in values if not isinstance(name, str)), None)
+    if odd is not None:
+        raise ConfigurationError(f"{section} sets '{odd!r:.60}', which is no name: write 'topic: ...' and so on.")
     for name in _NESTED[kind]:
         if isinstance(values.get(name), dict):
             inherited = {} if {"topic", "group"} & set(values[name]) else values
@@ -126,13 +122,6 @@ def _source(kind: type[Source], tree: Any, section: str, common: dict[str, Any],
     if by_topic and not source.topic:
         raise ConfigurationError(f"In {section}: topic is missing: name the topic of the signal.")
     return source
-
-
-def _check_nesting(tree: dict[Any, Any], section: str) -> None:
-    """Refuse names that are not text, which no field has."""
-    odd = next((name for name in tree if not isinstance(name, str)), None)
-    if odd is not None:
-        raise ConfigurationError(f"{section} sets '{odd!r:.60}', which is no name: write 'topic: ...' and so on.")
 
 
 def _combined(entry: Any, section: str) -> Any:
@@ -176,16 +165,16 @@ def _optional(tree: Any, section: str, common: dict[str, Any], *, by_topic: bool
 def _check_scales(values: dict[str, Any], where: str) -> None:
     """Check that only voltages are duty cycles or decimated, and that the DC-link voltage is there for them."""
     currents, voltages = values["currents"], values["voltages"]
-    if currents.duty_cycles:
-        said = _BY_DC_LINK if currents.scaled_by == _BY_DC_LINK else "another signal"
+    if currents.scaled_by:
+        said = BY_DC_LINK if currents.scaled_by == BY_DC_LINK else "another signal"
         raise ConfigurationError(f"scale in section 'currents' of {where} is {said}: give the factor to A.")
     if currents.decimation != 1:
         raise ConfigurationError(f"decimation in section 'currents' of {where} belongs to the voltages: move it there.")
     if currents.frame == "line_to_line":
         raise ConfigurationError(f"frame in section 'currents' of {where} is line_to_line: only voltages are.")
-    if voltages.scaled_by == _BY_DC_LINK and _BY_DC_LINK not in values["optional"]:
+    if voltages.scaled_by == BY_DC_LINK and BY_DC_LINK not in values["optional"]:
         raise ConfigurationError(
-            f"The voltages in {where} are scaled by {_BY_DC_LINK}, which is not there: add it in section 'optional'."
+            f"The voltages in {where} are scaled by {BY_DC_LINK}, which is not there: add it in section 'optional'."
         )
 
 

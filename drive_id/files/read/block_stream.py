@@ -6,22 +6,12 @@ import numpy as np
 
 from drive_id.core.signals.signal import SampleCount, Signal, block_stamps
 from drive_id.errors import MessageTypeError, SamplePeriodError
-from drive_id.files.messages.block_codec import decode_block
+from drive_id.files.messages.block_codec import LONGEST_PERIOD, decode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
-
-_LONGEST_PERIOD = 1e4
 
 
 class BlockStream:
-    """Decodes blocks and counts lost samples.
-
-    Parameters
-    ----------
-    topic : str
-        Name of the topic in errors.
-    type_name : str
-        One of our sample messages.
-    """
+    """Decodes blocks of one of our sample messages on a topic, and counts lost samples."""
 
     def __init__(self, topic: str, type_name: str) -> None:
         self.topic = topic
@@ -30,38 +20,29 @@ class BlockStream:
         self._fields = len(BLOCK_FIELDS[type_name])
 
     def decode(self, data: bytes) -> Signal:
-        """Return the samples of one serialized message.
+        """Return the samples of one serialized message; those missing since the previous one are counted as lost.
 
-        Returns
-        -------
-        Signal
-            ``lost`` and ``losses`` count the samples missing since the previous message.
-
-        Raises
-        ------
-        MessageTypeError
-            When the message is not of this type.
-        SamplePeriodError
-            When the declared period is not positive, or absurdly long.
+        Raises MessageTypeError when it is not of this type, SamplePeriodError when its period is not positive, or
+        absurdly long.
         """
         try:
-            block = decode_block(data, self._fields)
+            head, values = decode_block(data, self._fields)
         except ValueError as error:
             raise MessageTypeError(
                 f"A message on {self.topic} cannot be read as {self.type_name} ({error}): correct its publisher."
             ) from error
-        period = block.sample_period
-        if not 0.0 < period < _LONGEST_PERIOD:
+        period = head.sample_period
+        if not 0.0 < period < LONGEST_PERIOD:
             raise SamplePeriodError(
-                f"A message on {self.topic} stamped {block.stamp} ns declares a sample period of {period} s: correct "
+                f"A message on {self.topic} stamped {head.stamp} ns declares a sample period of {period} s: correct "
                 "its publisher."
             )
         lost, losses = self.count.lost, self.count.losses
-        self.count.add(block.first_sample, len(block))
+        self.count.add(head.first_sample, head.samples)
         return Signal(
             name=self.topic,
-            stamp=block_stamps(block.stamp, len(block), period),
-            values=np.column_stack(block.values).astype(np.float64),
+            stamp=block_stamps(head.stamp, head.samples, period),
+            values=np.column_stack(values).astype(np.float64),
             sample_period=period,
             block_start=np.zeros(1, np.int64),
             lost=self.count.lost - lost,

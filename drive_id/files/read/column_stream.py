@@ -6,17 +6,16 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.errors import ConfigurationError, MessageTypeError, MissingTopicError
-from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog, Rows, find_column
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnLog, Rows, find_column
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
-from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
@@ -30,16 +29,12 @@ class ColumnFile:
     path: Path
     checked = False
     """Whether checksums cover the samples."""
+    warnings: ClassVar[tuple[Message, ...]] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The file itself."""
         return (self.path,)
-
-    @property
-    def warnings(self) -> tuple[Message, ...]:
-        """None."""
-        return ()
 
 
 @dataclass(frozen=True)
@@ -61,12 +56,8 @@ class _Section:
 class ColumnStream(LogSignals):
     """The signals of one drive in an open log of columns.
 
-    Raises
-    ------
-    MissingTopicError
-        When a required column is not there.
-    ConfigurationError
-        When the signals file names topics, or no time.
+    Raises MissingTopicError when a required column is not there, ConfigurationError when the signals file names topics,
+    or no time.
     """
 
     def __init__(self, log: ColumnLog, signals: SignalMap) -> None:
@@ -117,8 +108,7 @@ def largest_reference(path: Path, signals: SignalMap) -> float | None:
         largest = 0.0
         for rows in log.parts(section.columns):
             columns = [column.astype(np.float64) for column in _piece(rows, section).columns]
-            values = in_si_units(columns, source)
-            amplitude = np.hypot(*values.T)
+            amplitude = np.hypot(*source.in_si_units(columns).T)
             largest = max(largest, float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude))))
     return largest
 
@@ -153,7 +143,7 @@ def _piece(rows: Rows, section: _Section) -> MessageSamples:
     if any(len(column) != len(columns[0]) for column in columns):
         raise FieldPathError(f"its columns have {', '.join(str(len(column)) for column in columns)} rows")
     for column in columns:
-        if column.dtype.kind not in "iufb":
+        if column.dtype.kind not in NUMBERS:
             raise FieldPathError("its columns hold no numbers")
     there = ~np.all([np.isnan(column) for column in columns], axis=0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,45 +13,29 @@ from drive_id.core.signals.join import ToPhases
 from drive_id.core.signals.rotor_interpolation import interpolated_rotor
 from drive_id.core.signals.rotor_smoothing import smoothed_rotor
 from drive_id.core.signals.signal import Signal
-from drive_id.files.messages.signal_sources import ROTOR_SPEED, PhaseSource, SignalMap
+from drive_id.files.messages.signal_sources import ROTOR_SPEED, SignalMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 
 def conversions(signals: SignalMap) -> tuple[ToPhases | None, ToPhases | None]:
     """Return for currents and voltages how d and q components become phase quantities; None where they need not."""
-    return _conversion(signals.currents), _conversion(signals.voltages)
+    currents, voltages = (
+        partial(_to_phases, source.angle_advance) if source.by_rotor else None
+        for source in (signals.currents, signals.voltages)
+    )
+    return currents, voltages
 
 
-def _conversion(source: PhaseSource) -> ToPhases | None:
-    if not source.by_rotor:
-        return None
-
-    def to_phases(values: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
-        return frames.to_abc(values, angle + source.angle_advance * period * speed)
-
-    return to_phases
+def _to_phases(advance: float, values: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
+    return frames.to_abc(values, angle + advance * period * speed)
 
 
 def rotor_at_currents(found: dict[str, Signal], signals: SignalMap) -> tuple[Signal, float, list[Message]]:
     """Return the resolver's signal, with a speed recorded apart, at the times of the currents if it is interpolated.
 
-    Parameters
-    ----------
-    found : dict of str to Signal
-        By section.
-
-    Returns
-    -------
-    signal : Signal
-    error : float
-        Root mean square error of an interpolated angle, rad; 0 if it was not interpolated.
-    warnings : list of Message
-
-    Raises
-    ------
-    DataError
-        When the angle cannot be interpolated.
+    Returns the root mean square error of an interpolated angle, rad, or 0, and warnings as well. Raises DataError when
+    the angle cannot be interpolated.
     """
     rotor = found["resolver"]
     if ROTOR_SPEED in found:

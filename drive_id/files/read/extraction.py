@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Generator, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,65 +13,28 @@ from numpy.typing import NDArray
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
+from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
-from drive_id.files.messages.si_units import in_si_units
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
-from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.files.storage.container import TopicInfo
 from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
 """Size of a part, samples of the currents."""
-_LONGEST_PERIOD = 1e4
-_SAME_PERIOD = 1e-6
+_SAME_PERIOD = 1e-6  # relative difference up to which two declared periods are the same
 INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
 """Sections of any rate, which may begin late and have gaps."""
-
-
-def extract_signals(bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> dict[str, Signal]:
-    """Read the signals of a drive from a bag at once.
-
-    Parameters
-    ----------
-    topics : dict
-        Section of the signal map (``currents``, ...) to its topic in the bag.
-
-    Returns
-    -------
-    dict
-        Section to signal, in SI units; reference and optional signals only if their topics are there.
-
-    Raises
-    ------
-    MessageTypeError
-        When a topic has a type or a field from which the signal cannot be read.
-    EmptyTopicError
-        When a topic holds no sample.
-    SamplePeriodError
-        When the declared period of a topic changes, is not positive, or is missing where it is needed.
-    BagError
-        When the bag is damaged, or holds more or fewer messages than declared.
-    """
-    return SignalStream(bag, signals, topics).whole()
 
 
 class UnusualError(Exception):
     """The bag cannot be read part by part: read it as a whole."""
 
 
-@dataclass(frozen=True)
-class SignalPart:
-    """One part of the signals.
-
-    Parameters
-    ----------
-    signals : dict of str to Signal
-        By section of the signal map; sections without a sample in this part are missing.
-    progress : float
-        SignalPart of the bag read so far, 0 to 1.
-    """
+class SignalPart(NamedTuple):
+    """One part of the signals, by section, those without a sample in it missing; and the share read so far, 0 to 1."""
 
     signals: dict[str, Signal]
     progress: float
@@ -81,16 +43,7 @@ class SignalPart:
 class LogSignals:
     """The signals of one drive in an open log; its kinds say how the samples are read.
 
-    Parameters
-    ----------
-    path : Path
-        Of the log.
-    sources : dict of str to TimeSource
-        By section of the signal map.
-    names : dict of str to str
-        Of topic or columns, by section.
-    required : iterable of str
-        Sections that must hold samples.
+    ``sources``, and ``names`` of topic or columns, are by section of the signal map; ``required`` must hold samples.
     """
 
     def __init__(
@@ -118,7 +71,12 @@ class LogSignals:
         return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
 
     def whole(self) -> dict[str, Signal]:
-        """Return the complete signals; see :func:`extract_signals`."""
+        """Return the complete signals by section, in SI units; reference and optional signals only if they are there.
+
+        Raises MessageTypeError when a signal cannot be read from the type or fields of its topic, EmptyTopicError when
+        a topic holds no sample, SamplePeriodError when its declared period changes, is not positive, or is missing
+        where it is needed, BagError when the bag is damaged, or holds more or fewer messages than declared.
+        """
         pieces: dict[str, list[MessageSamples]] = defaultdict(list)
         guard = MemoryGuard(self._path)
         for section, piece in self._pieces():
@@ -129,7 +87,7 @@ class LogSignals:
         return self._built({section: pieces[section] for section in self._sources if section in pieces})
 
     def parts(self) -> Generator[SignalPart, None, None]:
-        """Yield the signals part by part; for the errors, see :func:`extract_signals`."""
+        """Yield the signals part by part; for the errors, see :meth:`whole`."""
         seen: set[str] = set()
         pieces: dict[str, list[MessageSamples]] = defaultdict(list)
         count = 0
@@ -183,16 +141,9 @@ class LogSignals:
 
 
 class SignalStream(LogSignals):
-    """The signals of one drive in an open bag.
+    """The signals of one drive in an open bag, whose ``topics`` are given by section of the signal map.
 
-    Parameters
-    ----------
-    topics : dict
-        Section of the signal map to its topic in the bag.
-
-    Raises
-    ------
-    MessageTypeError, EmptyTopicError
+    Raises MessageTypeError or EmptyTopicError, see :meth:`whole`.
     """
 
     def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
@@ -208,32 +159,23 @@ class SignalStream(LogSignals):
     def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
         for message in self._bag.messages(frozenset(self._readers)):
             for section, reader in self._readers[message.topic]:
-                piece = self._read_message(message, section, reader)
+                try:
+                    piece = reader(message)
+                except DECODE_ERRORS as error:
+                    said = (str(error) or type(error).__name__).split("\n")[0][:200]
+                    raise MessageTypeError(
+                        f"A message on {message.topic} of {self._path}, logged at {message.log_time} ns, cannot be "
+                        f"read as {self._topics[section].type_name} ({said}): name the right fields in a signals file."
+                    ) from error
                 if len(piece.columns[0]):
                     yield section, piece
-
-    def _read_message(self, message: RawMessage, section: str, reader: Reader) -> MessageSamples:
-        try:
-            return reader(message)
-        except DECODE_ERRORS as error:
-            said = (str(error) or type(error).__name__).split("\n")[0][:200]
-            raise MessageTypeError(
-                f"A message on {message.topic} of {self._path}, logged at {message.log_time} ns, cannot be read as "
-                f"{self._topics[section].type_name} ({said}): name the right fields in a signals file."
-            ) from error
 
     def _progress(self) -> float:
         return sum(storage.progress for storage in self._bag.storages) / max(len(self._bag.storages), 1)
 
 
 class SignalBuilder:
-    """Puts the pieces of one signal together in order of arrival, all at once or part by part.
-
-    Parameters
-    ----------
-    section : str
-        Of the signal map.
-    """
+    """Puts the pieces of one signal together in order of arrival, all at once or part by part."""
 
     def __init__(self, topic: str, section: str, source: TimeSource) -> None:
         self.topic = topic
@@ -263,7 +205,9 @@ class SignalBuilder:
         if len(stamp) > len(pieces) or (first is not None and len(first) > len(pieces)):
             count = np.ones(int(count.sum()), np.int64)
             first = first if first is None or len(first) == len(count) else None
-        lost = (0, 0) if first is None else self._losses(first, count)
+        lost, losses = self._count.lost, self._count.losses
+        if first is not None:
+            self._count.add_blocks(first, count)
         stamp, period = self._timed(stamp, first, count)
         start = np.concatenate(([0], np.cumsum(count)[:-1]))
         if count.max() > 1:
@@ -275,7 +219,11 @@ class SignalBuilder:
             for k in range(len(pieces[0].columns))
         ]
         self._unwrap_angle(columns)
-        return self._signal(stamp, in_si_units(columns, self.source), start, lost, period)
+        values = self.source.in_si_units(columns)
+        stamp += int(np.rint(self.source.stamp_offset * 1e9))
+        self._check_time(int(stamp.min()), int(stamp.max()))
+        lost, losses = self._count.lost - lost, self._count.losses - losses  # late blocks undo losses
+        return Signal(self.topic, stamp, values, period, start, lost, losses)
 
     def _timed(self, stamp: IntArray, first: NDArray[Any] | None, count: IntArray) -> tuple[IntArray, float | None]:
         """Return stamps of messages (B,), ns, as the source says how to take them, and the period, s, if known."""
@@ -306,15 +254,6 @@ class SignalBuilder:
             columns[0] += modulus * np.rint((self._last_angle - columns[0][0]) / modulus)
         self._last_angle = float(columns[0][-1])
 
-    def _signal(
-        self, stamp: IntArray, values: FloatArray, block_start: IntArray, lost: tuple[int, int], period: float | None
-    ) -> Signal:
-        offset = int(np.rint(self.source.stamp_offset * 1e9))
-        if offset:
-            stamp += offset
-        self._check_time(int(stamp.min()), int(stamp.max()))
-        return Signal(self.topic, stamp, values, period, block_start, *lost)
-
     def _check_time(self, earliest: int, latest: int) -> None:
         for stamp in (earliest, latest):
             if abs(stamp) >= STAMP_LIMIT:
@@ -335,35 +274,25 @@ class SignalBuilder:
             )
         return self.period
 
-    def _begin(self, period: float | None) -> None:
-        if not self._begun:
-            self.period, self._begun = period, True
-
     def _check_periods(self, pieces: list[MessageSamples]) -> None:
         """Check that all messages declare the same period."""
-        self._begin(pieces[0].sample_period)
+        if not self._begun:
+            self.period, self._begun = pieces[0].sample_period, True
         for piece in pieces:
-            if piece.sample_period is not None and self.period is not None:
-                self._check_period(piece.sample_period, piece.stamp)
-
-    def _check_period(self, period: float, stamp: int | IntArray) -> None:
-        if not 0.0 < period < _LONGEST_PERIOD:
-            raise SamplePeriodError(
-                f"A message on {self.topic} stamped {np.min(stamp)} ns declares a sample period of {period} s: correct "
-                "its publisher, or give the period in a signals file."
-            )
-        declared = self.period or period
-        if abs(period - declared) > _SAME_PERIOD * declared:
-            raise SamplePeriodError(
-                f"The sample period of {self.topic} changes from {declared} to {period} s at stamp {np.min(stamp)} ns: "
-                "record each rate in a bag of its own."
-            )
-
-    def _losses(self, first: NDArray[Any], count: IntArray) -> tuple[int, int]:
-        """Return by how much samples missing by ``first_sample`` (B,), and gaps, increase: late blocks undo losses."""
-        lost, losses = self._count.lost, self._count.losses
-        self._count.add_blocks(first, count)
-        return self._count.lost - lost, self._count.losses - losses
+            period = piece.sample_period
+            if period is None or self.period is None:
+                continue
+            if not 0.0 < period < LONGEST_PERIOD:
+                raise SamplePeriodError(
+                    f"A message on {self.topic} stamped {np.min(piece.stamp)} ns declares a sample period of {period} "
+                    "s: correct its publisher, or give the period in a signals file."
+                )
+            declared = self.period or period
+            if abs(period - declared) > _SAME_PERIOD * declared:
+                raise SamplePeriodError(
+                    f"The sample period of {self.topic} changes from {declared} to {period} s at stamp "
+                    f"{np.min(piece.stamp)} ns: record each rate in a bag of its own."
+                )
 
 
 def _counts(pieces: list[MessageSamples]) -> NDArray[Any] | None:

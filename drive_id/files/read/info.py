@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drive_id.errors import BagError, DriveIdError
 from drive_id.files.logs.log_kind import log_kind
-from drive_id.files.storage.bag import Bag, open_bag
+from drive_id.files.storage.bag import open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
 
 if TYPE_CHECKING:
@@ -19,40 +19,22 @@ if TYPE_CHECKING:
 _LONGEST_SENTENCE = 2000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BagInfo:
-    """Contents of a recording, as its files declare them.
-
-    Parameters
-    ----------
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    compression : str
-        Empty for none; ``(file)`` after it means whole files, ``(message)`` single messages.
-    size : int
-        Of all files, bytes.
-    start : int
-        Log time of the first message, ns.
-    duration : float
-        Between first and last message, s.
-    problem : str
-        What is wrong with an incomplete one.
-    ground_truth : bool
-        Whether the ground truth of a simulation is attached.
-    """
+    """Contents of a recording, as its files declare them."""
 
     path: str
-    storage: str
-    compression: str
+    storage: str  # such as mcap or sqlite3
+    compression: str = ""  # "(file)" after it means whole files, "(message)" single messages
     files: tuple[str, ...]
-    size: int
+    size: int  # of all files, bytes
     topics: tuple[TopicInfo, ...]
     messages: int
-    start: int
-    duration: float
-    complete: bool
-    problem: str
-    ground_truth: bool
+    start: int = 0  # log time of the first message, ns
+    duration: float = 0.0  # between first and last message, s
+    complete: bool = True
+    problem: str = ""  # what is wrong with an incomplete one
+    ground_truth: bool = False  # that of a simulation is attached
 
 
 def bag_info(path: Path) -> BagInfo:
@@ -68,6 +50,9 @@ def bag_info(path: Path) -> BagInfo:
         for name, topic in bag.topics.items():
             if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:
                 problems.append(f"metadata.yaml declares {declared[name]} messages on {name}, the files {topic.count}")
+        truth = None
+        with suppress(BagError):
+            truth = bag.attachment(TRUTH_ATTACHMENT)
         counts = [topic.count or 0 for topic in bag.topics.values()]
         times = [(storage.start, storage.end) for storage in bag.storages if storage.end]
         start = min((first for first, _ in times), default=0)
@@ -84,7 +69,7 @@ def bag_info(path: Path) -> BagInfo:
             duration=(end - start) * 1e-9,
             complete=not problems,
             problem="; ".join(problems),
-            ground_truth=_has_truth(bag),
+            ground_truth=truth is not None,
         )
 
 
@@ -98,16 +83,10 @@ def _log_info(log: ColumnLog) -> BagInfo:
     return BagInfo(
         path=str(log.path),
         storage=log.kind,
-        compression="",
         files=(str(log.path),),
         size=file_size(log.path),
         topics=columns,
         messages=max((group.rows or 0 for group in log.groups), default=0),
-        start=0,
-        duration=0.0,
-        complete=True,
-        problem="",
-        ground_truth=False,
     )
 
 
@@ -124,10 +103,3 @@ def printable_errors() -> Iterator[None]:
         if text == str(error):
             raise
         raise type(error)(text) from error
-
-
-def _has_truth(bag: Bag) -> bool:
-    try:
-        return bag.attachment(TRUTH_ATTACHMENT) is not None
-    except BagError:
-        return False

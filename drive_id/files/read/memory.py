@@ -17,13 +17,7 @@ _CACHES = ("inactive_file ", "active_file ")
 
 
 class MemoryGuard:
-    """Estimates the memory that a whole log needs while it is being read.
-
-    Parameters
-    ----------
-    path : Path
-        Of the log, for the message.
-    """
+    """Estimates the memory that a whole log needs while it is being read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -13,7 +13,7 @@ from drive_id.core.steady.averaging import averaged
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError, DataError, NoOverlapError
 from drive_id.files.logs.open_log import open_log
-from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
+from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap
 from drive_id.files.read.reader import read_signals_only
 from drive_id.files.read.several import read_recording
 from drive_id.messages import Message
@@ -24,17 +24,7 @@ _TEMPERATURE = "winding_temperature"
 
 @dataclass(frozen=True, eq=False)
 class OperatingLog:
-    """The content of one log.
-
-    Parameters
-    ----------
-    truth : GroundTruth or None
-        Of a simulation.
-    digests : dict of str to str
-        File to its sha256.
-    last_stamp : int
-        ns.
-    """
+    """The content of one log, with the truth of a simulation, the sha256 of each file, and the last stamp, ns."""
 
     data: OperatingData
     truth: GroundTruth | None
@@ -50,17 +40,8 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
     sampled so fast that the rotor turns by less than 0.5 rad per sample; they are averaged. Where a log of columns has
     no time, and its signals file names none, each row is an operating point.
 
-    Parameters
-    ----------
-    signals : SignalMap, optional
-        Default: our own messages.
-    namespace : str
-        Of the drive, when a bag holds several.
-
-    Raises
-    ------
-    BagError, DataError, ConfigurationError
-        When the log cannot be read, or its signals do not fit together.
+    For ``signals`` and ``namespace``, see :func:`~drive_id.files.read.several.read_recording`. Raises BagError,
+    DataError or ConfigurationError when the log cannot be read, or its signals do not fit together.
     """
     known = signals or SignalMap()
     frames = {known.currents.frame, known.voltages.frame}
@@ -95,8 +76,8 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
 
 def _names_time(path: Path, signals: SignalMap) -> bool:
     """Tell whether the signals file names a time, or the log of columns has its own."""
-    named = (entry.stamp not in NAMED_STAMPS or entry.sample_period is not None for entry in _sections(signals))
-    if any(named):
+    sections = (signals.currents, signals.voltages, signals.resolver)
+    if any(entry.stamp not in NAMED_STAMPS or entry.sample_period is not None for entry in sections):
         return True
     with open_log(path) as log:
         return any(group.own_time for group in log.groups)
@@ -112,10 +93,6 @@ def _numbered(signals: SignalMap) -> SignalMap:
     return replace(signals, **rows, optional={name: numbered(entry) for name, entry in signals.optional.items()})
 
 
-def _sections(signals: SignalMap) -> tuple[TimeSource, ...]:
-    return (signals.currents, signals.voltages, signals.resolver)
-
-
 def _joined(found: dict[str, Signal], signals: SignalMap) -> tuple[OperatingData, int]:
     """Return the signals at the times of the currents, interpolated linearly, and the last stamp."""
     currents = found["currents"]
@@ -128,38 +105,31 @@ def _joined(found: dict[str, Signal], signals: SignalMap) -> tuple[OperatingData
     if not common.any():
         raise NoOverlapError("Currents, voltages and speed have no time in common: check stamps and their units.")
     stamp, i_dq = stamp[common], i_dq[common]
-    at = _Interpolation(stamp)
-    u_dq = at(found["voltages"], slice(None))
+    u_dq = _interpolated(found["voltages"], stamp, slice(None))
     if name := signals.voltages.scaled_by:
         if name not in found:
             raise NoOverlapError("The signal that scales the voltages holds no sample: record it.")
-        u_dq *= at(found[name], slice(0, 1))
-    temperature = at(found[_TEMPERATURE], slice(0, 1))[:, 0] if _TEMPERATURE in found else None
+        u_dq *= _interpolated(found[name], stamp, slice(0, 1))
+    temperature = _interpolated(found[_TEMPERATURE], stamp, slice(0, 1))[:, 0] if _TEMPERATURE in found else None
     data = OperatingData(
         i_dq=i_dq,
         u_dq=u_dq,
-        speed=at(found["resolver"], slice(-1, None))[:, 0],
+        speed=_interpolated(found["resolver"], stamp, slice(-1, None))[:, 0],
         time=(stamp - stamp[0]) * 1e-9,
         winding_temperature=temperature,
     )
     return data, int(stamp[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Interpolation:
-    """Linear interpolation of signals at stamps (N,), ns."""
-
-    stamp: IntArray
-
-    def __call__(self, signal: Signal, columns: slice) -> FloatArray:
-        """Return some columns of a signal (N, K); values that are not finite are bridged."""
-        kept = _increasing(signal.stamp) & np.isfinite(signal.values[:, columns]).all(axis=1)
-        if not kept.any():
-            raise NoOverlapError(f"{signal.name} holds no number: check its field.")
-        own = (signal.stamp[kept] - self.stamp[0]).astype(np.float64)
-        wanted = (self.stamp - self.stamp[0]).astype(np.float64)
-        values = signal.values[kept][:, columns]
-        return np.column_stack([np.interp(wanted, own, column) for column in values.T])
+def _interpolated(signal: Signal, stamp: IntArray, columns: slice) -> FloatArray:
+    """Return some columns of a signal (N, K), linear between its samples, at stamps (N,), ns; it bridges NaN."""
+    kept = _increasing(signal.stamp) & np.isfinite(signal.values[:, columns]).all(axis=1)
+    if not kept.any():
+        raise NoOverlapError(f"{signal.name} holds no number: check its field.")
+    own = (signal.stamp[kept] - stamp[0]).astype(np.float64)
+    wanted = (stamp - stamp[0]).astype(np.float64)
+    values = signal.values[kept][:, columns]
+    return np.column_stack([np.interp(wanted, own, column) for column in values.T])
 
 
 def _increasing(stamp: IntArray) -> BoolArray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,9 +30,9 @@ from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
-_LOCKING_PAIRS = 1 << 17
+_LOCKING_PAIRS = 1 << 17  # samples by which the offset between the signals is measured, 13 s at 10 kHz
 _AHEAD = 2
-_WAIT = 0.1
+"""Parts that another thread prepares."""
 
 Item = TypeVar("Item")
 
@@ -42,18 +42,8 @@ def read_signals_only(
 ) -> tuple[dict[str, Signal], dict[str, str], tuple[Message, ...]]:
     """Read the signals of a log one by one, without joining them: a speed is enough, and no angle is needed.
 
-    Returns
-    -------
-    signals : dict of str to Signal
-        By section of the signal map.
-    digests : dict of str to str
-        File to its sha256.
-    warnings : tuple of Message
-
-    Raises
-    ------
-    BagError, DataError, ConfigurationError
-        See :func:`~drive_id.files.read.several.read_recording`.
+    Returns them by section, the sha256 of each file, and warnings. Raises BagError, DataError or ConfigurationError, as
+    :func:`~drive_id.files.read.several.read_recording` does.
     """
     with _opened(path, signals, namespace, angle=False) as (bag, _, _, stream):
         found = stream.whole()
@@ -62,18 +52,11 @@ def read_signals_only(
 
 @dataclass(frozen=True, eq=False)
 class BagFacts:
-    """What :func:`bag_pieces` returns when all of a bag has been read.
+    """What is known when all of a bag has been read."""
 
-    Parameters
-    ----------
-    checked : bool
-        Whether checksums covered all of it.
-    """
-
-    files: tuple[Path, ...]
     truth: GroundTruth | None
     warnings: tuple[Message, ...]
-    checked: bool
+    checked: bool  # checksums covered all of it
 
 
 def bag_pieces(
@@ -84,19 +67,20 @@ def bag_pieces(
     whole: bool = False,
     threads: bool = True,
     tell: Callable[[float], None] = lambda _: None,
-) -> Generator[Piece, None, BagFacts]:
-    """Yield the joined samples of a bag in order of time, in bounded memory; return files, truth and warnings.
+    end: Callable[[BagFacts], None] = lambda _: None,
+) -> Iterator[Piece]:
+    """Yield the joined samples of a bag in order of time, in bounded memory.
 
     Parameters
     ----------
-    namespace : str
-        Of the drive, when the bag holds several.
     whole : bool
         Read all of the bag before joining, for those that raise UnusualError otherwise.
     threads : bool
         Read, unpack and join ahead in other threads.
     tell : callable
         Called with the part of the bag that has been read, 0 to 1.
+    end : callable
+        Called with what is known when all of it has been read.
 
     Raises
     ------
@@ -118,7 +102,7 @@ def bag_pieces(
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
-        return BagFacts(bag.files, truth, (*bag.warnings, *warnings), bag.checked)
+        end(BagFacts(truth, (*bag.warnings, *warnings), bag.checked))
 
 
 @contextmanager
@@ -245,12 +229,8 @@ class _References:
 def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:
     """Return the topic of each section of a signal map: absolute names as given, others below one common namespace.
 
-    Raises
-    ------
-    MissingTopicError
-        When a required topic is not there; lists those that are.
-    ConfigurationError
-        When several namespaces hold all topics and ``namespace`` is empty.
+    Raises MissingTopicError when a required topic is not there, listing those that are, and ConfigurationError when
+    several namespaces hold all topics and ``namespace`` is empty.
     """
     sources, needed = signals.sources(), signals.needed
     if signals.of_columns:
@@ -315,39 +295,12 @@ def prefetched(items: Generator[Item, None, None], ahead: int, threads: bool = T
 
 
 def _prefetched(items: Generator[Item, None, None], ahead: int) -> Generator[Item, None, None]:
-    waiting: queue.Queue[tuple[Item | None, BaseException | None]] = queue.Queue(ahead)
-    closed = threading.Event()
-
-    def put(item: Item | None, error: BaseException | None = None) -> bool:
-        while not closed.is_set():
-            try:
-                waiting.put((item, error), timeout=_WAIT)
-            except queue.Full:
-                continue
-            return True
-        return False
-
-    def work() -> None:
+    with ThreadPoolExecutor(1, "reader") as pool:
+        waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
         try:
-            for item in items:
-                if not put(item):
-                    return
-            put(None)
-        except BaseException as error:  # noqa: BLE001  # raised again where the items are used
-            put(None, error)
+            while (item := waiting.popleft().result()) is not None:
+                waiting.append(pool.submit(next, items, None))
+                yield item
         finally:
+            pool.shutdown(cancel_futures=True)
             items.close()
-
-    thread = threading.Thread(target=work, name="reader", daemon=True)
-    thread.start()
-    try:
-        while True:
-            item, error = waiting.get()
-            if error is not None:
-                raise error
-            if item is None:
-                return
-            yield item
-    finally:
-        closed.set()
-        thread.join()

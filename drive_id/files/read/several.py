@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from drive_id.core.signals.join import Piece
@@ -22,23 +23,11 @@ _LONG = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class JoinedLog:
-    """The content of one bag or of several.
+    """The content of one bag or of several."""
 
-    Parameters
-    ----------
-    samples : Samples
-        Joined; each bag begins a new run.
-    truth : GroundTruth or None
-        Of the simulation; None unless all bags have one.
-    digests : dict of str to str
-        Storage file to its sha256.
-    warnings : tuple of Message
-        Sentences about the recordings.
-    """
-
-    samples: Samples
-    truth: GroundTruth | None
-    digests: dict[str, str]
+    samples: Samples  # joined; each bag begins a new run
+    truth: GroundTruth | None  # of the simulation; None unless all bags have one
+    digests: dict[str, str]  # storage file to its sha256
     warnings: tuple[Message, ...]
 
 
@@ -73,19 +62,7 @@ def read_recording(paths: Path | Sequence[Path], signals: SignalMap | None = Non
 
 
 class SeveralBags:
-    """Reads bags one after the other.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the drive, when a bag holds several.
-    tell : callable
-        Called with the progress.
-    threads : bool
-        Read ahead in other threads.
-    whole : bool
-        Read each bag at once.
-    """
+    """Reads bags one after the other, ahead in other ``threads``, or each at once if ``whole``."""
 
     def __init__(
         self,
@@ -142,47 +119,35 @@ class SeveralBags:
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
         """Yield the samples of all bags piece by piece, each with whether it is the first of a bag.
 
-        Parameters
-        ----------
-        what : str
-            Shown with the progress.
-
-        Raises
-        ------
-        DriveIdError, UnusualError
-            See :func:`~drive_id.files.read.reader.bag_pieces`.
+        ``what`` is told with the progress. For the errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()
         for number, path in enumerate(self._bags):
             self._number = number
             self._several.begin()
-            self._facts.append((yield from self._of_bag(number, path, what)))
+            tell = partial(self._tell_share, what)
+            tell(0.0)
+            pieces = bag_pieces(
+                path,
+                self._signals,
+                self._namespace,
+                whole=number in self._whole,
+                threads=self._threads,
+                tell=tell,
+                end=self._facts.append,
+            )
+            for count, piece in enumerate(pieces):
+                self.samples += len(piece.samples) - piece.continues
+                yield self._several.placed(piece), count == 0
+            tell(1.0)
 
-    def _of_bag(self, number: int, path: Path, what: str) -> Generator[tuple[Piece, bool], None, BagFacts]:
-        def tell(share: float) -> None:
-            self._tell(self._said(what), (number + share) / len(self._bags))
-
-        tell(0.0)
-        whole = number in self._whole
-        pieces = bag_pieces(path, self._signals, self._namespace, whole=whole, threads=self._threads, tell=tell)
-        first = True
-        while True:
-            try:
-                piece = next(pieces)
-            except StopIteration as end:
-                tell(1.0)
-                facts: BagFacts = end.value
-                return facts
-            self.samples += len(piece.samples) - piece.continues
-            yield self._several.placed(piece), first
-            first = False
-
-    def _said(self, what: str) -> str:
+    def _tell_share(self, what: str, share: float) -> None:
+        """Tell the share of the current bag that has been read."""
         elapsed = time.monotonic() - self._start
-        if self.samples < _LONG or not elapsed:
-            return what
-        return f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"
+        if self.samples >= _LONG and elapsed:
+            what = f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"
+        self._tell(what, (self._number + share) / len(self._bags))
 
 
 def digests_of(bags: Sequence[Path]) -> dict[str, str]:

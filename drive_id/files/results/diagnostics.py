@@ -46,33 +46,14 @@ def diagnostics_bytes(diagnostics: Diagnostics) -> bytes:
 
 
 def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | None:
-    """Read what was stored beside a result.
+    """Read the content of ``diagnostics.npz`` beside a flux map of this shape; None for a file of a newer version.
 
-    Parameters
-    ----------
-    content : bytes
-        Of ``diagnostics.npz``.
-    shape : (int, int)
-        Of the flux map beside it.
-
-    Returns
-    -------
-    Diagnostics or None
-        None for a file of a newer version.
-
-    Raises
-    ------
-    Exception
-        When the file is damaged, whatever numpy and zipfile raise; see
-        :func:`~drive_id.files.results.identification.read_results`.
+    When the file is damaged, it raises whatever numpy and zipfile do, see
+    :func:`~drive_id.files.results.identification.read_judged`.
     """
     arrays = read_arrays(content, largest=_LARGEST)
     if int(arrays["format_version"]) > _FORMAT_VERSION:
         return None
-    return _diagnostics(arrays, shape)
-
-
-def _diagnostics(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> Diagnostics:
     angle, time = (_table(arrays, name, name, 2) for name in ("angle", "time"))
     trajectory = np.asarray(arrays["trajectory"], np.float64)
     if trajectory.shape[1:] != (2,):

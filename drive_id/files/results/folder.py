@@ -26,17 +26,8 @@ _STAGED = ".drive_id-"
 def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, kind: str = FORMAT) -> None:
     """Check, before the work is done, that results may be written to a folder.
 
-    Parameters
-    ----------
-    force : bool
-        Allow a folder that holds other files.
-    marker, kind : str
-        JSON file, and the format it names, by which a folder is known as ours.
-
-    Raises
-    ------
-    OutputError
-        When it is a file, holds other files than our earlier results and ``force`` is not given, or cannot be written.
+    A folder is known as ours by its JSON file ``marker``, which names the format ``kind``. Raises OutputError when it
+    is a file, holds other files than our earlier results and ``force`` is not given, or cannot be written.
     """
     try:
         if not _is_there(directory):
@@ -82,19 +73,8 @@ def replace_folder(
     that is impossible (a mounted or the current folder, a parent that is not writable, another system than Linux)
     the files are replaced one by one, ``marker`` first: its digests then tell which files are not yet its own.
 
-    Parameters
-    ----------
-    directory : Path
-        Created when missing; other files in it stay.
-    marker, kind, force
-        See :func:`check_output`.
-    stale : collection of str
-        Files of earlier results to remove.
-
-    Raises
-    ------
-    OutputError
-        See :func:`check_output`; also when the disk is full.
+    Files of earlier results that are ``stale`` are removed; other files stay. Raises OutputError, see
+    :func:`check_output`; also when the disk is full.
     """
     check_output(directory, force=force, marker=marker, kind=kind)
     try:

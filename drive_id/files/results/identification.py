@@ -54,6 +54,7 @@ _UNITS = {
     "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "sigma_d": "Wb", "sigma_q": "Wb", "resistance": "ohm",
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
+_PHASES = ("voltage_a", "voltage_b", "voltage_c")
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
@@ -63,46 +64,20 @@ _DAMAGE = (DriveIdError, *DAMAGED)
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a result comes from, and what is known of the experiment besides.
+    """Where a result comes from, and what is known of the experiment besides; None and empty for what is not known."""
 
-    Parameters
-    ----------
-    inputs : dict of str to str
-        File to its sha256.
-    machine : str
-        Name, empty when unknown.
-    nrmse : (float, float) or None
-        Of psi_d and psi_q against the ground truth, when the recording carried it.
-    warnings : tuple of Message
-        About the recording; those about the fit are in its report.
-    pole_pairs : int or None
-        None when unknown.
-    u_dc : float or None
-        DC-link voltage, V, when known.
-    speed_range : (float, float) or None
-        Lowest and highest electrical speed in the recording, rad/s.
-    duration : float or None
-        Of the samples, without gaps, s.
-    date : str
-        Of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day.
-    versions : mapping of str to str
-        Of the software that made the result; empty: of this process.
-    temperature : float or None
-        Of the winding to which the resistance refers, degrees Celsius; None: as in the experiment.
-    """
-
-    inputs: Mapping[str, str]
+    inputs: Mapping[str, str]  # file to its sha256
     settings: FitSettings
-    machine: str = ""
-    nrmse: tuple[float, float] | None = None
-    warnings: tuple[Message, ...] = ()
+    machine: str = ""  # its name
+    nrmse: tuple[float, float] | None = None  # of psi_d and psi_q against the ground truth, if the recording carried it
+    warnings: tuple[Message, ...] = ()  # about the recording; those about the fit are in its report
     pole_pairs: int | None = None
-    u_dc: float | None = None
-    speed_range: tuple[float, float] | None = None
-    duration: float | None = None
-    date: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
-    temperature: float | None = None
+    u_dc: float | None = None  # DC-link voltage, V
+    speed_range: tuple[float, float] | None = None  # lowest and highest electrical speed in the recording, rad/s
+    duration: float | None = None  # of the samples, without gaps, s
+    date: str = ""  # of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day
+    versions: Mapping[str, str] = field(default_factory=dict)  # of the software that made it; empty: of this process
+    temperature: float | None = None  # of the winding, degrees C, to which R refers; None: as in the experiment
 
 
 def write_results(
@@ -114,23 +89,10 @@ def write_results(
     pictures: Mapping[str, bytes] | None = None,
     diagnostics: Diagnostics | None = None,
 ) -> None:
-    """Write the result files of a fit, and pictures beside them.
+    """Write the result files of a fit, pictures by their names beside them, and diagnostics for reports.
 
-    Parameters
-    ----------
-    directory : Path
-        See :func:`~drive_id.files.results.folder.replace_folder`; results of an earlier fit in it are replaced.
-    force : bool
-        Write into a folder that holds other files.
-    pictures : mapping of str to bytes, optional
-        Further files by name.
-    diagnostics : Diagnostics, optional
-        Residuals, simulated currents and the paper's methods, for reports.
-
-    Raises
-    ------
-    OutputError
-        See :func:`~drive_id.files.results.folder.replace_folder`.
+    Results of an earlier fit in the folder are replaced; with ``force``, it may hold other files. Raises OutputError,
+    see :func:`~drive_id.files.results.folder.replace_folder`.
     """
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
@@ -138,23 +100,14 @@ def write_results(
     digests = {name: sha256(content).hexdigest() for name, content in found.items()}
     text = json.dumps(results_tree(identification, provenance) | {"files": digests}, indent=1, allow_nan=False) + "\n"
     files = {**found, **(pictures or {}), MARKER: text.encode()}
-    stale = {name for name in _earlier(directory) if name not in files}
+    stale = {_HARMONICS, DIAGNOSTICS, *_PICTURES} - files.keys() if is_ours(directory / MARKER) else ()
     replace_folder(directory, files, marker=MARKER, kind=FORMAT, force=force, stale=stale)
 
 
 def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
-    """Read the result folder of a fit.
+    """Read the result folder of a fit: its map is the stored grid, and all warnings are in the provenance.
 
-    Returns
-    -------
-    identification : IdentifiedDrive
-        Without ``model`` and ``gamma``: the map is the stored grid. All warnings are in the provenance.
-    provenance : Provenance
-
-    Raises
-    ------
-    ResultError
-        When it is not a result folder, is damaged, or was written by a newer version.
+    Raises ResultError when it is not a result folder, is damaged, or was written by a newer version.
     """
     try:
         try:
@@ -164,8 +117,9 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     except _DAMAGE as error:
         if isinstance(error, ResultError) and not isinstance(error, _MixedError):
             raise
-        said = str(error) if isinstance(error, DriveIdError) else damage(error)
-        raise ResultError(f"The result folder {directory} is damaged ({said}): fit the recording again.") from error
+        raise ResultError(
+            f"The result folder {directory} is damaged ({damage(error)}): fit the recording again."
+        ) from error
 
 
 class _MixedError(ResultError):
@@ -219,16 +173,16 @@ def read_judged(directory: Path, flux_map: FluxMap) -> Diagnostics | None:
             return None
         return read_diagnostics(_content(directory, DIAGNOSTICS, _tree(directory)), flux_map.psi_d.shape)
     except _DAMAGE as error:
-        said = str(error) if isinstance(error, DriveIdError) else damage(error)
         raise ResultError(
-            f"{directory / DIAGNOSTICS} is damaged ({said}): delete it to use the result without it, or fit the "
-            "recording again."
+            f"{directory / DIAGNOSTICS} is damaged ({damage(error)}): delete it to use the result without it, or fit "
+            "the recording again."
         ) from error
 
 
 def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dict[str, Any]:
     """Return the content of ``identification.json``; numbers that are not finite become null."""
     report, known = identification.report, provenance
+    warnings = (*known.warnings, *report.warnings)
     nrmse_d, nrmse_q = known.nrmse or (None, None)
     tree = {
         "format": FORMAT,
@@ -249,7 +203,10 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "magnet_coefficient": identification.magnet_coefficient,
         "inverter_curve": _curve(identification),
         "harmonics": [harmonic.order for harmonic in identification.harmonics],
-        "calibrations": [_calibration(entry) for entry in identification.calibrations],
+        "calibrations": [
+            asdict(entry) | {"sentence": entry.message, "message": entry.message.tree()}
+            for entry in identification.calibrations
+        ],
         "statements": list(identification.statements),
         "torque": None if identification.torque is None else asdict(identification.torque),
         "mechanics": None if identification.mechanics is None else asdict(identification.mechanics),
@@ -259,9 +216,9 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
             "nrmse_q": nrmse_q,
             **{name: value for name, value in asdict(report).items() if name != "warnings"},
         },
-        "warnings": [*known.warnings, *report.warnings],
+        "warnings": list(warnings),
         "messages": {
-            "warnings": [message.tree() for message in (*known.warnings, *report.warnings)],
+            "warnings": [message.tree() for message in warnings],
             "statements": [message.tree() for message in identification.statements],
         },
         "settings": asdict(known.settings),
@@ -315,9 +272,6 @@ def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
     }
 
 
-_PHASES = ("voltage_a", "voltage_b", "voltage_c")
-
-
 def _read_flux_map(content: bytes) -> FluxMap:
     file = read_arrays(content, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
     arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
@@ -359,15 +313,13 @@ def _identification(
     tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
 ) -> IdentifiedDrive:
     curve, metrics = tree["inverter_curve"], tree["metrics"]
-    magnet = tree.get("magnet_coefficient")
-    unknown = {"condition": np.inf}
-    report: dict[str, Any] = {
-        entry.name: _number(metrics[entry.name], unknown.get(entry.name, np.nan))
-        if entry.type == "float"
-        else int(metrics[entry.name])
-        for entry in fields(FitReport)
-        if entry.name != "warnings"
-    }
+    sigmas = curve.get("sigma_voltage")
+    magnet, linear = tree.get("magnet_coefficient"), tree.get("linear_machine")
+    report: dict[str, Any] = {}
+    for entry in fields(FitReport):
+        if entry.name != "warnings":
+            value, unknown = metrics[entry.name], np.inf if entry.name == "condition" else np.nan
+            report[entry.name] = _number(value, unknown) if entry.type == "float" else int(value)
     if tree["method"] not in ORIGINS:
         raise ValueError(f"method is {tree['method']!r:.40}")
     return IdentifiedDrive(
@@ -381,7 +333,7 @@ def _identification(
         inverter_voltage=np.array(curve["voltage"], np.float64),
         flux_map=flux_map,
         report=FitReport(**report),
-        sigma_inverter_voltage=_array(curve.get("sigma_voltage")),
+        sigma_inverter_voltage=None if sigmas is None else np.array([_number(value, np.inf) for value in sigmas]),
         phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
         harmonics=harmonics,
         calibrations=tuple(map(_read_calibration, tree["calibrations"])),
@@ -390,13 +342,8 @@ def _identification(
         torque=_with_cogging(TorqueFit, tree.get("torque")),
         mechanics=_with_cogging(Mechanics, tree.get("mechanics")),
         error_modes=modes,
-        linear=_linear(tree.get("linear_machine")),
+        linear=None if linear is None else LinearMachine(**{name: _number(x, np.inf) for name, x in linear.items()}),
     )
-
-
-def _calibration(entry: Calibration) -> dict[str, Any]:
-    message = entry.message
-    return asdict(entry) | {"sentence": message, "message": message.tree()}
 
 
 def _read_calibration(entry: Mapping[str, Any]) -> Calibration:
@@ -416,10 +363,6 @@ def _read_calibration(entry: Mapping[str, Any]) -> Calibration:
 def _messages(tree: Mapping[str, Any], name: str) -> tuple[Message, ...]:
     """Read warnings or statements; earlier versions stored their sentences alone."""
     return tuple(map(Message.stored, tree.get("messages", tree)[name]))
-
-
-def _linear(tree: Mapping[str, Any] | None) -> LinearMachine | None:
-    return None if tree is None else LinearMachine(**{name: _number(value, np.inf) for name, value in tree.items()})
 
 
 _OfShaft = TypeVar("_OfShaft", TorqueFit, Mechanics)
@@ -460,11 +403,6 @@ def _positive(tree: Mapping[str, Any], name: str, most: float = np.finfo(np.floa
     return float(value)
 
 
-def _earlier(directory: Path) -> list[str]:
-    """Return the optional files of an earlier result."""
-    return [_HARMONICS, DIAGNOSTICS, *sorted(_PICTURES)] if is_ours(directory / MARKER) else []
-
-
 def _number(value: float | None, unknown: float = np.nan) -> float:
     if value is None:
         return unknown
@@ -478,10 +416,6 @@ def _numbers(tree: Mapping[str, Any]) -> dict[str, Any]:
     for value in tree.values():
         _number(value)
     return dict(tree)
-
-
-def _array(values: list[float | None] | None) -> np.ndarray[Any, np.dtype[np.float64]] | None:
-    return None if values is None else np.array([_number(value, np.inf) for value in values])
 
 
 def _versions() -> dict[str, str]:

@@ -9,7 +9,6 @@ simulation.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -49,16 +48,10 @@ _DAMAGE = (DriveIdError, *DAMAGED)
 
 @dataclass(frozen=True, eq=False)
 class StoredInformation:
-    """Content of an information file.
-
-    Parameters
-    ----------
-    software : str
-        Version of drive_id that wrote it.
-    """
+    """Content of an information file."""
 
     accumulated: Accumulated
-    software: str
+    software: str  # version of drive_id that wrote it
 
 
 def check_information_output(path: Path) -> None:
@@ -78,15 +71,8 @@ def check_information_output(path: Path) -> None:
 def write_information(path: Path, accumulated: Accumulated) -> None:
     """Write an information file completely or not at all; an earlier one is replaced.
 
-    Parameters
-    ----------
-    accumulated : Accumulated
-        Of its excerpts, only the first 2 s of at most 10 recordings are kept.
-
-    Raises
-    ------
-    OutputError
-        When something else has this name, or it cannot be written.
+    Only the first 2 s of at most 10 recordings are kept. Raises OutputError when something else has this name, or it
+    cannot be written.
     """
     check_information_output(path)
     replace_file(path, encode_information(accumulated))
@@ -133,14 +119,6 @@ def encode_information(accumulated: Accumulated) -> bytes:
     if sum(max(array.nbytes, 8 * array.size) for array in arrays.values()) > unpacked_limit(len(content)):
         return npz_bytes(arrays, compressed=False)  # sums of so many splines are nearly all zero: readers would refuse
     return content
-
-
-def decode_information(data: bytes, where: str) -> StoredInformation:
-    """Decode the content of an information file.
-
-    Raises InformationError, see :func:`read_information`; naming ``where``.
-    """
-    return _decoded(io.BytesIO(data), where)
 
 
 def _decoded(stream: BinaryIO, where: str) -> StoredInformation:

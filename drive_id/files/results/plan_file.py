@@ -13,6 +13,7 @@ from drive_id.core.planning.free_shaft import AMPLITUDE, FreeShaftPlan
 from drive_id.core.planning.planner import Plan, PlannedExperiment
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.quantity import plain
 
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05
@@ -21,6 +22,7 @@ _SPEED_RESERVE = 1.1
 """Band of the speed by the planned speeds: a load machine overshoots them."""
 _LEAD_TIME = 0.3
 """s that set-points are published ahead of time."""
+_DIGITS = 9  # of parameters
 _MOST_AHEAD = 50_000
 """Set-points that are published ahead at most."""
 
@@ -45,13 +47,7 @@ def plan_tree(plan: Plan) -> dict[str, Any]:
 
 
 def plan_yaml(plan: Plan, machine: str = "") -> str:
-    """Write a plan as ROS parameters.
-
-    Parameters
-    ----------
-    machine : str
-        For the simulated bench: a shipped machine by name, or a machine file.
-    """
+    """Write a plan as ROS parameters; ``machine``, for the simulated bench, is shipped by this name, or a file."""
     experiment, trajectory = plan.experiment, plan.experiment.trajectory
     electrical = [plan.machine.electrical(speed) for speed in experiment.speeds]
     speeds = ", ".join(f"{speed:g}" for speed in experiment.speeds)
@@ -140,17 +136,8 @@ def _parameters(said: list[str], publisher: dict[str, Any], bench: dict[str, Any
     """Write the parameters of the publisher, and of a simulated bench in place of the load machine, below comments."""
     bench = ({"machine": machine} if machine else {}) | bench
     nodes = {"/**/trajectory_publisher": publisher, "/**/bench_simulator": bench}
-    tree = {node: {"ros__parameters": _rounded(values)} for node, values in nodes.items()}
+    tree = {node: {"ros__parameters": plain(values, _DIGITS)} for node, values in nodes.items()}
     return "\n".join([*said, "", yaml.safe_dump(tree, sort_keys=False)])
-
-
-def _rounded(value: Any) -> Any:
-    """Return parameters with their numbers to nine digits."""
-    if isinstance(value, dict):
-        return {name: _rounded(entry) for name, entry in value.items()}
-    if isinstance(value, list):
-        return [_rounded(entry) for entry in value]
-    return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 def check_plan_output(path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
@@ -36,38 +37,20 @@ from drive_id.messages import Message
 _ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".lz4", ".zst"))
 
 
+@dataclass(eq=False)
 class Bag:
-    """An open recording; made by :func:`open_bag`.
+    """An open recording; made by :func:`open_bag`."""
 
-    Parameters
-    ----------
-    files : tuple of Path
-        The storage files in order.
-    storages : tuple of Storage
-        The same, open.
-    compression : str
-        Of the files as a whole, or within them; empty for none.
-    packed_with_checksum : bool
-        Whether all files are compressed as a whole, with a checksum of their content.
-    """
+    path: Path
+    files: tuple[Path, ...]  # the storage files in order
+    storages: tuple[Storage, ...]  # the same, open
+    metadata: BagMetadata | None
+    compression: str  # of the files as a whole, or within them; empty for none
+    packed_with_checksum: bool  # all files are compressed as a whole, with a checksum of their content
 
-    def __init__(
-        self,
-        path: Path,
-        files: tuple[Path, ...],
-        storages: tuple[Storage, ...],
-        metadata: BagMetadata | None,
-        compression: str,
-        packed_with_checksum: bool = False,
-    ) -> None:
-        self.path = path
-        self.files = files
-        self.storages = storages
-        self.metadata = metadata
-        self.compression = compression
-        self._packed_with_checksum = packed_with_checksum
+    def __post_init__(self) -> None:
         self.topics = self._merged_topics()
-        self._budget = UnpackBudget(sum(file_size(file) for file in files))
+        self._budget = UnpackBudget(sum(file_size(file) for file in self.files))
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics``, file by file in order of arrival.
@@ -80,22 +63,18 @@ class Bag:
             for message in storage.messages(topics):
                 found[message.topic] += 1
                 yield self.decompressed(message)
-        self._check_counts(topics, found)
-
-    def _check_counts(self, topics: Collection[str], found: Mapping[str, int]) -> None:
-        """Compare the numbers of messages found with ``metadata.yaml``; raises MessageCountError when they differ."""
         declared = self.metadata.counts if self.metadata else {}
         for topic in topics:
-            if topic in declared and declared[topic] != found.get(topic, 0):
+            if topic in declared and declared[topic] != found[topic]:
                 raise MessageCountError(
                     f"metadata.yaml of {self.path} declares {declared[topic]} messages on {topic} but its files hold "
-                    f"{found.get(topic, 0)}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
+                    f"{found[topic]}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
 
     @property
     def checked(self) -> bool:
         """Whether checksums covered all that has been read so far."""
-        return self._packed_with_checksum or all(storage.checked for storage in self.storages)
+        return self.packed_with_checksum or all(storage.checked for storage in self.storages)
 
     @property
     def warnings(self) -> tuple[Message, ...]:
@@ -118,11 +97,8 @@ class Bag:
 
     def attachment(self, name: str) -> bytes | None:
         """Return the first attachment of that name in any file."""
-        for storage in self.storages:
-            data = storage.attachment(name)
-            if data is not None:
-                return data
-        return None
+        found = (storage.attachment(name) for storage in self.storages)
+        return next((data for data in found if data is not None), None)
 
     def _merged_topics(self) -> dict[str, TopicInfo]:
         merged: dict[str, TopicInfo] = {}
@@ -153,15 +129,9 @@ class Bag:
 def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
     """Open a recording for reading: a storage file or a folder, plain or compressed.
 
-    Parameters
-    ----------
-    salvage : bool
-        Open damaged MCAP files as far as they can be read: to describe them, not to fit them.
+    With ``salvage``, damaged MCAP files are opened as far as they can be read: to describe them, not to fit them.
 
-    Raises
-    ------
-    BagError
-        When it is not a recording, is damaged or cannot be read.
+    Raises BagError when it is not a recording, is damaged or cannot be read.
     """
     files, metadata = storage_files(path)
     with ExitStack() as stack:
@@ -181,22 +151,9 @@ def open_bag(path: Path, *, salvage: bool = False) -> Iterator[Bag]:
 
 
 def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = False) -> Storage:
-    """Open one storage file; its content decides how, not its name.
+    """Open one storage file, already decompressed as a whole and closed by ``stack``; its content decides how.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file, already decompressed as a whole.
-    shown : Path
-        Its name in errors.
-    stack : ExitStack
-        Closes the file.
-    salvage : bool
-        Describe what can be read of a damaged MCAP file instead of refusing it.
-
-    Raises
-    ------
-    NotABagError, TruncatedBagError
+    Raises NotABagError or TruncatedBagError, which name it ``shown``.
     """
     magic = read_magic(path, shown)
     storage: Storage
@@ -232,7 +189,7 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     metadata = read_metadata(path / "metadata.yaml")
     files = tuple(path / name for name in metadata.files)
     for file in files:
-        if not _is_file(file):
+        if not os.path.isfile(file):  # noqa: PTH113  # Path.is_file raises for names that the system refuses
             raise NotABagError(
                 f"metadata.yaml of {path} names {file.name[:80]}, which is not there: complete the folder, or rewrite "
                 "metadata.yaml with 'ros2 bag reindex'."
@@ -270,14 +227,6 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
-
-
-def _is_file(path: Path) -> bool:
-    """Tell whether there is a regular file; a name that the system refuses is none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _present(path: Path) -> list[Path]:

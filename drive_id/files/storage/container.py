@@ -1,11 +1,12 @@
-"""The Protocol of storage files (MCAP, sqlite3), with what they share: magic numbers and decompression."""
+"""What storage files (MCAP, sqlite3, ROS 1) share: their base class, magic numbers and decompression."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -37,28 +38,14 @@ _DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a storage file.
-
-    Parameters
-    ----------
-    name, type_name : str
-        The type in the form ``package/msg/Name``.
-    count : int or None
-        Messages that the file declares; ``None`` when it does not.
-    encoding : str
-        Of the messages; only ``cdr`` can be read.
-    definition_format : str
-        ``ros2msg``, ``ros2idl`` or empty.
-    definition : str
-        Complete message definition, or empty.
-    """
+    """One topic of a storage file."""
 
     name: str
-    type_name: str
-    count: int | None
-    encoding: str
-    definition_format: str = ""
-    definition: str = ""
+    type_name: str  # in the form package/msg/Name
+    count: int | None  # messages that the file declares, if it does
+    encoding: str  # of the messages: cdr, ros1 and json can be read
+    definition_format: str = ""  # such as ros2msg or ros2idl
+    definition: str = ""  # complete message definition, or empty
 
 
 class RawMessage(NamedTuple):
@@ -69,43 +56,43 @@ class RawMessage(NamedTuple):
     data: bytes | memoryview
 
 
-class Storage(Protocol):
+class Storage(ABC):
     """One storage file, open for reading. All errors are :class:`~drive_id.errors.BagError`."""
 
     kind: str
-    """``mcap`` or ``sqlite3``."""
-    compression: str
-    """Of the chunks; empty for none."""
-    topics: tuple[TopicInfo, ...]
-    start: int
+    """``mcap``, ``sqlite3`` or ``rosbag1``."""
+    topics: tuple[TopicInfo, ...] = ()
+    start = 0
     """Earliest log time, ns; ``start`` and ``end`` are 0 when there is no message."""
-    end: int
-    damage: str
+    end = 0
+    compression = ""
+    """Of the chunks; empty for none."""
+    damage = ""
     """What is wrong with the file; empty if it is complete."""
-    warning: Message | None
-    """A sentence about a file that was not completed but can be read; else empty."""
+    warning: Message | None = None
+    """About a file that was not completed but can be read."""
 
     @property
     def checked(self) -> bool:
         """Whether checksums covered all that has been read so far."""
-        ...
+        return False
 
     @property
     def progress(self) -> float:
         """Part of the file that has been read, 0 to 1; 0 if unknown."""
-        ...
+        return 0.0
 
+    @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in order of arrival; checks the declared counts at the end."""
-        ...
 
-    def attachment(self, name: str) -> bytes | None:
+    def attachment(self, name: str) -> bytes | None:  # noqa: ARG002  # only MCAP files have some
         """Return the attachment of that name, if there is one."""
-        ...
+        return None
 
+    @abstractmethod
     def close(self) -> None:
         """Release the file."""
-        ...
 
 
 def read_magic(path: Path, shown: Path) -> bytes:
@@ -120,18 +107,7 @@ def read_magic(path: Path, shown: Path) -> bytes:
 
 
 class UnpackBudget:
-    """Counts what a file unpacks to, so that some kB of it cannot take gigabytes and minutes.
-
-    Parameters
-    ----------
-    size : int
-        Of the file, bytes.
-
-    Attributes
-    ----------
-    limit : int
-        Most bytes.
-    """
+    """Counts what a file of so many bytes unpacks to, so that some kB of it cannot take gigabytes and minutes."""
 
     def __init__(self, size: int) -> None:
         self.limit = _UNPACKED + _RATIO * size
@@ -151,12 +127,7 @@ class UnpackBudget:
 def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
     """Decompress a file that is compressed as a whole into ``folder``.
 
-    Returns
-    -------
-    path : Path
-        Of the plain file; ``path`` itself when it is not compressed.
-    compression : str
-        ``zstd``, ``lz4`` or empty.
+    Returns the path of the plain file, or ``path`` itself, and the compression: ``zstd``, ``lz4`` or empty.
     """
     magic = read_magic(path, path)
     if not magic.startswith((ZSTD_MAGIC, LZ4_MAGIC)):

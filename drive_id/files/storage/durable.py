@@ -14,22 +14,9 @@ _CANNOT = frozenset({errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES, err
 
 
 def make_folder(path: Path, *, exist_ok: bool = False) -> set[Path]:
-    """Create a folder and those above it that are missing.
+    """Create a folder and those above it that are missing; raises OSError as :meth:`pathlib.Path.mkdir` does.
 
-    Parameters
-    ----------
-    exist_ok : bool
-        Accept an existing folder.
-
-    Returns
-    -------
-    set of Path
-        The folders with a new entry: pass each to :func:`sync_folder`.
-
-    Raises
-    ------
-    OSError
-        As raised by :meth:`pathlib.Path.mkdir`.
+    Returns the folders with a new entry: pass each to :func:`sync_folder`.
     """
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=exist_ok)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TypeVar, cast
@@ -28,6 +28,7 @@ from drive_id.files.storage.container import (
     LARGEST_CHUNK,
     MCAP_MAGIC,
     RawMessage,
+    Storage,
     TopicInfo,
     UnpackBudget,
     decompress,
@@ -53,6 +54,7 @@ _LARGEST_BREAK = 1 << 22
 _BUFFER = 1 << 20
 _NEVER_WRITTEN = 0
 """No opcode, but what a disk returns where the size of a file was stored and its content was not."""
+_NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")
 _PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError)
 
 Parsed = TypeVar("Parsed", bound=records.McapRecord)
@@ -73,15 +75,7 @@ class BreakError(DamageError):
 class McapFile:
     """An MCAP file below ``mcap.StreamReader``, which reads from it by :meth:`read`.
 
-    Parameters
-    ----------
-    shown : Path
-        Name of the file in errors.
-
-    Raises
-    ------
-    NotABagError
-        When it cannot be opened.
+    Raises NotABagError, which names it ``shown``, when it cannot be opened.
     """
 
     def __init__(self, path: Path, shown: Path) -> None:
@@ -248,10 +242,7 @@ def plain_chunk(chunk: records.Chunk, position: int) -> bytes:
 def chunk_records(chunk: bytes, position: int, known: set[bytes] | None = None) -> Iterator[records.McapRecord]:
     """Yield the messages, schemas and channels in the unpacked chunk at byte ``position``; messages are not copied.
 
-    Parameters
-    ----------
-    known : set of bytes, optional
-        Schemas and channels seen before, which are skipped; extended.
+    Schemas and channels in ``known`` are skipped, and others added to it.
     """
     known = set() if known is None else known
     plain, inner, defined = memoryview(chunk), 0, 0
@@ -286,16 +277,8 @@ def _parsed(kind: type[Parsed], body: bytes | memoryview, position: int) -> Pars
         raise DamageError(f"the record at byte {position} is damaged") from error
 
 
-class McapStorage:
-    """An MCAP file as a :class:`~drive_id.files.storage.container.Storage`.
-
-    Parameters
-    ----------
-    shown : Path
-        Name of the file in errors.
-    salvage : bool
-        Describe what can be read of a damaged file instead of refusing it.
-    """
+class McapStorage(Storage):
+    """An MCAP file, named ``shown`` in errors; ``salvage`` describes what can be read of a damaged one."""
 
     kind = "mcap"
 
@@ -307,9 +290,6 @@ class McapStorage:
         self._counts: Counter[int] | None = None
         self._attachments: list[tuple[str, int, int]] = []
         self._compressions: set[str] = set()
-        self.start, self.end = 0, 0
-        self.damage = ""
-        self.warning: Message | None = None
         self._break: int | None = None
         self._file = McapFile(path, shown)
         try:
@@ -327,12 +307,7 @@ class McapStorage:
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in order of arrival; checks checksums and declared counts.
 
-        Raises
-        ------
-        TruncatedBagError
-            When the file is damaged.
-        MessageCountError
-            When it holds more or fewer messages than it declares.
+        Raises TruncatedBagError when the file is damaged, MessageCountError when a count differs.
         """
         wanted = {key: channel.topic for key, channel in self._channels.items() if channel.topic in topics}
         found: Counter[int] = Counter()
@@ -343,7 +318,13 @@ class McapStorage:
                     yield RawMessage(wanted[record.channel_id], record.log_time, record.data)
         except DamageError as damage:
             raise self._damaged(str(damage)) from damage
-        self._check_counts(wanted, found)
+        declared = found if self._counts is None else self._counts
+        for key, topic in wanted.items():
+            if found[key] != declared[key]:
+                raise MessageCountError(
+                    f"{self._shown} declares {declared[key]} messages on {topic} but holds {found[key]}: "
+                    "copy the file again from its origin, or rebuild it with 'drive-id recover'."
+                )
 
     @property
     def checked(self) -> bool:
@@ -354,17 +335,6 @@ class McapStorage:
     def progress(self) -> float:
         """Part of the file that has been read, 0 to 1."""
         return min(self._file.end / max(self._file.size, 1), 1.0)
-
-    def _check_counts(self, wanted: Mapping[int, str], found: Mapping[int, int]) -> None:
-        """Raise MessageCountError unless as many messages were found on each channel as the file declares."""
-        if self._counts is None:
-            return
-        for key, topic in wanted.items():
-            if found.get(key, 0) != self._counts[key]:
-                raise MessageCountError(
-                    f"{self._shown} declares {self._counts[key]} messages on {topic} but holds {found.get(key, 0)}: "
-                    "copy the file again from its origin, or rebuild it with 'drive-id recover'."
-                )
 
     def attachment(self, name: str) -> bytes | None:
         """Return the attachment of that name, if there is one; TruncatedBagError when it is damaged."""
@@ -387,7 +357,8 @@ class McapStorage:
             if (summary_start := self._file.footer()) and self._read_summary(summary_start):
                 return
         except DamageError as damage:
-            if isinstance(damage, BreakError) and self._is_live():
+            header = self._file.header() if isinstance(damage, BreakError) else None
+            if header is not None and header.library == RECORDER_LIBRARY:
                 self._open_unfinished(salvage)
                 return
             if not salvage:
@@ -400,28 +371,20 @@ class McapStorage:
                 raise self._damaged(str(damage)) from damage
             self.damage = self.damage or str(damage)
 
-    def _is_live(self) -> bool:
-        """Tell whether the recorder wrote this file."""
-        header = self._file.header()
-        return header is not None and bool(header.library == RECORDER_LIBRARY)
-
     def _open_unfinished(self, salvage: bool) -> None:
         """Open a file that the recorder did not complete, up to where it breaks off."""
         try:
             self._index_by_scan()
-            self.damage = "its index is missing"
+            self.damage, broken = "its index is missing", self._file.begin
         except DamageError as damage:
-            self.damage = str(damage)
-            broken = self._file.begin
+            self.damage, broken = str(damage), self._file.begin
             far = self._file.size - broken > _LARGEST_BREAK
             within = not isinstance(damage, BreakError) and self._file.has_record(self._file.end)
             if far or within:  # more follows than the recorder can have left unwritten
                 if not salvage:
                     raise self._damaged(str(damage)) from damage
                 return
-            self._break = broken
-        else:
-            self._break = self._file.begin
+        self._break = broken
         seconds = (self.end - self.start) * 1e-9
         self.warning = Message("not_completed", file=str(self._shown), damage=self.damage, seconds=seconds)
 
@@ -465,10 +428,10 @@ class McapStorage:
     def _topic_infos(self) -> tuple[TopicInfo, ...]:
         infos: dict[str, TopicInfo] = {}
         for key, channel in self._channels.items():
-            schema = self._schemas.get(channel.schema_id)
+            schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
             before = infos.get(channel.topic)
             count = None if self._counts is None else self._counts[key] + ((before.count or 0) if before else 0)
-            name = "" if schema is None else full_type(schema.name)
+            name = full_type(schema.name)
             if before is not None and before.type_name != name:
                 name = f"{before.type_name} and {name}"
             infos[channel.topic] = TopicInfo(
@@ -476,8 +439,8 @@ class McapStorage:
                 name,
                 count,
                 channel.message_encoding,
-                "" if schema is None else schema.encoding,
-                "" if schema is None else schema.data.decode(errors="replace"),
+                schema.encoding,
+                schema.data.decode(errors="replace"),
             )
         return tuple(infos.values())
 
@@ -487,17 +450,13 @@ class McapStorage:
         """Yield position and record in file order, chunks unpacked if they may hold ``wanted`` channels (None: all)."""
         known: set[bytes] = set()
         for position, record in self._file.data(end=self._break):
+            held = self._chunk_channels.get(position)
             if not isinstance(record, records.Chunk):
                 yield position, record
-            elif wanted is None or self._may_hold(position, wanted):
+            elif wanted is None or held is None or not held.isdisjoint(wanted):
                 self._compressions.add(record.compression)
                 for inner in chunk_records(self._file.unpack(record, position), position, known):
                     yield position, inner
-
-    def _may_hold(self, position: int, channels: Collection[int]) -> bool:
-        """Tell whether the chunk at byte ``position`` can hold messages of ``channels``."""
-        held = self._chunk_channels.get(position)
-        return held is None or not held.isdisjoint(channels)
 
     def _note(self, record: records.McapRecord) -> None:
         if isinstance(record, records.Schema):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -33,10 +34,7 @@ class BagMetadata:
 
 
 def read_metadata(path: Path) -> BagMetadata:
-    """Read ``metadata.yaml`` of rosbag2, any version.
-
-    Raises NotABagError when it is not such a file; names what is wrong.
-    """
+    """Read ``metadata.yaml`` of rosbag2, any version; raises NotABagError, which names what is wrong."""
     advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
     try:
         check_input(path, _LARGEST)
@@ -145,26 +143,21 @@ class FileEntry:
 
     def times(self) -> dict[str, Any]:
         """Return start, duration and count in the form of the metadata."""
-        return _times(self.first, self.last, self.count)
+        return {
+            "starting_time": {"nanoseconds_since_epoch": self.first or 0},
+            "duration": {"nanoseconds": 0 if self.first is None else self.last - self.first},
+            "message_count": self.count,
+        }
 
 
 def bag_information(
     topics: Sequence[TopicEntry], files: Sequence[FileEntry], distro: str, custom: Mapping[str, str] | None
 ) -> dict[str, Any]:
-    """Return the content of ``metadata.yaml``.
-
-    Parameters
-    ----------
-    files : sequence of FileEntry
-        In order.
-    distro : str
-        Name of the ROS 2 distribution.
-    custom : mapping of str to str, optional
-        ``custom_data`` of the recording.
-    """
+    """Return the content of ``metadata.yaml``, with ``custom`` as its ``custom_data``."""
     starts = [file.first for file in files if file.first is not None]
-    last = max((file.last for file in files), default=0)
-    times = _times(min(starts, default=None), last, sum(file.count for file in files))
+    counts = sum((Counter(file.counts) for file in files), Counter[str]())
+    whole = FileEntry("", min(starts, default=None), max((file.last for file in files), default=0), counts)
+    times = whole.times()
     by_number = any(_by_number(topic.offered_qos) for topic in topics)
     return {
         "version": 8 if by_number else 9,
@@ -183,7 +176,7 @@ def bag_information(
                     ),
                     "type_description_hash": topic.hash,
                 },
-                "message_count": sum(file.counts.get(topic.name, 0) for file in files),
+                "message_count": counts[topic.name],
             }
             for topic in topics
         ],
@@ -208,11 +201,3 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     write_synced(partial, tree.encode())
     partial.replace(folder / "metadata.yaml")
     sync_folder(folder)
-
-
-def _times(first: int | None, last: int, count: int) -> dict[str, Any]:
-    return {
-        "starting_time": {"nanoseconds_since_epoch": first or 0},
-        "duration": {"nanoseconds": 0 if first is None else last - first},
-        "message_count": count,
-    }

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 from rosbags.rosbag1 import Reader, ReaderError
 
 from drive_id.errors import MessageTypeError, TruncatedBagError
-from drive_id.files.storage.container import RawMessage, TopicInfo
-from drive_id.messages import Message
+from drive_id.files.storage.container import RawMessage, Storage, TopicInfo
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -21,25 +20,10 @@ if TYPE_CHECKING:
 _ERRORS = (ReaderError, ValueError, KeyError, IndexError, AssertionError, OSError, EOFError, RuntimeError, struct.error)
 
 
-class Rosbag1Storage:
-    """One ROS 1 bag, open for reading.
-
-    Parameters
-    ----------
-    shown : Path
-        Its name in errors.
-
-    Raises
-    ------
-    TruncatedBagError
-        When it was not completed, or is damaged.
-    """
+class Rosbag1Storage(Storage):
+    """One ROS 1 bag, named ``shown`` in errors; raises TruncatedBagError when it was not completed, or is damaged."""
 
     kind = "rosbag1"
-    compression = ""
-    damage = ""
-    checked = False
-    warning: Message | None = None
 
     def __init__(self, path: Path, shown: Path) -> None:
         self._shown = shown
@@ -81,19 +65,10 @@ class Rosbag1Storage:
         if not wanted:
             return
         self._count, self._done = sum(member.msgcount for member in wanted), 0
-        messages = self._reader.messages(wanted)
-        while True:
-            with self._one_sentence():
-                found = next(messages, None)
-            if found is None:
-                return
-            connection, stamp, data = found
-            self._done += 1
-            yield RawMessage(connection.topic, stamp, data)
-
-    def attachment(self, name: str) -> bytes | None:  # noqa: ARG002  # of the Protocol
-        """Return None: these bags have none."""
-        return None
+        with self._one_sentence():
+            for connection, stamp, data in self._reader.messages(wanted):
+                self._done += 1
+                yield RawMessage(connection.topic, stamp, data)
 
     def close(self) -> None:
         """Release the file."""

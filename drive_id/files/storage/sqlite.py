@@ -12,37 +12,23 @@ from urllib.parse import quote
 
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, shown_size
-from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, TopicInfo, file_size, full_type
-from drive_id.messages import Message
+from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, Storage, TopicInfo, file_size, full_type
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16
 _LONGEST_TEXT = 1 << 22
 _STEPS = 100_000  # of sqlite between two looks at the clock: some milliseconds
-_PATIENCE = 20.0  # s that opening a file of any size may take
+_PATIENCE = 20.0  # s that opening a file of any size may take, before sqlite is told to give up
 _BYTES_PER_SECOND = 1e7  # further time by the size: a slow network disk
 
 
-class SqliteStorage:
-    """A sqlite3 file as a :class:`~drive_id.files.storage.container.Storage`.
-
-    Parameters
-    ----------
-    shown : Path
-        Name of the file in errors.
-    """
+class SqliteStorage(Storage):
+    """A sqlite3 file, named ``shown`` in errors."""
 
     kind = "sqlite3"
-    checked = False
-    compression = ""
-    damage = ""
-    warning: Message | None = None
-    progress = 0.0
 
     def __init__(self, path: Path, shown: Path) -> None:
         self._shown = shown
-        self.topics: tuple[TopicInfo, ...] = ()
-        self.start, self.end = 0, 0
         for ending in ("-wal", "-journal"):
             if file_size(path.with_name(path.name + ending)):
                 raise TruncatedBagError(
@@ -57,7 +43,10 @@ class SqliteStorage:
             raise NotABagError(f"{shown} cannot be opened ({error}): check its permissions.") from error
         try:
             self._check_size(path)
-            self._open_within(_PATIENCE + file_size(path) / _BYTES_PER_SECOND)
+            end = time.monotonic() + _PATIENCE + file_size(path) / _BYTES_PER_SECOND
+            self._database.set_progress_handler(lambda: time.monotonic() > end, _STEPS)
+            self._open()
+            self._database.set_progress_handler(None, 0)
         except _SQL_ERRORS as error:
             self._database.close()
             raise self._damaged(error) from error
@@ -72,12 +61,7 @@ class SqliteStorage:
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in the order of the rows; checks the declared counts.
 
-        Raises
-        ------
-        TruncatedBagError
-            When the file is damaged.
-        MessageCountError
-            When a message belongs to no topic, or a count differs.
+        Raises TruncatedBagError when the file is damaged, MessageCountError when a count differs.
         """
         keys = {key: name for key, name in self._keys.items() if name in topics}
         found: Counter[str] = Counter()
@@ -98,10 +82,6 @@ class SqliteStorage:
                     "copy the file again from its origin, or rebuild its index with 'sqlite3 ... REINDEX'."
                 )
 
-    def attachment(self, name: str) -> bytes | None:  # noqa: ARG002  # asked for by the protocol
-        """Return None: sqlite3 recordings have no attachments."""
-        return None
-
     def _check_size(self, path: Path) -> None:
         """Compare the size of the file with its header: sqlite itself reads missing pages as zeros."""
         with open_input(path) as stream:
@@ -112,15 +92,6 @@ class SqliteStorage:
         size = 65536 if page == 1 else page
         if size == 0 or file_size(path) % size or file_size(path) < pages * size:
             raise sqlite3.DatabaseError("it breaks off before its end")
-
-    def _open_within(self, seconds: float) -> None:
-        """Open the file, and give up when sqlite takes far too long."""
-        end = time.monotonic() + seconds
-        self._database.set_progress_handler(lambda: time.monotonic() > end, _STEPS)
-        try:
-            self._open()
-        finally:
-            self._database.set_progress_handler(None, 0)
 
     def _open(self) -> None:
         query = "SELECT name FROM sqlite_master WHERE type = 'table' AND length(sql) < 4096 LIMIT 1000"
@@ -148,7 +119,10 @@ class SqliteStorage:
             raise MessageCountError(
                 f"{self._shown} holds messages that belong to none of its topics: copy it again from its origin."
             )
-        definitions = self._definitions() if "message_definitions" in tables else {}
+        definitions: dict[str, tuple[str, str]] = {}
+        if "message_definitions" in tables:
+            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            definitions = {str(name): (str(form), str(text)) for name, form, text in self._database.execute(query)}
         infos: dict[str, TopicInfo] = {}
         for key, name, type_name, encoding in rows:
             before = infos[name].count or 0 if name in infos else 0
@@ -171,12 +145,6 @@ class SqliteStorage:
         count, *longest = self._database.execute(f"SELECT count(*), {lengths} FROM {table}").fetchone()
         if count > _MOST_TOPICS or any(isinstance(length, int) and length > _LONGEST_TEXT for length in longest):
             raise sqlite3.DatabaseError(f"its table {table} is too large")
-
-    def _definitions(self) -> dict[str, tuple[str, str]]:
-        rows = self._database.execute(
-            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        )
-        return {str(name): (str(form), str(text)) for name, form, text in rows}
 
     def _damaged(self, error: BaseException) -> TruncatedBagError:
         return TruncatedBagError(

@@ -26,28 +26,19 @@ _CHUNK_SIZE = 512 * 1024
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a recovery.
+    """Result of a recovery."""
 
-    Parameters
-    ----------
-    output : Path
-        The complete recording.
-    topics : dict of str to int
-        Messages by topic.
-    duration : float
-        Between the first and the last message, s.
-    damage : tuple of str
-        Sentences about what could not be recovered; empty when the recording was complete.
-    """
-
-    output: Path
-    topics: dict[str, int]
-    duration: float
-    damage: tuple[str, ...]
+    output: Path  # the complete recording
+    topics: dict[str, int]  # messages by topic
+    duration: float  # between the first and the last message, s
+    damage: tuple[str, ...]  # sentences about what could not be recovered; empty when the recording was complete
 
 
 def recover_bag(path: Path, output: Path | None = None) -> Recovery:
     """Write what can be read of an MCAP recording as a new, complete one; the original is not changed.
+
+    Raises NotABagError when it is no MCAP recording, EmptyTopicError when there is no message to recover, OutputError
+    when the output exists or cannot be written.
 
     Parameters
     ----------
@@ -55,15 +46,6 @@ def recover_bag(path: Path, output: Path | None = None) -> Recovery:
         Storage file or folder; its ``metadata.yaml`` is ignored.
     output : Path, optional
         Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
-
-    Raises
-    ------
-    NotABagError
-        When it is no MCAP recording.
-    EmptyTopicError
-        When there is no message to recover.
-    OutputError
-        When the output exists or cannot be written.
     """
     files = present_files(path)
     absolute = path.absolute()
@@ -187,7 +169,9 @@ class _Copy:
             self._writer.add_attachment(*times, record.name, record.media_type, record.data)
         elif isinstance(record, records.Metadata):
             if record.name == "rosbag2":
-                self.distro = self.distro or _distro(record.metadata.get("serialized_metadata", ""))
+                tree = _loaded(record.metadata.get("serialized_metadata", ""))
+                distro = tree.get("ros_distro") if isinstance(tree, dict) else ""
+                self.distro = self.distro or (distro if isinstance(distro, str) else "")
             else:
                 self._writer.add_metadata(record.name, record.metadata)
 
@@ -201,26 +185,18 @@ class _Copy:
         )
         self._channels[channel.id] = (number, channel.topic)
         if channel.topic not in self._topics:
+            profiles = _loaded(channel.metadata.get("offered_qos_profiles", ""))
             self._topics[channel.topic] = TopicEntry(
                 channel.topic,
                 self._types.get(channel.schema_id, ""),
                 channel.metadata.get("topic_type_hash", ""),
-                _offered_qos(channel.metadata.get("offered_qos_profiles", "")),
+                profiles if isinstance(profiles, list) else [],
             )
 
 
-def _offered_qos(text: str) -> list[Any]:
+def _loaded(text: str) -> Any:
+    """Return a YAML document; None for a damaged one."""
     try:
-        profiles = load_yaml(text)
+        return load_yaml(text)
     except (yaml.YAMLError, ValueError):
-        return []
-    return profiles if isinstance(profiles, list) else []
-
-
-def _distro(text: str) -> str:
-    try:
-        tree = load_yaml(text)
-    except (yaml.YAMLError, ValueError):
-        return ""
-    distro = tree.get("ros_distro") if isinstance(tree, dict) else ""
-    return distro if isinstance(distro, str) else ""
+        return None

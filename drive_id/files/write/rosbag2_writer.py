@@ -33,8 +33,6 @@ from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_info
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["CHUNK_SIZE", "FileOpener", "McapStream", "Qos", "Rosbag2McapWriter", "open_unbuffered", "whole_or_nothing"]
-
 LIBRARY = "drive_id"
 CHUNK_SIZE = 64 * 1024
 """Bytes per chunk before compression; a killed recorder loses at most one chunk and what was not flushed."""
@@ -54,20 +52,15 @@ def open_unbuffered(path: Path) -> BinaryIO:
 class McapStream:
     """The file below ``mcap.writer.Writer``, each of whose writes holds whole records.
 
-    A write that fails is undone by :meth:`end_early`, which ends the file behind the last whole record.
-
-    Parameters
-    ----------
-    path : Path
-        To create.
-    opener : callable
-        Creates the file; tests give a disk that fills up.
+    A write that fails is undone by :meth:`end_early`, which ends the file behind the last whole record. ``opener``
+    creates the file; tests give a disk that fills up.
     """
 
     def __init__(self, path: Path, opener: FileOpener = open_unbuffered) -> None:
         self._stream = opener(path)
         self.position = 0
-        self._data_end: int | None = None
+        self.data_end: int | None = None
+        """Where the data ends, once only index and end mark follow."""
 
     def write(self, data: bytes) -> int:
         """Write all of ``data`` or raise OSError."""
@@ -88,13 +81,9 @@ class McapStream:
         """Wait until everything written is on the disk and survives a power cut."""
         os.fsync(self._stream.fileno())
 
-    def begin_end(self) -> None:
-        """Mark the end of the data: only index and end mark follow."""
-        self._data_end = self.position
-
     def end_early(self) -> None:
         """Cut off an incomplete write and end the file without an index; OSError when the disk refuses that, too."""
-        end = self.position if self._data_end is None else self._data_end
+        end = self.position if self.data_end is None else self.data_end
         self._stream.truncate(end)
         self._stream.seek(end)
         self.write(_END_WITHOUT_SUMMARY + MCAP_MAGIC)
@@ -112,15 +101,7 @@ class _CompleteFile(NamedTuple):
 
 
 class _OpenFile:
-    """The file being written; all methods raise OSError when the disk refuses.
-
-    Parameters
-    ----------
-    path : Path
-        To create.
-    chunk_size, compression, live, opener
-        See :class:`Rosbag2McapWriter`.
-    """
+    """The file being written; see :class:`Rosbag2McapWriter`. All methods raise OSError when the disk refuses."""
 
     def __init__(self, path: Path, *, chunk_size: int, compression: str, live: bool, opener: FileOpener) -> None:
         self.path = path
@@ -178,7 +159,7 @@ class _OpenFile:
     def finish(self, metadata: dict[str, dict[str, str]]) -> None:
         """Complete the file, with metadata by name."""
         self._writer.flush()  # type: ignore[no-untyped-call]
-        self._stream.begin_end()
+        self._stream.data_end = self._stream.position
         for name, data in metadata.items():
             self._writer.add_metadata(name, data)
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -206,7 +187,8 @@ class Rosbag2McapWriter:
     """Write one recording, message by message, already serialized.
 
     :meth:`close` completes the recording; what was flushed before the process died can be recovered. After an error of
-    the disk, :meth:`end_early` ends it behind what was written.
+    the disk, :meth:`end_early` ends it behind what was written. Every method raises OutputError when the folder exists
+    or cannot be written.
 
     Parameters
     ----------
@@ -216,17 +198,8 @@ class Rosbag2McapWriter:
         Bytes.
     compression : str
         Of the chunks: ``zstd``, ``lz4`` or empty.
-    ros_distro : str
-        For ``metadata.yaml``.
     live : bool
         Mark the files as written live, and reserve disk space for ending them when the disk is full.
-    opener : callable
-        Creates the files.
-
-    Raises
-    ------
-    OutputError
-        When the folder exists or cannot be written; from every method.
     """
 
     def __init__(
@@ -246,30 +219,24 @@ class Rosbag2McapWriter:
         self._sequence: Counter[str] = Counter()
         self._earlier: list[_CompleteFile] = []
         self._closed = False
-        try:
-            self._unsynced = make_folder(path) | {path}
-        except FileExistsError as error:
-            raise OutputError(f"{path} exists already: choose another name, or remove it.") from error
-        except OSError as error:
-            raise _refused(path, error) from error
-        try:
-            if live:
-                (path / _RESERVE).write_bytes(bytes(_RESERVE_SIZE))
-            self._file = self._open_file(0)
-        except OSError as error:
-            self._free_reserve()
-            with suppress(OSError):
-                path.rmdir()
-            raise _refused(path, error) from error
+        with _refusal(path):
+            try:
+                self._unsynced = make_folder(path) | {path}
+            except FileExistsError as error:
+                raise _taken(path) from error
+            try:
+                if live:
+                    (path / _RESERVE).write_bytes(bytes(_RESERVE_SIZE))
+                self._file = self._open_file(0)
+            except OSError:
+                self._free_reserve()
+                with suppress(OSError):
+                    path.rmdir()
+                raise
 
     @property
     def _files(self) -> list[_CompleteFile | _OpenFile]:
         return [*self._earlier, self._file]
-
-    @property
-    def message_count(self) -> int:
-        """Messages written so far."""
-        return sum(file.entry.count for file in self._files)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -289,16 +256,9 @@ class Rosbag2McapWriter:
     def add_topic(
         self, topic: str, type_name: str, *, qos: Qos | None = None, definition: str = "", hash_: str = ""
     ) -> None:
-        """Announce a topic.
+        """Announce a topic by its absolute name and its type, ``package/msg/Name``.
 
-        Parameters
-        ----------
-        topic : str
-            Absolute name.
-        type_name : str
-            ``package/msg/Name``.
-        definition, hash_ : str
-            Complete ``ros2msg`` definition and RIHS01 hash; known for our own sample messages.
+        Its complete ``ros2msg`` definition and RIHS01 hash are known for our own sample messages.
         """
         if topic in self._topics:
             raise OutputError(f"Topic {topic} is recorded already: record each topic once.")
@@ -308,16 +268,8 @@ class Rosbag2McapWriter:
         self._file.add_topic(self._topics[topic])
 
     def write(self, topic: str, data: bytes, log_time: int) -> None:
-        """Write one serialized message.
-
-        Parameters
-        ----------
-        data : bytes
-            CDR.
-        log_time : int
-            When it was received, ns.
-        """
-        try:
+        """Write one message in CDR, received at ``log_time``, ns."""
+        try:  # for each message, so without a context manager
             self._file.write(topic, data, log_time, self._sequence[topic] & 0xFFFFFFFF)
         except OSError as error:
             raise _refused(self.path, error) from error
@@ -325,25 +277,22 @@ class Rosbag2McapWriter:
 
     def attach(self, name: str, data: bytes, media_type: str = "application/octet-stream") -> None:
         """Add an attachment."""
-        with self._refusal():
+        with _refusal(self.path):
             self._file.attach(name, data, media_type)
 
     def flush(self, *, sync: bool = False) -> None:
         """Hand everything written so far to the operating system, so that it survives the end of this process.
 
-        Parameters
-        ----------
-        sync : bool
-            Wait until it is on the disk, so that it survives a power cut.
+        With ``sync``, wait until it is on the disk, so that it survives a power cut.
         """
-        with self._refusal():
+        with _refusal(self.path):
             self._file.flush(sync=sync)
             if sync:
                 self._sync_names()
 
     def split(self) -> None:
         """Complete the file being written and continue in a new one."""
-        with self._refusal():
+        with _refusal(self.path):
             self._finish_file(None)
             file = self._open_file(len(self._earlier) + 1)
         self._unsynced.add(self.path)
@@ -353,15 +302,12 @@ class Rosbag2McapWriter:
     def close(self, custom: Mapping[str, str] | None = None) -> None:
         """Complete the recording: index, end mark and ``metadata.yaml``.
 
-        Parameters
-        ----------
-        custom : mapping of str to str, optional
-            Kept as ``custom_data`` in ``metadata.yaml`` and as metadata ``drive_id`` in the last file.
+        ``custom`` becomes ``custom_data`` in ``metadata.yaml``, and the metadata ``drive_id`` in the last file.
         """
         if self._closed:
             return
         self._free_reserve()
-        with self._refusal():
+        with _refusal(self.path):
             self._finish_file(custom)
             self._sync_names()
         self.describe(custom)
@@ -375,7 +321,7 @@ class Rosbag2McapWriter:
         self._closed = True
         self._free_reserve()
         try:
-            with self._refusal():
+            with _refusal(self.path):
                 if not self._file.finished:
                     self._file.end_early()
                 self._sync_names()
@@ -383,14 +329,8 @@ class Rosbag2McapWriter:
             self._file.release()
 
     def describe(self, custom: Mapping[str, str] | None = None) -> None:
-        """Write ``metadata.yaml`` about the files, when they are complete.
-
-        Parameters
-        ----------
-        custom : mapping of str to str, optional
-            Its ``custom_data``.
-        """
-        with self._refusal():
+        """Write ``metadata.yaml`` about the files, when they are complete, with ``custom`` as its ``custom_data``."""
+        with _refusal(self.path):
             write_metadata(self.path, self._information([file.entry for file in self._files], custom))
 
     def abandon(self) -> None:
@@ -438,13 +378,6 @@ class Rosbag2McapWriter:
         with suppress(OSError):
             (self.path / _RESERVE).unlink(missing_ok=True)
 
-    @contextmanager
-    def _refusal(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise _refused(self.path, error) from error
-
 
 @contextmanager
 def whole_or_nothing(path: Path) -> Iterator[Path]:
@@ -454,22 +387,30 @@ def whole_or_nothing(path: Path) -> Iterator[Path]:
 
     Raises OutputError when ``path`` exists or cannot be written.
     """
-    if path.exists() or path.is_symlink():
-        raise OutputError(f"{path} exists already: choose another name, or remove it.")
-    try:
+    with _refusal(path):
+        if path.exists() or path.is_symlink():
+            raise _taken(path)
         unsynced = make_folder(path.parent, exist_ok=True) | {path.parent}
         around = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
-    except OSError as error:
-        raise _refused(path, error) from error
+        try:
+            yield around / path.name
+            (around / path.name).rename(path)
+            for folder in unsynced:
+                sync_folder(folder)
+        finally:
+            shutil.rmtree(around, ignore_errors=True)
+
+
+@contextmanager
+def _refusal(path: Path) -> Iterator[None]:
     try:
-        yield around / path.name
-        (around / path.name).rename(path)
-        for folder in unsynced:
-            sync_folder(folder)
+        yield
     except OSError as error:
         raise _refused(path, error) from error
-    finally:
-        shutil.rmtree(around, ignore_errors=True)
+
+
+def _taken(path: Path) -> OutputError:
+    return OutputError(f"{path} exists already: choose another name, or remove it.")
 
 
 def _refused(path: Path, error: OSError) -> OutputError:

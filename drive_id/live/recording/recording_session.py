@@ -16,7 +16,8 @@ from drive_id.core.signals.signal import SampleCount
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import BlockHead, read_head
 from drive_id.files.storage.mcap import McapStorage
-from drive_id.files.write.rosbag2_writer import FileOpener, Qos, Rosbag2McapWriter, open_unbuffered
+from drive_id.files.storage.metadata import Qos
+from drive_id.files.write.rosbag2_writer import FileOpener, Rosbag2McapWriter, open_unbuffered
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.types import NANOSECONDS

@@ -25,7 +25,6 @@ from drive_id.errors import (
     NotABagError,
 )
 from drive_id.files.logs import column_log
-from drive_id.files.logs import open_log as open_log_module
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.logs.tables import csv_dialect
 from drive_id.files.messages.signals_file import parse_signals
@@ -81,8 +80,8 @@ def test_the_numbers_are_those_of_the_recording(name, tmp_path, samples, columns
     for what in ("i_abc", "angle", "speed", "i_dq_reference", "dc_link_voltage"):
         np.testing.assert_allclose(getattr(found, what), getattr(samples, what), rtol=1e-12, err_msg=what)
     np.testing.assert_allclose(found.u_abc, samples.u_abc / 600 * samples.dc_link_voltage[:, None], rtol=1e-12)
-    true = open_log_module._Guarded.parts
-    monkeypatch.setattr(open_log_module._Guarded, "parts", lambda log, wanted, rows=700: true(log, wanted, rows))
+    true = column_log.ColumnLog.parts
+    monkeypatch.setattr(column_log.ColumnLog, "parts", lambda log, wanted, rows=700: true(log, wanted, rows))
     assert_equal_samples(joined(list(bag_pieces(path, signal_map))), found)
     largest = np.hypot(*samples.i_dq_reference.T).max()
     assert radius_of(path, Sources([path], signal_map)) == pytest.approx(largest, rel=5e-3)

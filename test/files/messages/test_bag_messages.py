@@ -69,10 +69,10 @@ def test_blocks_are_cdr(name, stamp, first, period, frame, data):
     if session is not None:
         assert (message.session, message.count, message.safe, message.stator_frame) == session
         former = decode_block(encode_block(stamp, first, period, columns, frame), len(columns))
-        assert (former.stamp, len(former)) == (stamp, n)
+        assert (former.head.stamp, former.head.samples) == (stamp, n)
     for little in (True, False):
         block = decode_block(store.serialize_cdr(message, name, little_endian=little), len(columns))
-        assert (block.stamp, block.first_sample, block.sample_period, len(block)) == (stamp, first, period, n)
+        assert block.head == (stamp, first, period, n)
         for found, column in zip(block.values, columns, strict=True):
             np.testing.assert_array_equal(found, column)
 

@@ -34,11 +34,7 @@ def small_parts(monkeypatch):
 def read(path, signals=None, **options):
     """Put the pieces together again; also what else there is to know."""
     facts = []
-
-    def pieces():
-        facts.append((yield from bag_pieces(path, signals or SignalMap(), **options)))
-
-    return list(pieces()), facts[0]
+    return list(bag_pieces(path, signals or SignalMap(), end=facts.append, **options)), facts[0]
 
 
 def assert_same_as_whole(path, signals=None, least_pieces=3, **options):
@@ -236,4 +232,4 @@ def test_closing_ends_the_thread_and_what_it_reads():
     assert next(stream) == 1
     stream.close()
     assert closed.is_set()
-    assert not [thread for thread in threading.enumerate() if thread.name == "reader"]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("reader")]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zstandard
 from bag_samples import PERIOD, START, STEP, assert_equal_samples, make_samples, make_truth, write_foreign
+from drive_bags import renamed
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -23,7 +24,7 @@ from drive_id.files.messages.messages import message_typestore, schema_text
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
-from drive_id.files.write.writer import Topics, write_recording
+from drive_id.files.write.writer import write_recording
 
 
 @pytest.fixture
@@ -187,9 +188,9 @@ def two_drives(tmp_path, resolver="resolver"):
     samples = {"drive_1": make_samples(300, seed=1), "drive_2": make_samples(300, seed=2)}
     with writer:
         for name, part in samples.items():
-            topics = Topics(namespace=name, resolver="resolver" if name == "drive_1" else resolver)
-            write_recording(tmp_path / name, part, topics=topics)
-            with AnyReader([tmp_path / name]) as reader:
+            write_recording(tmp_path / f"{name}_alone", part)
+            own = "resolver" if name == "drive_1" else resolver
+            with AnyReader([renamed(tmp_path / f"{name}_alone", tmp_path / name, name, resolver=own)]) as reader:
                 keys = {t: writer.add_connection(t, i.msgtype, typestore=store) for t, i in reader.topics.items()}
                 for connection, time, raw in reader.messages():
                     writer.write(keys[connection.topic], time, raw)
@@ -333,7 +334,8 @@ def test_definitions_from_the_signals_file(tmp_path):
 
 def test_our_messages_through_a_signals_file(tmp_path):
     samples = make_samples()
-    write_recording(tmp_path / "bag", samples, topics=Topics(currents="i", voltages="u", resolver="r"))
+    write_recording(tmp_path / "ours", samples)
+    renamed(tmp_path / "ours", tmp_path / "bag", phase_currents="i", phase_voltages="u", resolver="r")
     text = """
 currents: {topic: i, fields: [b, a, c], scale: 2, sample_period: sample_period, first_sample: first_sample}
 voltages: {topic: u, fields: [a, b, c], sample_period: 1e-4}

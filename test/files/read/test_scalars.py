@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bag_samples import START, STEP, assert_equal_samples, make_samples, write_foreign
+from drive_bags import renamed
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -19,7 +20,7 @@ from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read.reader import bag_pieces
 from drive_id.files.read.several import read_recording
-from drive_id.files.write.writer import Topics, write_recording
+from drive_id.files.write.writer import write_recording
 from drive_id.types import SCALARS
 
 
@@ -38,8 +39,8 @@ def with_scalars(n=6000, **options):
 @pytest.mark.parametrize("namespace", ["", "drive_1"])
 def test_what_is_written_comes_back(tmp_path, storage, namespace):
     samples = with_scalars()
-    write_recording(tmp_path / "bag", samples, topics=Topics(namespace), scalar_periods={"winding_temperature": 0.05})
-    path = rewrite(tmp_path / "bag", tmp_path / "copy", storage)
+    write_recording(tmp_path / "ours", samples, scalar_periods={"winding_temperature": 0.05})
+    path = rewrite(renamed(tmp_path / "ours", tmp_path / "bag", namespace), tmp_path / "copy", storage)
     found = read_recording(path).samples
     assert_equal_samples(found, samples)
     np.testing.assert_array_equal(found.dc_link_voltage, samples.dc_link_voltage)

@@ -22,7 +22,6 @@ from drive_id.files.results import folder, information
 from drive_id.files.results.information import (
     FORMAT_VERSION,
     check_information_output,
-    decode_information,
     encode_information,
     information_tree,
     read_information,
@@ -45,6 +44,11 @@ def accumulated(simulation):
 @pytest.fixture(scope="module")
 def encoded(accumulated):
     return encode_information(accumulated)
+
+
+def decode_information(data, where):
+    """Decode the content of an information file, named in errors."""
+    return information._decoded(io.BytesIO(data), where)
 
 
 def changed(encoded: bytes, **changes) -> bytes:

@@ -19,11 +19,11 @@ from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.message_reader import block_columns
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, schema_text
 from drive_id.files.messages.signal_sources import SignalMap
-from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
 from drive_id.files.storage.container import TopicInfo
-from drive_id.files.write.rosbag2_writer import Qos, Rosbag2McapWriter
-from drive_id.files.write.writer import Topics, write_recording
+from drive_id.files.storage.metadata import Qos
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
+from drive_id.files.write.writer import write_recording
 
 NAMES = {"/phase_currents": "i_abc", "/phase_voltages": "u_abc", "/current_reference": "i_dq_reference"}
 
@@ -110,11 +110,10 @@ def test_messages_are_logged_in_order_and_not_before_their_last_sample(tmp_path)
     assert times[-1] == samples.stamp[-1] + STEP
 
 
-def test_start_stamp_and_namespace(tmp_path):
+def test_start_stamp(tmp_path):
     samples = make_samples()
-    write_recording(tmp_path / "bag", samples, topics=Topics(namespace="lab/drive_1"), start_stamp=5 * 10**9)
+    write_recording(tmp_path / "bag", samples, start_stamp=5 * 10**9)
     recording = read_recording(tmp_path / "bag")
-    assert "/lab/drive_1/phase_currents" in {topic.name for topic in bag_info(tmp_path / "bag").topics}
     assert_equal_samples(recording.samples, replace(samples, stamp=samples.stamp - START + 5 * 10**9))
 
 
@@ -186,7 +185,6 @@ def test_the_raw_writer_serves_any_type_and_flushes(tmp_path):
             writer.write("/x", b"\0\1\0\0" + np.float64(k).tobytes(), 1000 + k)
         writer.flush()
         assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 300
-        assert writer.message_count == 10
         with pytest.raises(OutputError, match="recorded already"):
             writer.add_topic("/x", kind, definition=definition)
     with AnyReader([tmp_path / "bag"]) as reader:
@@ -215,8 +213,8 @@ def test_bags_with_the_former_message_of_references_are_read_likewise(tmp_path):
             known = {"definition": former, "hash_": "RIHS01_x"} if connection.msgtype == CURRENT_REFERENCE else {}
             writer.add_topic(connection.topic, connection.msgtype, **known)
         for connection, time, data in reader.messages():
-            block, whole = decode_block(data, len(BLOCK_FIELDS[connection.msgtype])), bytes(data)
-            again = encode_block(block.stamp, block.first_sample, block.sample_period, block.values, "drive")
+            (head, values), whole = decode_block(data, len(BLOCK_FIELDS[connection.msgtype])), bytes(data)
+            again = encode_block(head.stamp, head.first_sample, head.sample_period, values, "drive")
             assert whole.startswith(again)
             assert len(whole) - len(again) in ({18, 22} if connection.msgtype == CURRENT_REFERENCE else {0})
             writer.write(connection.topic, again, time)

@@ -91,7 +91,7 @@ def test_what_was_flushed_to_the_disk_can_be_recovered(disk, tmp_path, split):
             add_blocks(writer, 10, 10)
         writer.flush(sync=True)
         synced = len(log.operations)
-        promised = writer.message_count
+        promised = sum(file.entry.count for file in writer._files)
         add_blocks(writer, 20, 10)
         writer.split()  # leaves a file whose name, but not its beginning, may be on the disk
         writer.flush()

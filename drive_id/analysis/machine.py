@@ -63,6 +63,10 @@ class IronLoss:
         """Whether any iron loss was identified."""
         return self != IronLoss()
 
+    def scaled(self, factor: float) -> IronLoss:
+        """Return this loss times a factor."""
+        return IronLoss(factor * self.conductance, factor * self.hysteresis, factor * self.coercivity)
+
     def current(self, e_dq: FloatArray, speed: FloatArray) -> FloatArray:
         """Return i_fe (..., 2), A, for induced voltages (..., 2), V, at electrical speeds (...), rad/s."""
         size, turning = np.hypot(e_dq[..., 0], e_dq[..., 1]), np.abs(speed)

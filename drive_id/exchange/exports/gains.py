@@ -69,13 +69,6 @@ class ControlGains:
         rate = _PLL * self.bandwidth
         return 2 * rate, rate**2
 
-    def per_unit(self, table: MapTable) -> tuple[float, float]:
-        """Return the bases of voltage, u_dc / sqrt(3), and current, i_max; V and A.
-
-        Raises ConfigurationError when the DC-link voltage is unknown.
-        """
-        return table.machine.known_u_dc() / math.sqrt(3), table.machine.i_max
-
 
 def q15(values: FloatArray) -> tuple[IntArray, int]:
     """Return values as int16 numbers, and the shift: ``value = number * 2^-shift``, the largest in 15 bits.

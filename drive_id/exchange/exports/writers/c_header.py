@@ -88,7 +88,7 @@ def _thinned(current: FloatArray, voltage: FloatArray) -> tuple[FloatArray, Floa
 
 def _per_unit(table: MapTable, gains: ControlGains, options: ExportOptions) -> list[str]:
     """Return the gains per unit in fixed point: kp over the current, and ki times the sample period."""
-    u_base, i_base = gains.per_unit(table)
+    u_base, i_base = table.machine.known_u_dc() / math.sqrt(3), table.machine.i_max
     lines = [
         f"#define DRIVE_ID_U_BASE {_real(u_base)} /* V, u_dc / sqrt(3) */",
         f"#define DRIVE_ID_I_BASE {_real(i_base)} /* A, i_max */",

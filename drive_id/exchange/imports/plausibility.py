@@ -13,7 +13,7 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, IntArray
 
 _MOST_POINTS = 1500  # at which slopes are estimated
 _NEIGHBOURS = 9  # through which a plane is fitted: a node of a grid and those around it
@@ -100,7 +100,9 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
             break
         turned = other.order != assumed.order and points.shape is not None
         source = transposed if turned else points
-        if source is not None and _usable(source, other) and not faults(converted(source, other)):
+        if source is None or source.axis not in (None, other.axis):  # the file itself may state its axis
+            continue
+        if not faults(converted(source, other)):
             fitting.append(other)
     if fitting:
         options = " or ".join(f"'{other.differing(assumed)}'" for other in fitting)
@@ -121,11 +123,6 @@ def _without(points: MapPoints, odd: Message) -> MapPoints:
     return replace(points, i_dq=points.i_dq[kept], psi_dq=points.psi_dq[kept], torque=torque)
 
 
-def _usable(points: MapPoints, conventions: Conventions) -> bool:
-    """Return whether conventions are possible: they must not contradict an axis that the file itself states."""
-    return points.axis is None or points.axis == conventions.axis
-
-
 def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """Estimate incremental inductances and the flux at zero current, by planes through neighbouring points.
 
@@ -141,13 +138,11 @@ def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, Floa
     (2,) float or None
         psi_dq at zero current, Wb; None when the points do not reach zero current.
     """
-    scale = np.ptp(i_dq, axis=0)
-    spread = [len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)]
-    x = i_dq / scale * np.array(spread)  # so that steps along both axes of a grid count the same
+    x, scale, spread = _in_steps(i_dq)
     tree = cKDTree(x)
     chosen = x[:: max(1, len(x) // _MOST_POINTS)]
     _, near = tree.query(chosen, k=_NEIGHBOURS)
-    slopes, known, _ = _planes(i_dq[near], psi_dq[near], chosen / np.array(spread) * scale)
+    slopes, known, _ = _planes(i_dq[near], psi_dq[near], chosen / spread * scale)
     distance, around = tree.query(np.zeros((1, 2)), k=_NEIGHBOURS)
     typical = float(np.median(tree.query(chosen, k=2)[0][:, 1]))
     _, fits, values = _planes(i_dq[around], psi_dq[around], np.zeros((1, 2)))
@@ -155,11 +150,17 @@ def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, Floa
     return slopes[known], values[0] if reaches else None
 
 
-def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
-    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; None without one."""
+def _in_steps(i_dq: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return currents in steps of their grid, so that both axes count the same, the ranges, and the steps in each."""
     scale = np.ptp(i_dq, axis=0)
     spread = np.array([len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)])
-    _, near = cKDTree(i_dq / scale * spread).query(i_dq / scale * spread, k=min(_NEIGHBOURS, len(i_dq)))
+    return i_dq / scale * spread, scale, spread
+
+
+def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
+    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; None without one."""
+    x, _, _ = _in_steps(i_dq)
+    _, near = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(i_dq)))
     _, known, expected = _planes(i_dq[near[:, 1:]], psi_dq[near[:, 1:]], i_dq)
     off = np.where(known, np.hypot(*(psi_dq - expected).T), 0.0)
     usual = np.median(off[near[:, 1:]], axis=1)

@@ -181,17 +181,13 @@ def loss(i_alpha: float, i_beta: float, resistance: float, curve: FloatArray) ->
     return resistance * i_alpha + alpha, resistance * i_beta + beta
 
 
-def new_slice(orders: int) -> FloatArray:
-    """Return an empty slice for the kernels: the map at one angle of the rotor, in the cell where it was needed last.
-
-    It holds the 32 coefficients there, the cell's number, and cosine and sine of each harmonic's phase.
-    """
-    return np.zeros(33 + 2 * orders)
-
-
 @compiled("f8, const f8[::1], f8[::1]")
 def turn_to(theta: float, orders: FloatArray, here: FloatArray) -> None:
-    """Prepare a slice of the map at another angle."""
+    """Prepare ``here``, a slice of the map at one angle of the rotor, for another angle.
+
+    It holds the 32 coefficients of the cell where the map was needed last, the number of that cell, and cosine and sine
+    of each harmonic's phase.
+    """
     here[32] = -1.0
     for m in range(len(orders)):
         here[33 + 2 * m], here[34 + 2 * m] = math.cos(orders[m] * theta), math.sin(orders[m] * theta)
